@@ -55,7 +55,7 @@ chaos: $(VENV)/.installed
 model:
 	model/check
 
-# All, or some: make mutants ROOMS="gate shm/ring" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
+# All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
 ROOMS ?=
 AT ?=
 mutants: $(VENV)/.dev

@@ -97,7 +97,7 @@ def watch(trial: ArmTrial, seconds: float, carriers: Carriers) -> Hops:
             if _is_move(frame := records.FRAME.unpack(entry[2])[2]):
                 hops.made.append((entry[1], frame[4:-1]))
         while entry := wire.next():
-            _, _, taken, frame = box.unpack_wire(entry[2])
+            _, _, taken, frame = box.WIRE.unpack(entry[2])
             if taken and _is_move(frame):
                 hops.written.append((entry[1], frame[4:-1]))
     events = [event for event in trial.board.events(mark) if event.func == BUS_SERVO and event.data[0] == MOVE]

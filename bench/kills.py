@@ -18,13 +18,15 @@ WIRE_MS = 0.59
 
 
 BALLAST_MB = 100
-# Every process imports posix_ipc, so this one in its place gives each of them the memory of a large program.
+# Every process imports ctypes, so this one in its place gives each of them the memory of a large program.
 BALLAST = f"""
 import sys
-_ballast = b"x" * ({BALLAST_MB} << 20)
-sys.path = [path for path in sys.path if path != __file__.rsplit("/", 1)[0]]
-del sys.modules["posix_ipc"]
-import posix_ipc
+sys.ballast = b"x" * ({BALLAST_MB} << 20)  # this module is gone with its import of the real one
+_path = sys.path  # which a process hands on to those that it starts
+sys.path = [path for path in _path if path != __file__.rsplit("/", 1)[0]]
+del sys.modules["ctypes"]
+import ctypes
+sys.path = _path
 """
 
 
@@ -33,7 +35,7 @@ def heavy() -> Iterator[None]:
     """Services that are started inside have processes of BALLAST_MB more."""
     before = os.environ.get("PYTHONPATH")
     with tempfile.TemporaryDirectory(prefix="failstop-ballast-") as directory:
-        with open(os.path.join(directory, "posix_ipc.py"), "w", encoding="utf-8") as file:
+        with open(os.path.join(directory, "ctypes.py"), "w", encoding="utf-8") as file:
             file.write(BALLAST)
         os.environ["PYTHONPATH"] = os.pathsep.join([directory, *([before] if before else [])])
         try:

@@ -26,7 +26,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import layout, records
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader
 
 LATE_MS = 10.0
 GROWTH_MB_H = 1.0

@@ -1,4 +1,4 @@
-"""Frames that move the wheels, and their check before the wire; peripherals.py and servos.py have the others.
+"""Frames that move the wheels, the ping and the buzzer, and their checks before the wire; servos.py has an arm's.
 
 The board answers no motor frame and its motor handler checks nothing: ids out of range write out of bounds, the count
 is not held against the length, NaN is a speed (firmware source). So every value is checked here: an encoder either
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import CRC_TABLE, HEAD, WHEELS, FrameError, crc8, number
+from failstop.board import framing
+from failstop.board.framing import BUZZER, CRC_TABLE, HEAD, MOTOR_HEAD, PWM_SERVO, WHEELS, FrameError, crc8, frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # Above any wheel there is: a limit beyond this is a mistake in the limit, and would switch the check off.
 RPS_CEILING = 1000.0
+PWM_SERVOS = 4
 
 # A speed equal to the limit may round up by half a unit in the last place when it becomes a float32.
 _ROUNDING = 1.0 + 2.0**-23
@@ -24,22 +26,21 @@ _SMALLEST_F32 = 2.0**-149
 
 # Head, func and len as one word, sub-command and count as another: fewer objects to make and compare per frame.
 _WHEELS4 = Struct("<IHBfBfBfBfB")
-_WHEELS4_SIZE = _WHEELS4.size
 _WHEELS4_WORD = 0x160355AA
 _WHEELS4_COUNT = 0x0401
-
-# The register that is zero again after the head: with it the CRC runs over a whole frame and needs no slice.
-_BEFORE_HEAD = next(register for register in range(256) if crc8(HEAD, register) == 0)
+_IDS = tuple(range(WHEELS))
+_BUZZER = Struct("<4H")
+_BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 
 def speed_limit(max_rps: float) -> float:
     """A limit in rps. Raises FrameError for one that is none."""
-    return number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
+    return framing.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
     """A wheel's speed in rps. Raises FrameError for one beyond the limit."""
-    return number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
+    return framing.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
@@ -53,18 +54,9 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
         a, b, c, d = rps
     except (TypeError, ValueError):
         raise FrameError(f"rps is {rps!r}, must be {WHEELS} speeds") from None
-    if not (
-        type(a) is type(b) is type(c) is type(d) is type(max_rps) is float
-        and max_rps <= RPS_CEILING
-        and -max_rps <= a <= max_rps
-        and -max_rps <= b <= max_rps
-        and -max_rps <= c <= max_rps
-        and -max_rps <= d <= max_rps
-    ):
-        limit = speed_limit(max_rps)
-        a, b, c, d = (wheel_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
-    packed = _WHEELS4.pack(_WHEELS4_WORD, _WHEELS4_COUNT, 0, a + 0.0, 1, b + 0.0, 2, c + 0.0, 3, d + 0.0, 0)
-    return _complete_free(packed[2:-1])
+    limit = speed_limit(max_rps)
+    a, b, c, d = (wheel_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
+    return _complete_free(_WHEELS4.pack(_WHEELS4_WORD, _WHEELS4_COUNT, 0, a, 1, b, 2, c, 3, d, 0)[2:-1])
 
 
 _FLOATS = (5, 10, 15, 20)
@@ -78,16 +70,12 @@ def _complete_free(body: bytes) -> bytes:
     the burst, and executed, with the speeds sent until there: once in 256 cuts. Then the last speed sent until there
     is made smaller by one unit in its last place, which changes the CRC, and the frame looked at again.
     """
-    table = CRC_TABLE
-    while True:
-        crc = 0
-        for at, byte in enumerate(body):
-            crc = table[crc ^ byte]
-            if not crc and (smaller := _one_unit_smaller(body, at)):
-                body = smaller
-                break
-        else:
-            return HEAD + body + bytes((crc,))
+    crc = 0
+    for at, byte in enumerate(body):
+        crc = CRC_TABLE[crc ^ byte]
+        if not crc and (smaller := _one_unit_smaller(body, at)):
+            return _complete_free(smaller)
+    return HEAD + body + bytes((crc,))
 
 
 def _one_unit_smaller(body: bytes, at: int) -> bytes:
@@ -107,28 +95,52 @@ def check_motion(frame: bytes, max_rps: float) -> str:
     Accepted is the 27-byte frame for all four wheels, ids 0 to 3 in order, right CRC, every speed finite and within
     plus or minus max_rps (rps, 0 to RPS_CEILING; rounding to float32 is allowed for). Never raises on bytes.
     """
-    if len(frame) != _WHEELS4_SIZE:
+    if len(frame) != _WHEELS4.size:
         return "not a motor frame"
-    word, count, id_0, a, id_1, b, id_2, c, id_3, d, _ = _WHEELS4.unpack(frame)
+    word, count, *entries, _ = _WHEELS4.unpack(frame)
     if word != _WHEELS4_WORD or count != _WHEELS4_COUNT:
         return "not a motor frame"
-    register = _BEFORE_HEAD
-    table = CRC_TABLE
-    for byte in frame:
-        register = table[register ^ byte]
     # There is no final xor, so taking in its own CRC leaves zero.
-    if register:
+    if crc8(frame[2:]):
         return "bad crc"
-    if id_0 != 0 or id_1 != 1 or id_2 != 2 or id_3 != 3:
-        return f"wheel ids {id_0} {id_1} {id_2} {id_3}, must be 0 1 2 3"
+    ids, speeds = tuple(entries[::2]), entries[1::2]
+    if ids != _IDS:
+        return "wheel ids {} {} {} {}, must be 0 1 2 3".format(*ids)
     if not 0.0 <= max_rps <= RPS_CEILING:
         return f"limit {max_rps} rps, must be 0 to {RPS_CEILING:g}"
     limit = max_rps * _ROUNDING + _SMALLEST_F32
-    # Chained comparisons are false for NaN.
-    if -limit <= a <= limit and -limit <= b <= limit and -limit <= c <= limit and -limit <= d <= limit:
-        return ""
-    wheel, rps = next((wheel, rps) for wheel, rps in enumerate((a, b, c, d)) if not -limit <= rps <= limit)
-    return f"wheel {wheel} at {rps:.2f} rps, limit {max_rps:.2f}"
+    for wheel, rps in enumerate(speeds):
+        if not -limit <= rps <= limit:  # a chained comparison is false for NaN
+            return f"wheel {wheel} at {rps:.2f} rps, limit {max_rps:.2f}"
+    return ""
 
 
 STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
+
+
+def pwm_servo_read(servo: int) -> bytes:
+    """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, with no servo connected."""
+    return frame(PWM_SERVO, bytes((0x05, framing.integer("servo id", servo, 1, PWM_SERVOS))))
+
+
+def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever."""
+    framing.integer("freq_hz", freq_hz, 20, 20_000)
+    framing.integer("on_ms", on_ms, 1, 65_535)
+    framing.integer("off_ms", off_ms, 1, 65_535)
+    framing.integer("repeat", repeat, 1, 65_535)
+    return frame(BUZZER, _BUZZER.pack(freq_hz, on_ms, off_ms, repeat))
+
+
+def check_aux(frame: bytes) -> str:
+    """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
+
+    Accepted is exactly one buzzer frame of the right length and CRC, without the start of a motor frame anywhere in it:
+    whole, or cut and completed by the stop burst, it moves nothing. Handlers of other functions go through lists
+    without looking where they end, and could change a wheel's set point. Never raises on bytes.
+    """
+    if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
+        return "not a buzzer's frame"
+    if crc8(frame[2:]):
+        return "bad crc"
+    return "the start of a motor frame inside" if MOTOR_HEAD in frame else ""

@@ -53,9 +53,15 @@ _I8 = Struct("<b")
 _READ_POSITION = 0x05
 _PINGED_SERVOS = 4
 
-# What a reply's value looks like, by sub-command.
-_PWM_VALUES = {_READ_POSITION: _U16, 0x09: _I8}
-_BUS_VALUES = {0x05: _I16, 0x07: _U16, 0x09: _U8, 0x0D: _U8}
+# What the value of a servo's reply looks like, by function and sub-command.
+_VALUES = {
+    (PWM_SERVO, _READ_POSITION): _U16,
+    (PWM_SERVO, 0x09): _I8,
+    (BUS_SERVO, 0x05): _I16,
+    (BUS_SERVO, 0x07): _U16,
+    (BUS_SERVO, 0x09): _U8,
+    (BUS_SERVO, 0x0D): _U8,
+}
 
 
 class Decoder:
@@ -137,10 +143,8 @@ def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
     if len(data) != _IMU.size:
         return None
     ax, ay, az, gx, gy, gz = _IMU.unpack(data)
-    for value in (ax, ay, az, gx, gy, gz):
-        if not -_LARGEST_F32 <= value <= _LARGEST_F32:
-            return None
-    return ax, ay, az, gx, gy, gz
+    finite = all(-_LARGEST_F32 <= value <= _LARGEST_F32 for value in (ax, ay, az, gx, gy, gz))
+    return (ax, ay, az, gx, gy, gz) if finite else None
 
 
 def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
@@ -157,27 +161,17 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
     The sub-command is that of the request. PWM: 05 pulse in us, 09 deviation in us. Bus: 05 position, 07 supply in mV,
     09 degrees Celsius, 0D torque on.
     """
-    if len(data) < 3:
-        return None
-    if func == PWM_SERVO:
-        form, at = _PWM_VALUES.get(data[1]), 2
-    elif func == BUS_SERVO:
-        form, at = _BUS_VALUES.get(data[1]), 3
-    else:
-        return None
+    form = _VALUES.get((func, data[1])) if len(data) > 2 else None
+    at = 3 if func == BUS_SERVO else 2
     if form is None or len(data) != at + form.size:
         return None
-    if func == BUS_SERVO and data[2] != 0:
-        return data[0], data[1], None
-    value: int = form.unpack_from(data, at)[0]
-    return data[0], data[1], value
+    answered = func == PWM_SERVO or data[2] == 0
+    return data[0], data[1], form.unpack_from(data, at)[0] if answered else None
 
 
 def pong(func: int, data: bytes) -> int | None:
     """The index, 0 to 3, of the ping that a frame answers (the position of PWM servo 1 to 4), or None for any other."""
-    if func != PWM_SERVO:
-        return None
-    reply = servo_reply(func, data)
-    if reply is None or reply[1] != _READ_POSITION or not 1 <= reply[0] <= _PINGED_SERVOS:
-        return None
-    return reply[0] - 1
+    reply = servo_reply(func, data) if func == PWM_SERVO else None
+    if reply and reply[1] == _READ_POSITION and 1 <= reply[0] <= _PINGED_SERVOS:
+        return reply[0] - 1
+    return None

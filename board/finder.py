@@ -58,7 +58,12 @@ class Finder:
 
     def open(self, now_ns: int) -> int:
         """Open it where it is, exclusively; -1 while it can't be had. Never raises."""
-        path = self._path if self._may_be_it(self._path) else self._elsewhere(now_ns)
+        path = self._path
+        if not self._may_be_it(path):
+            if now_ns < self._look_at_ns:
+                return -1
+            self._look_at_ns = now_ns + LOOK_NS
+            path = self._elsewhere()
         descriptor = port.open_if_there(path) if path else -1
         if descriptor >= 0:
             self.at = path
@@ -75,19 +80,10 @@ class Finder:
             number = os.stat(path).st_rdev
         except OSError:
             return False
-        if self._identity is None:
-            return True
-        found = self._of_number(number)
-        return found is not None and found[:2] == self._identity[:2]
+        found = self._identity and self._of_number(number)
+        return self._identity is None or (found is not None and found[:2] == self._identity[:2])
 
-    def _elsewhere(self, now_ns: int) -> str:
-        """As _found(), at most every LOOK_NS."""
-        if now_ns < self._look_at_ns:
-            return ""
-        self._look_at_ns = now_ns + LOOK_NS
-        return self._found()
-
-    def _found(self) -> str:
+    def _elsewhere(self) -> str:
         """The one tty of this very device; empty where there is none, or where two look the same."""
         if self._identity is None:
             return ""

@@ -121,8 +121,6 @@ def group(field: str, value: Sequence[object], size: int) -> None:
 
 def distinct(field: str, ids: Sequence[int]) -> None:
     """FrameError if an id appears twice: the later one would silently win."""
-    seen: set[int] = set()
-    for value in ids:
-        if value in seen:
+    for at, value in enumerate(ids):
+        if value in ids[:at]:
             raise FrameError(f"{field} {value} appears twice, must appear at most once")
-        seen.add(value)

@@ -69,21 +69,19 @@ def open_port(path: str, *, exclusive: bool) -> int:
     that the chip knows: after a bus reset (a sleep of the machine, for one) the chip has forgotten it. Nothing but a
     character device is ever opened, and nothing is written. Raises PortError.
     """
-    _check_kind(path)
+    descriptor = -1
     try:
+        mode = os.stat(path).st_mode
+        if not stat.S_ISCHR(mode):
+            what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
+            raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
         descriptor = os.open(path, _FLAGS)
-    except OSError as error:
-        raise _explain(path, error) from None
-    try:
         _prepare(path, descriptor, exclusive)
-    except termios.error as error:
-        os.close(descriptor)
-        raise _explain(path, OSError(*error.args)) from None
-    except OSError as error:
-        os.close(descriptor)
-        raise _explain(path, error) from None
-    except BaseException:
-        os.close(descriptor)
+    except BaseException as error:
+        if descriptor >= 0:
+            os.close(descriptor)
+        if isinstance(error, (OSError, termios.error)):
+            raise _explain(path, OSError(*error.args)) from None
         raise
     return descriptor
 
@@ -103,8 +101,7 @@ def open_if_there(path: str) -> int:
 def unsent_bytes(descriptor: int) -> int:
     """What was written to the port and the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
     1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
-    answer: tuple[int] = _INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))
-    return answer[0]
+    return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
@@ -143,28 +140,19 @@ def release_exclusive(descriptor: int) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
-def _check_kind(path: str) -> None:
-    try:
-        mode = os.stat(path).st_mode
-    except OSError as error:
-        raise _explain(path, error) from None
-    if not stat.S_ISCHR(mode):
-        what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
-        raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
-
-
 def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     # What stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
-    alone = True
+    # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
+    # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
+    alone = _lock(descriptor)
+    if exclusive and not alone:
+        raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY)
     if exclusive:
-        # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
-        # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
-        _lock(path, descriptor)
         # Before all other changes, so that nobody else gets in while the port is being set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-    else:
-        alone = _is_alone(descriptor)
+    elif alone:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
     if alone:
         # cdc_acm sends the line coding only when it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
@@ -179,20 +167,12 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     _set_line(descriptor, termios.TIOCMBIC, _RTS)
 
 
-def _lock(path: str, descriptor: int) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY) from None
-
-
-def _is_alone(descriptor: int) -> bool:
-    """True when no service has the port: its frames must not go out at another speed."""
+def _lock(descriptor: int) -> bool:
+    """False while a service has the port: its frames must not go out at another speed."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
-    fcntl.flock(descriptor, fcntl.LOCK_UN)
     return True
 
 
@@ -247,14 +227,11 @@ def _explain_permission(path: str) -> str:
     import grp
     import pwd
 
-    try:
+    owner, group = str(node.st_uid), str(node.st_gid)
+    with contextlib.suppress(KeyError):
         owner = pwd.getpwuid(node.st_uid).pw_name
-    except KeyError:
-        owner = str(node.st_uid)
-    try:
+    with contextlib.suppress(KeyError):
         group = grp.getgrgid(node.st_gid).gr_name
-    except KeyError:
-        group = str(node.st_gid)
     whose = f"{path} belongs to {owner}:{group}, mode {stat.S_IMODE(node.st_mode):04o}"
     if node.st_gid != 0 and node.st_mode & 0o060 == 0o060:
         return f"no permission to open {path}: {whose}: usermod -aG {group} USER, or run as the service's user"

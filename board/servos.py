@@ -12,18 +12,8 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import (
-    BUS_SERVO,
-    CRC_TABLE,
-    HEAD,
-    FrameError,
-    counted,
-    crc8,
-    distinct,
-    frame,
-    group,
-    integer,
-)
+from failstop.board import framing
+from failstop.board.framing import BUS_SERVO, CRC_TABLE, HEAD, FrameError, crc8, frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -81,7 +71,7 @@ def frame_ns(frame: bytes) -> int:
 
 
 def _id(servo: int, highest: int = HIGHEST_ID) -> int:
-    return integer("servo id", servo, 1, highest)
+    return framing.integer("servo id", servo, 1, highest)
 
 
 def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = LONGEST_MOVE_MS) -> bytes:
@@ -90,12 +80,12 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
     The move may last some milliseconds more, or less where more is too long: no frame is made that the zeros of the
     stop burst could complete, were it cut short, since its last servo would be sent to another place.
     """
-    integer("duration_ms", duration_ms, 1, longest_ms)
-    data = bytes((counted("moves", positions, 1, MOST_MOVES),))
+    framing.integer("duration_ms", duration_ms, 1, longest_ms)
+    data = bytes((framing.counted("moves", positions, 1, MOST_MOVES),))
     for move in positions:
-        group("move", move, 2)
-        data += _ID_U16.pack(_id(move[0]), integer("position", move[1], 0, HIGHEST_POSITION))
-    distinct("servo id", [move[0] for move in positions])
+        framing.group("move", move, 2)
+        data += _ID_U16.pack(_id(move[0]), framing.integer("position", move[1], 0, HIGHEST_POSITION))
+    framing.distinct("servo id", [move[0] for move in positions])
     for duration in (*range(duration_ms, longest_ms + 1), *range(duration_ms - 1, 0, -1)):
         made = bytes((MOVE,)) + _U16.pack(duration) + data
         if not _zeros_complete(made):
@@ -105,9 +95,9 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
     """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays."""
-    count = counted("servos", servos, 1, MOST_STOPS)
+    count = framing.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
-    distinct("servo id", ids)
+    framing.distinct("servo id", ids)
     return frame(BUS_SERVO, bytes((STOP, count)) + ids)
 
 

@@ -20,11 +20,10 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.aio import AsyncRobot
-    from failstop.api.driving import Answer, Blocked, Driving, Preempted
+    from failstop.api.calls import Answer, Blocked, Driving, Preempted
     from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
     from failstop.api.events import Event
-    from failstop.api.robot import Robot
+    from failstop.api.robot import AsyncRobot, Robot
     from failstop.api.snapshot import Block, Process, State, Stop, Velocity
     from failstop.api.why import Why
 
@@ -51,27 +50,8 @@ __all__ = [
     "__version__",
 ]
 
-_HOMES = {
-    "Answer": "driving",
-    "AsyncRobot": "aio",
-    "Block": "snapshot",
-    "Blocked": "driving",
-    "Driving": "driving",
-    "Event": "events",
-    "FailstopError": "errors",
-    "NoAnswer": "errors",
-    "NoService": "errors",
-    "Preempted": "driving",
-    "Process": "snapshot",
-    "Refused": "errors",
-    "Robot": "robot",
-    "State": "snapshot",
-    "Stop": "snapshot",
-    "TimedOut": "errors",
-    "Undeclared": "errors",
-    "Velocity": "snapshot",
-    "Why": "why",
-}
+_HOMES = ("errors", "snapshot", "events", "robot", "calls", "why")
+"""Where they are, those first that the others import."""
 
 
 def __getattr__(name: str) -> object:
@@ -81,8 +61,9 @@ def __getattr__(name: str) -> object:
         from failstop.version import VERSION
 
         return VERSION
-    if name in _HOMES:
-        module = __import__(f"failstop.api.{_HOMES[name]}", fromlist=[name])
-        found: object = getattr(module, name)
-        return found
+    for home in _HOMES if name in __all__ else ():
+        module = __import__(f"failstop.api.{home}", fromlist=[name])
+        if name in vars(module):
+            found: object = vars(module)[name]
+            return found
     raise AttributeError(f"module 'failstop' has no attribute {name!r}")

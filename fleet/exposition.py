@@ -36,7 +36,7 @@ class Collector:
         with self._lock:
             for _ in range(2):  # a reader of a run that has ended says so, and the next run may be there
                 try:
-                    if self._reader is None or self._reader.run.over():
+                    if self._reader is None or self._reader.over():
                         self._reader = StateReader(self._name)
                     return self._reader.read()
                 except FailstopError:

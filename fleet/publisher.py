@@ -69,7 +69,7 @@ class Service:
         note = ""
         for _ in range(2):  # a reader of a run that has ended, and then one of the next
             try:
-                if self._reader is None or self._reader.run.over():
+                if self._reader is None or self._reader.over():
                     self._reader, self._log = StateReader(self.name), None
                 return self._reader.read(), ""
             except FailstopError as error:

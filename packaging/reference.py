@@ -14,29 +14,18 @@ HEAD = """# Python: reference
 Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
 beside it comes from `failstop` itself: `from failstop import Robot`.
 """
-CLASSES = {
-    "robot": ("Robot",),
-    "aio": ("AsyncRobot",),
-    "driving": ("Driving", "Preempted", "Blocked"),
-    "why": ("Why",),
-    "snapshot": (),
-    "arm": ("Arm",),
-    "events": ("Event",),
-    "samples": ("ImuSample", "BatterySample", "PadSample", "OdometrySample"),
-    "errors": (),
-}
-"""The classes that are shown of each module; none named: all."""
-TITLES = {
-    "robot": "Robot",
-    "aio": "asyncio",
-    "driving": "What drive() answers",
-    "why": "Why",
-    "snapshot": "State",
-    "arm": "Arm",
-    "events": "Events",
-    "samples": "Samples (failstop.api.samples)",
-    "errors": "Errors",
-}
+SECTIONS = (
+    ("Robot", "robot", ("Robot",)),
+    ("asyncio", "robot", ("AsyncRobot",)),
+    ("What drive() answers", "calls", ("Driving", "Preempted", "Blocked")),
+    ("Why", "why", ("Why",)),
+    ("State", "snapshot", ()),
+    ("Arm", "arm", ("Arm",)),
+    ("Events", "events", ("Event",)),
+    ("Samples (failstop.api.samples)", "samples", ("ImuSample", "BatterySample", "PadSample", "OdometrySample")),
+    ("Errors", "errors", ()),
+)
+"""Title, module, and the classes that are shown of it; none named: all."""
 SHARED = {"Calls": "calls", "Session": "session"}
 """What is shown with the first class that is made of it."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
@@ -50,10 +39,10 @@ def main() -> None:
 def page() -> str:
     """The page."""
     parts = [HEAD]
-    for module, names in CLASSES.items():
+    for title, module, names in SECTIONS:
         found = _classes(module)
         order = names or (*FIRST[module], *(name for name in found if name not in FIRST[module]))
-        parts.append(f"## {TITLES[module]}\n")
+        parts.append(f"## {title}\n")
         parts += [part for name in order for part in _class(found[name], module)]
     return "\n".join(parts)
 
@@ -99,7 +88,7 @@ def _all_members(node: ast.ClassDef, name: str, module: str) -> Iterator[tuple[s
     """Its own, then those of what it is made of. The constructor is the one that has a capital."""
     yield from _members(node, name, vars(importlib.import_module(f"failstop.api.{module}")))
     for base in map(ast.unparse, node.bases):
-        if (home := SHARED.get(base)) and module != "aio":
+        if (home := SHARED.get(base)) and name != "AsyncRobot":
             yield from _all_members(_classes(home)[base], name, home)
 
 

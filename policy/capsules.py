@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from math import cos, inf, sin, sqrt
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
-    Point = tuple[float, float, float]
-    Capsule = tuple[str, Point, Point, float]
+Point = tuple[float, float, float]
+Capsule = tuple[str, Point, Point, float]
 
 FLOOR = "the floor"
 CHASSIS = "the chassis"

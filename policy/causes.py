@@ -10,17 +10,11 @@ Every cause latches.
 
 from __future__ import annotations
 
-import struct
-
 from failstop.shm import records
+from failstop.shm.data import Data
 from failstop.shm.records import cut, printable
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    Value = str | int | float
-
+Value = str | int | float
 ROOM = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
 BETWEEN = "\x1f"
@@ -29,8 +23,8 @@ RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
 """Who notices what clients do."""
-_NUMBER = struct.Struct("<H")
-_TYPES = {"s": str, "d": int, "f": float}
+NUMBER_BYTES = 2
+_TYPES = {"": str, "d": int, "X": int, "f": float}
 
 _TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
 _AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
@@ -38,32 +32,23 @@ _BUSY = "look at the machine's load and at real-time rights (`failstop doctor`),
 _POWER = "turn the robot's POWER SWITCH off and on, since a stop may not have reached the wheels"
 
 
-class Kind:
-    """One row."""
+class Kind(Data):
+    """One row. `number`: never given to another row; `template`: what stands in braces are the parameters, none of
+    which is "name"; `noticed_by`: processes."""
 
-    __slots__ = ("cleared_by", "name", "noticed_by", "number", "parameters", "remedy", "template", "what")
+    number: int
+    name: str
+    template: str
+    noticed_by: str
+    what: str
+    remedy: str
+    cleared_by: str = RESET
 
-    def __init__(
-        self,
-        number: int,
-        name: str,
-        template: str,
-        parameters: str,
-        noticed_by: str,
-        what: str,
-        remedy: str,
-        cleared_by: str = RESET,
-    ) -> None:
-        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f, and no name
-        is "name"; `noticed_by`: processes."""
-        self.number = number
-        self.name = name
-        self.template = template
-        self.parameters = tuple((word[:-2], _TYPES[word[-1]]) for word in parameters.split())
-        self.noticed_by = tuple(noticed_by.split())
-        self.what = what
-        self.remedy = remedy
-        self.cleared_by = cleared_by
+    @property
+    def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
+        """Name and type of each."""
+        fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
+        return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
     def __call__(self, *arguments: Value) -> Cause:
         """A cause of this kind. Raises ValueError for arguments that are not those of the row."""
@@ -72,14 +57,11 @@ class Kind:
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
 
 
-class Cause:
+class Cause(Data):
     """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
 
-    __slots__ = ("arguments", "kind")
-
-    def __init__(self, kind: Kind, arguments: tuple[Value, ...]) -> None:
-        self.kind = kind
-        self.arguments = arguments
+    kind: Kind
+    arguments: tuple[Value, ...]
 
     def named(self) -> dict[str, Value]:
         """The arguments by name."""
@@ -108,18 +90,16 @@ class Cause:
     def pack(self) -> bytes:
         """ROOM + 2 bytes at most."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
-        return _NUMBER.pack(self.kind.number) + cut(BETWEEN.join(texts), ROOM)
+        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ROOM)
 
 
 def unpack(payload: bytes) -> Cause:
     """Raises ValueError."""
-    if len(payload) < _NUMBER.size:
-        raise ValueError(f"a cause of {len(payload)} bytes")
-    (number,) = _NUMBER.unpack_from(payload)
-    if number not in BY_NUMBER:
-        raise ValueError(f"no cause has the number {number}")
+    number = int.from_bytes(payload[:NUMBER_BYTES], "little")
+    if len(payload) < NUMBER_BYTES or number not in BY_NUMBER:
+        raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
     kind = BY_NUMBER[number]
-    texts = payload[_NUMBER.size :].decode("utf-8", "replace").split(BETWEEN)
+    texts = payload[NUMBER_BYTES:].decode("utf-8", "replace").split(BETWEEN)
     # What was cut off is empty.
     texts += [""] * (len(kind.parameters) - len(texts))
     pairs = zip(kind.parameters, texts, strict=False)
@@ -165,162 +145,127 @@ def requested(line: bytes) -> Cause:
     return PIPED(printable(text))
 
 
-BY_NUMBER: dict[int, Kind] = {}
-BY_NAME: dict[str, Kind] = {}
-
-
-def _row(*columns: Any) -> Kind:
-    kind = Kind(*columns)
-    assert kind.number not in BY_NUMBER
-    assert kind.name not in BY_NAME
-    BY_NUMBER[kind.number] = BY_NAME[kind.name] = kind
-    return kind
-
-
-DIED = _row(
-    1, "died", "{process} died", "process:s",
-    "port_owner supervisor",
+DIED = Kind(
+    1, "died", "{process} died", "port_owner supervisor",
     "the process {process} died, which {role}", _AGAIN,
 )  # fmt: skip
-HANGS = _row(
-    2, "hangs", "{process} hangs: {ms} ms silent", "process:s ms:d",
-    "port_owner gate supervisor",
+HANGS = Kind(
+    2, "hangs", "{process} hangs: {ms:d} ms silent", "port_owner gate supervisor",
     "the process {process}, which {role}, gave no sign of life for {ms} ms", _BUSY,
 )  # fmt: skip
-STARVED = _row(
-    3, "starved", "{process} hangs: {ms} ms silent (the machine is starved)", "process:s ms:d",
-    "supervisor",
+STARVED = Kind(
+    3, "starved", "{process} hangs: {ms:d} ms silent (the machine is starved)", "supervisor",
     "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
     "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
 )  # fmt: skip
-HELD_UP = _row(
-    4, "held_up", "supervisor was held up for {ms} ms", "ms:d",
-    "supervisor",
+HELD_UP = Kind(
+    4, "held_up", "supervisor was held up for {ms:d} ms", "supervisor",
     "the supervisor could not run for {ms} ms, so nobody watched the others", _BUSY,
 )  # fmt: skip
-MUTE = _row(
-    5, "mute", "gate beats but sends nothing: {ms} ms", "ms:d",
-    "port_owner",
+MUTE = Kind(
+    5, "mute", "gate beats but sends nothing: {ms:d} ms", "port_owner",
     "the gate was alive, but sent no motor frame for {ms} ms while the wheels turned", _TELL,
 )  # fmt: skip
-BAD_FRAME = _row(
-    6, "bad_frame", "the gate's frame was refused: {fault}", "fault:s",
-    "port_owner",
+BAD_FRAME = Kind(
+    6, "bad_frame", "the gate's frame was refused: {fault}", "port_owner",
     "the gate made a frame that must not reach the board ({fault}), and the port owner refused it", _TELL,
 )  # fmt: skip
-SUSPENDED = _row(
-    7, "suspended", "the machine was suspended for {s:.1f} s", "s:f",
-    "port_owner",
+SUSPENDED = Kind(
+    7, "suspended", "the machine was suspended for {s:.1f} s", "port_owner",
     "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",
     "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
 )  # fmt: skip
-REMOVED = _row(
-    8, "removed", "{what} was removed: restart the service", "what:s",
-    "supervisor",
+REMOVED = Kind(
+    8, "removed", "{what} was removed: restart the service", "supervisor",
     "{what}, which others need to find the service, was removed while it ran",
     "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
     NEW_RUN,
 )  # fmt: skip
-DEVICE_LOST = _row(
-    9, "device_lost", "device lost", "",
-    "port_owner",
+DEVICE_LOST = Kind(
+    9, "device_lost", "device lost", "port_owner",
     "the board's USB connection was lost; the stop was to be written the moment that it is back",
     "look at the cable, the plug and the board's power",
 )  # fmt: skip
-STUCK = _row(
-    10, "stuck", "port does not drain: use the POWER SWITCH", "",
-    "port_owner",
+STUCK = Kind(
+    10, "stuck", "port does not drain: use the POWER SWITCH", "port_owner",
     "the port took bytes, but they did not leave for the board within 0.1 s", _POWER,
 )  # fmt: skip
-DEAF = _row(
-    11, "deaf", "the board is deaf: use the POWER SWITCH", "",
-    "supervisor",
+DEAF = Kind(
+    11, "deaf", "the board is deaf: use the POWER SWITCH", "supervisor",
     "the board had answered before and then answered no ping for a second, so it may not hear anything", _POWER,
 )  # fmt: skip
-UNSTILL = _row(
-    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "",
-    "supervisor",
+UNSTILL = Kind(
+    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor",
     "the IMU saw the robot shake on after a stop, as it does while wheels turn",
     f"{_POWER}; a robot that somebody carries or pushes looks the same",
 )  # fmt: skip
-NOT_FINITE = _row(
-    13, "not_finite", "command from {who} is not finite", "who:s",
-    CLIENTS,
+NOT_FINITE = Kind(
+    13, "not_finite", "command from {who} is not finite", CLIENTS,
     "{who} commanded a velocity that is not a number",
     "mend that program, a division by zero for one, before it drives again",
 )  # fmt: skip
-TWO_PUBLISHERS = _row(
-    14, "two_publishers", "multiple {source} publishers: {who}, {rival}", "source:s who:s rival:s",
-    CLIENTS,
+TWO_PUBLISHERS = Kind(
+    14, "two_publishers", "multiple {source} publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both commanded as {source}",
     "end one of them, or give it a source of its own in the settings ([sources.NAME])",
 )  # fmt: skip
-BUTTON = _row(
-    15, "button", "gamepad button 0x{buttons:04X}", "buttons:d",
-    "telemetry",
+BUTTON = Kind(
+    15, "button", "gamepad button 0x{buttons:04X}", "telemetry",
     "somebody pressed {names} on the gamepad", "ask whoever holds it",
 )  # fmt: skip
-KEY = _row(
-    16, "key", "key{key}", "key:d",
-    "telemetry",
+KEY = Kind(
+    16, "key", "key{key:d}", "telemetry",
     "somebody pressed key {key} on the board", "ask whoever stands by the robot",
 )  # fmt: skip
-REQUESTED = _row(
-    17, "requested", "stop request[: {words}] ({who}, pid {pid})", "words:s who:s pid:d",
-    "port_owner",
+REQUESTED = Kind(
+    17, "requested", "stop request[: {words}] ({who}, pid {pid:d})", "port_owner",
     '{who} (pid {pid}) asked for a stop[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
-PIPED = _row(
-    18, "piped", "stop request[: {words}]", "words:s",
-    "port_owner",
+PIPED = Kind(
+    18, "piped", "stop request[: {words}]", "port_owner",
     'somebody wrote to the stop pipe[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
-FLEET = _row(
-    24, "fleet", "fleet stop[: {words}] (by {who})", "words:s who:s",
-    "port_owner",
+FLEET = Kind(
+    24, "fleet", "fleet stop[: {words}] (by {who})", "port_owner",
     '{who} stopped the whole fleet[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
-BATTERY = _row(
-    23, "battery", "the battery is at {volts:.2f} V", "volts:f",
-    "telemetry",
+BATTERY = Kind(
+    23, "battery", "the battery is at {volts:.2f} V", "telemetry",
     "the battery was at {volts:.2f} V, below the setting battery.stop_mv",
     "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge",
 )  # fmt: skip
-STOPPING = _row(
-    19, "stopping", "service is stopping", "",
-    "supervisor",
+STOPPING = Kind(
+    19, "stopping", "service is stopping", "supervisor",
     "the service was told to end", "start it again",
     NEW_RUN,
 )  # fmt: skip
-ALL_DIED = _row(
+ALL_DIED = Kind(
     20, "all_died", "all of the service died", "",
-    "",
     "every process of the service died at once", _AGAIN,
     NEW_RUN,
 )  # fmt: skip
-SILENT = _row(
+SILENT = Kind(
     21, "silent", "the supervisor is silent", "",
-    "",
     "the supervisor, which starts and watches the others, is silent past its lease", _BUSY,
 )  # fmt: skip
-UNKNOWN = _row(
+UNKNOWN = Kind(
     22, "unknown", "stopped by the supervisor", "",
-    "",
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
 )  # fmt: skip
-OPERATOR_GONE = _row(
-    40, "operator_gone", "operator gone: {who}, {how}", "who:s how:s",
-    CLIENTS,
+OPERATOR_GONE = Kind(
+    40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,
     "the operator {who}, without whom this robot may not move, {how}",
     "see to it that somebody attends again, by the page or by `failstop attend`",
 )  # fmt: skip
-TWO_MOVE_THE_ARM = _row(
-    30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", "who:s rival:s",
-    CLIENTS,
+TWO_MOVE_THE_ARM = Kind(
+    30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both moved the arm",
     "end one of them: one program at a time moves the arm",
 )  # fmt: skip
+
+BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
+BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}

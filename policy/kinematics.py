@@ -10,31 +10,29 @@ from __future__ import annotations
 
 from math import pi
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
-    Four = tuple[float, float, float, float]
-    Whole = tuple[int, int, int, int]
+Four = tuple[float, float, float, float]
+Whole = tuple[int, ...]
 
 # The right-hand motors are mounted the other way round.
 SIGNS = (1, 1, -1, -1)
 IDS = (0, 1, 2, 3)
+WAYS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+"""How each wheel turns for a way to the left, and for a turn to the left; all go forward alike."""
 
 
 class Wheels:
     """Four equal wheels. All of them follow vx and wz; mecanum wheels follow vy too."""
 
-    __slots__ = ("_a", "_b", "_c", "_d", "_lever_m", "_order", "_turns_per_m", "axes")
+    __slots__ = ("_lever_m", "_turns_per_m", "_wheels", "axes")
 
     def __init__(self, diameter_m: float, lever_m: float, sideways: float, signs: Whole, ids: Whole) -> None:
         """`lever_m`: of each wheel about the middle; `sideways`: 1 when they follow vy, else 0."""
-        turns_per_m = 1 / (pi * diameter_m)
-        self._turns_per_m = turns_per_m
-        self._a, self._b, self._c, self._d = (sign * turns_per_m for sign in signs)
-        # Wheel whose speed goes to each wire id.
-        self._order = tuple(ids.index(wire_id) for wire_id in IDS)
+        self._turns_per_m = 1 / (pi * diameter_m)
         self._lever_m = lever_m
+        self._wheels = [(signs[wheel] * self._turns_per_m, *WAYS[wheel]) for wheel in map(ids.index, IDS)]
+        """By wire id."""
         self.axes = (1.0, sideways, 1.0)
         """What it can follow of (vx, vy, wz): a limit times this is the limit that holds."""
 
@@ -42,14 +40,11 @@ class Wheels:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""
         turn, aside = wz_radps * self._lever_m, vy_mps * self.axes[1]
         # Adding zero makes +0.0 of -0.0.
-        speeds = (
-            (vx_mps - aside - turn) * self._a + 0.0,
-            (vx_mps + aside - turn) * self._b + 0.0,
-            (vx_mps + aside + turn) * self._c + 0.0,
-            (vx_mps - aside + turn) * self._d + 0.0,
+        a, b, c, d = (
+            (vx_mps + sideways * aside + about * turn) * turns_per_m + 0.0
+            for turns_per_m, sideways, about in self._wheels
         )
-        a, b, c, d = self._order
-        return speeds[a], speeds[b], speeds[c], speeds[d]
+        return a, b, c, d
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
         """The fastest that any wheel can turn within these limits (each at least 0)."""
@@ -69,7 +64,7 @@ def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: W
 
 def from_settings(settings: Settings) -> Wheels:
     """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
-    signs, ids = _whole(settings, "sign"), _whole(settings, "id")
+    signs, ids = (tuple(int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4)) for what in ("sign", "id"))
     diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]
     layout = settings.text("wheels.layout")
     if layout == "mecanum":
@@ -79,6 +74,6 @@ def from_settings(settings: Settings) -> Wheels:
     raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
 
 
-def _whole(settings: Settings, what: str) -> Whole:
-    first, second, third, fourth = (int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4))
-    return first, second, third, fourth
+def max_wheel_rps(settings: Settings) -> float:
+    """The fastest that any wheel can turn within the settings' limits, in revolutions per second."""
+    return from_settings(settings).worst_rps(*(settings[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))

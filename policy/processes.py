@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.shm.data import Data
+
 SUPERVISOR_PRIORITY = 30
 """SCHED_FIFO priorities: the higher runs first. The port owner is above all, since every stop goes through it. The
 supervisor is below the others of the stop path: it is needed only when they have died, and its own death must not hold
@@ -10,28 +12,20 @@ up those who answer it (p50 0.4 ms at 30, 0.8 ms at 34)."""
 MS = 1_000_000
 
 
-class Process:
+class Process(Data):
     """One row: what it is, how it is started and watched, and what its loss means."""
 
-    __slots__ = ("deadline_ns", "descriptors", "module", "name", "outlives_supervisor", "priority", "role")
+    name: str
+    role: str
+    priority: int
+    deadline_ns: int
+    outlives_supervisor: bool
+    descriptors: tuple[str, ...]
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        role: str,
-        priority: int,
-        deadline_ns: int,
-        outlives_supervisor: bool,
-        descriptors: tuple[str, ...],
-    ) -> None:
-        self.name = name
-        self.module = f"failstop.procs.{name}.main"
-        self.role = role
-        self.priority = priority
-        self.deadline_ns = deadline_ns
-        self.outlives_supervisor = outlives_supervisor
-        self.descriptors = descriptors
+    @property
+    def module(self) -> str:
+        """Its program."""
+        return f"failstop.procs.{self.name}.main"
 
 
 PROCESSES = (

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import records
+from failstop.shm.data import Data
 from failstop.shm.records import CAUSE
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
 
-
-class Reply:
+class Reply(Data):
     """Done, refused, or under way (records), in a text that has CAUSE where the cause's own belongs."""
 
-    __slots__ = ("cause", "done", "text")
-
-    def __init__(self, done: int, text: str, cause: Cause | None = None) -> None:
-        self.done = done
-        self.text = text
-        self.cause = cause
+    done: int
+    text: str
+    cause: Cause | None = None
 
     def __str__(self) -> str:
         return self.text.replace(CAUSE, str(self.cause))

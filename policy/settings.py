@@ -7,6 +7,8 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
+from failstop.shm.data import Data
+
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
 MOST_SHOWN = 160
@@ -31,31 +33,19 @@ def shown(value: object) -> str:
         return f"{type(value).__name__} beyond all bounds"
 
 
-class Setting:
+class Setting(Data):
     """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
 
     A text whose default is empty may be empty.
     """
 
-    __slots__ = ("allowed", "default", "doc", "high", "key", "low", "unit")
-
-    def __init__(
-        self,
-        key: str,
-        default: float | str,
-        unit: str,
-        low: float | None,
-        high: float | None,
-        doc: str,
-        allowed: tuple[int, ...] | tuple[str, ...] = (),
-    ) -> None:
-        self.key = key
-        self.default = default
-        self.unit = unit
-        self.low = low
-        self.high = high
-        self.doc = doc
-        self.allowed = allowed
+    key: str
+    default: float | str
+    unit: str
+    low: float | None
+    high: float | None
+    doc: str
+    allowed: tuple[int, ...] | tuple[str, ...] = ()
 
     def check(self, value: object, key: str = "") -> float | str:
         """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
@@ -101,22 +91,8 @@ WEB_TLS = ("auto", "on", "off")
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
-    Setting(
-        "gate.command_timeout_s",
-        0.3,
-        "s",
-        0.05,
-        2.0,
-        "a command of the gamepad, or of a source without a timeout of its own, that is older than this moves nothing",
-    ),
-    Setting(
-        "gate.refresh_s",
-        0.2,
-        "s",
-        0.02,
-        1.0,
-        "while enabled, a motor frame goes out this long after the last one, or one gate.period_s later",
-    ),
+    Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
+    Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, motor frames are so far apart, or a period_s more"),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "gate or supervisor silent for this long: the port owner stops"),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
@@ -160,9 +136,7 @@ DECLARED = (
     _word("battery.log", "on", "write the battery's voltage to a file a day", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
     _word("battery.directory", "", "where these files are; empty: the state directory"),
-    Setting(
-        "pad.mode_button", 0x2000, "", 1, 0x8000, "the gamepad's MODE button, the only one that is no stop; one bit"
-    ),
+    Setting("pad.mode_button", 0x2000, "", 1, 0x8000, "the gamepad's MODE button, which alone is no stop; one bit"),
     Setting("pad.dead_zone", 0.1, "", 0.01, 0.9, "a stick this close to its middle (of 1) commands nothing"),
     Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
     Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
@@ -173,14 +147,10 @@ DECLARED = (
     _word("still.command", "", "run then, such as a relay's; words as in a shell, empty: none"),
     Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0, "`failstop stop` tries to have the port for this long"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
-    Setting(
-        "arm.period_s", 0.04, "s", 0.02, 0.055, "a joint that moves is sent a move of this length, one after another"
-    ),
+    Setting("arm.period_s", 0.04, "s", 0.02, 0.055, "a joint that moves is sent one move of this length after another"),
     Setting("arm.goal_timeout_s", 0.5, "s", 0.1, 5.0, "a goal that is not renewed for this long holds the arm"),
     Setting("arm.pose_speed", 0.5, "", 0.05, 1.0, "this share of each joint's speed is used for poses"),
-    Setting(
-        "arm.drive_tolerance", 30, "", 1, 200, "pulses by which a joint may be off the drive pose to enable motion"
-    ),
+    Setting("arm.drive_tolerance", 30, "", 1, 200, "pulses that a joint may be off the drive pose to enable motion"),
     Setting("arm.drive_pan", -1, "", -1, 1000, "where the base joint is for driving; -1: wherever it is"),
     Setting("arm.base_servo", 1, "", 1, 100, "the servo of the joint that arm.drive_pan is for"),
     _word("arm.absent", "refuse", "motion while no servo of the arm answers", ("refuse", "ignore")),
@@ -213,14 +183,7 @@ DECLARED = (
 FAMILIES = {
     "sources": (
         Setting("priority", 0, "", 0, 100, "a higher one takes over at once"),
-        Setting(
-            "timeout_s",
-            0.3,
-            "s",
-            0.05,
-            2.0,
-            "silent for this long, it no longer drives; default: gate.command_timeout_s",
-        ),
+        Setting("timeout_s", 0.3, "s", 0.05, 2.0, "silent so long, it drives no more; default: gate.command_timeout_s"),
     ),
     "interlocks": (
         Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted again within this time, it is not satisfied"),
@@ -250,8 +213,6 @@ PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
 WHEEL_IDS = ("wheels.id_1", "wheels.id_2", "wheels.id_3", "wheels.id_4")
-
-
 MOST_TOLD = 8
 """Wrong settings that are told of at once."""
 
@@ -308,10 +269,7 @@ class Settings:
             hint = f" ({FIRST_SOURCE} is one)" if family == "sources" else ""
             raise SettingError(f"{family}.{name}: one too many, {most}{hint}")
         if last:
-            declared = next((setting for setting in FAMILIES[family] if setting.key == last), None)
-            if declared is None:
-                raise _unknown(key)
-            table[last] = declared.check(value, key)
+            table[last] = declaration(key).check(value, key)
 
     def _fill_named(self) -> None:
         """Put in the defaults, in the order of the declarations."""
@@ -324,33 +282,27 @@ class Settings:
 
     def _cross_check(self) -> None:
         """What each range allows, but not together."""
+        every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [
             ("gate.lease_s", "gate.period_s"),
             *((timeout, "gate.lease_s") for timeout in timeouts),
             ("restart.window_s", "restart.backoff_s"),
         ]
+
+        def said(key: str) -> str:
+            return f"{key} = {every[key]:g} s"
+
         for longer, shorter in longer_than:
-            if self._number(longer) <= self[shorter]:
-                raise SettingError(f"{self._said(longer)} must be longer than {self._said(shorter)}")
-        if self["gate.refresh_s"] < self["gate.period_s"]:
-            raise SettingError(f"{self._said('gate.refresh_s')} must not be shorter than {self._said('gate.period_s')}")
+            if every[longer] <= every[shorter]:
+                raise SettingError(f"{said(longer)} must be longer than {said(shorter)}")
+        if every["gate.refresh_s"] < every["gate.period_s"]:
+            raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
         _check_distinct({key: self.values[key] for key in WHEEL_IDS})
-        _check_distinct(
-            {f"sources.{name}.priority": table["priority"] for name, table in self.named["sources"].items()}
-        )
-        _check_distinct({f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()})
+        for family, key in (("sources", "priority"), ("joints", "servo")):
+            _check_distinct({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
         for name, table in self.named["joints"].items():
             _check_joint(f"joints.{name}", table)
-
-    def _number(self, key: str) -> float:
-        if key in self.values:
-            return self[key]
-        family, name, last = key.split(".")
-        return float(self.named[family][name][last])
-
-    def _said(self, key: str) -> str:
-        return f"{key} = {self._number(key):g} s"
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -392,13 +344,6 @@ class Settings:
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
         return tuple(int(table["servo"]) for table in self.named["joints"].values())
-
-    def max_wheel_rps(self) -> float:
-        """The fastest that any wheel can turn within the limits, in revolutions per second."""
-        from failstop.policy import kinematics
-
-        limits = self["limits.vx_mps"], self["limits.vy_mps"], self["limits.wz_radps"]
-        return kinematics.from_settings(self).worst_rps(*limits)
 
     def flat(self) -> dict[str, float | str]:
         """Every value by its whole key, those of the named tables too."""
@@ -446,10 +391,10 @@ def declaration(key: str) -> Setting:
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
-    for setting in FAMILIES.get(family, ()):
-        if setting.key == rest.partition(".")[2]:
-            return setting
-    raise _unknown(key)
+    found = [setting for setting in FAMILIES.get(family, ()) if setting.key == rest.partition(".")[2]]
+    if not found:
+        raise _unknown(key)
+    return found[0]
 
 
 def _unknown(key: str) -> SettingError:
@@ -457,10 +402,7 @@ def _unknown(key: str) -> SettingError:
     from difflib import get_close_matches
 
     name = key.split(".")[1] if key.count(".") > 1 else "NAME"
-    known = [
-        *BY_KEY,
-        *(f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared),
-    ]
-    nearest = get_close_matches(key, known, 1, 0.5)
+    named = [f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared]
+    nearest = get_close_matches(key, [*BY_KEY, *named], 1, 0.5)
     advice = f"did you mean {nearest[0]}?" if nearest else "`failstop config` lists them all"
     return SettingError(f"{key}: no such setting; {advice}")

@@ -47,7 +47,7 @@ class Context:
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
         self.own = segment.attach(self.memory, process, self.incarnation, write=True)
-        lifelines = segment.attach_unmapped(self.memory, "lifelines", self.incarnation)
+        lifelines = segment.attach(self.memory, "lifelines", self.incarnation, write=True)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
         self.early = self.world.early_news(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())

@@ -12,10 +12,6 @@ import os
 
 from failstop.shm import place
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
 _ONE = (1).to_bytes(8, "little")
 
 
@@ -48,7 +44,7 @@ class EventBell:
             pass
 
 
-def clear_rung(bells: Iterable[EventBell], ready: dict[int, int]) -> None:
+def clear_rung(bells: tuple[EventBell, ...], ready: dict[int, int]) -> None:
     """Clear those of the bells that are among what is ready; call it first in a turn.
 
     News of what was looked at before its bell is cleared waits for another wake-up.

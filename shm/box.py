@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import struct
 
+from failstop.shm import records
 from failstop.shm.blocks import DISABLED, NO_COMMAND, NO_SCAN
+from failstop.shm.records import Payload, Shape
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
-
 
 SECONDS = 60
 """What each ring is made for, at the rates of its writer's defaults."""
@@ -29,11 +30,8 @@ ARM_CELLS = 640
 BEATS_CELLS = 768
 """10 a second, and one at each stop."""
 
-GATE_BYTES = 104
-WIRE_BYTES = 40
-BOARD_BYTES = 40
-BEATS_BYTES = 48
 ARM_BYTES = 80
+WHO_BYTES = 36
 
 BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
@@ -66,13 +64,20 @@ OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 LONGEST = 0xFFFFFFFF
 
-GATE = struct.Struct("<IBBBxI3f3f4f16s")
-_WIRE = struct.Struct("<BHH")
-_IMU = struct.Struct("<B6f")
-_BATTERY = struct.Struct("<BIB")
-_PAD = struct.Struct("<BHB4bB")
-_SERVO = struct.Struct("<BBBBi")
-_BEATS = struct.Struct("<B10I")
+GATE = Shape("<IBBBxI3f3f4f16s", records.rest(WHO_BYTES))
+"""A tick of the gate, as unpack_gate() has it."""
+WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
+"""Bytes for the board: BURST, FRAME or REST; how many; how many of them the kernel took; the first ones of a frame."""
+BOARD: dict[int, Shape] = {
+    IMU: Shape("<6f"),
+    BATTERY: records.BATTERY,
+    PAD: records.PAD,
+    SERVO: records.SERVO,
+}
+"""What telemetry has decoded, by the kind that is its first byte. An IMU sample is as it is published: corrected, the
+rate less its bias."""
+BOARD_BYTES = 1 + max(shape.most for shape in BOARD.values())
+OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
 _AIM = struct.Struct("<Bf")
 
@@ -84,27 +89,19 @@ def single(value: float) -> float:
 
 def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
     """Bytes for the board: BURST, FRAME or REST, and how many of them the kernel took (0: none, the port was full)."""
-    return _WIRE.pack(kind, min(len(data), 65535), min(taken, 65535)) + (data[:WIRE_HEAD] if kind == FRAME else b"")
+    return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == FRAME else b"")
 
 
-def pack_imu(acceleration_mps2: tuple[float, ...], rate_radps: tuple[float, ...]) -> bytes:
-    """A sample as it is published: corrected, the rate less its bias."""
-    return _IMU.pack(IMU, *map(single, (*acceleration_mps2, *rate_radps)))
+def pack_board(kind: int, *values: float | None) -> bytes:
+    """What came from the board, with the values of its kind in BOARD."""
+    return bytes((kind,)) + BOARD[kind].pack(*values)
 
 
-def pack_battery(millivolts: int, plugged: int) -> bytes:
-    """A reading, as in records.BATTERY.pack."""
-    return _BATTERY.pack(BATTERY, millivolts, plugged)
-
-
-def pack_pad(sample: tuple[int, ...], mode: int) -> bytes:
-    """A gamepad frame, as in records.PAD.pack."""
-    return _PAD.pack(PAD, *sample, mode)
-
-
-def pack_servo(servo: int, what: int, value: int | None) -> bytes:
-    """An answer of a servo of the arm's, as in records.pack_servo."""
-    return _SERVO.pack(SERVO, servo, what, value is not None, value or 0)
+def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
+    """Return (kind, its values). Raises ValueError."""
+    if not payload or payload[0] not in BOARD:
+        raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
+    return payload[0], BOARD[payload[0]].unpack(payload[1:])
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
@@ -128,7 +125,7 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
     """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
     that was seen."""
-    return _BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
+    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
 
 
 OWN_BURST_RECORD = bytes((OWN_BURST,))
@@ -137,9 +134,7 @@ OWN_BURST_RECORD = bytes((OWN_BURST,))
 def unpack_gate(payload: bytes) -> dict[str, Any]:
     """A tick of the gate: epoch, block (a word of BLOCKS), enabled, manual, drives, commands (since the tick before),
     age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
-    if len(payload) < GATE.size:
-        raise ValueError(f"a gate's record of {len(payload)} bytes, at least {GATE.size} expected")
-    epoch, block, flags, commands, age_us, *numbers, source = GATE.unpack_from(payload)
+    epoch, block, flags, commands, age_us, *numbers, source, who = GATE.unpack(payload)
     return {
         "epoch": epoch,
         "block": BLOCKS[block] if block < len(BLOCKS) else f"unknown {block}",
@@ -152,26 +147,8 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
         "velocity": tuple(numbers[3:6]),
         "wheels_rps": tuple(numbers[6:]),
         "source": source.rstrip(b"\0").decode("ascii", "replace"),
-        "who": payload[GATE.size :].decode("utf-8", "replace"),
+        "who": who.decode("utf-8", "replace"),
     }
-
-
-def unpack_wire(payload: bytes) -> tuple[int, int, int, bytes]:
-    """Return (kind, length, taken, the frame's first bytes). Raises ValueError."""
-    if len(payload) < _WIRE.size:
-        raise ValueError(f"a record of the wire of {len(payload)} bytes, at least {_WIRE.size} expected")
-    kind, length, taken = _WIRE.unpack_from(payload)
-    return kind, length, taken, payload[_WIRE.size :]
-
-
-def unpack_board(payload: bytes) -> tuple[int, tuple[float, ...]]:
-    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)), (PAD, as records.PAD.unpack) or (SERVO, (servo, what,
-    whether it answered, value)). Raises ValueError."""
-    form = {IMU: _IMU, BATTERY: _BATTERY, PAD: _PAD, SERVO: _SERVO}.get(payload[0] if payload else 0)
-    if form is None or len(payload) != form.size:
-        raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
-    kind, *values = form.unpack(payload)
-    return kind, tuple(values)
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
@@ -179,7 +156,7 @@ def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
     ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
-    if len(payload) != _BEATS.size or payload[0] != BEATS:
-        raise ValueError(f"a record of beats of {len(payload)} bytes, of no known kind")
-    times = _BEATS.unpack(payload)[1:]
+    kind, *times = OF_BEATS.unpack(payload)
+    if kind != BEATS:
+        raise ValueError(f"a record of beats of the kind {kind}")
     return tuple(zip(times[:5], times[5:], strict=True))

@@ -1,4 +1,4 @@
-"""The cell: the unit of everything in shared memory that is wider than one word.
+"""Cells: everything in shared memory that is wider than one word, and how a segment's bytes are reached.
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
@@ -11,21 +11,55 @@ Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing bu
 Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader or a death in mid-write leaves,
 the CRC of the private copy decides, and a record that is not whole is not read. `struct.pack_into` on shared memory is
 never used: it zero-fills first, and a reader would see the zeros.
+
+A Latest is two cells, written in turn: the newest whole value counts. A Ring is a stream of entries.
 """
 
 from __future__ import annotations
 
+import os
 import struct
+from time import monotonic_ns
 from zlib import crc32
+
+from failstop.shm.words import LINE_BYTES, Barrier
 
 HEADER_BYTES = 24
 _HEAD = struct.Struct("<IIQQ")
 _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
 
+Entry = tuple[int, int, bytes]
+"""The sequence number, CLOCK_MONOTONIC and the payload."""
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    Entry = tuple[int, int, bytes]
+    from typing import Protocol
+
+    class View(Protocol):
+        """What a reader or writer needs of a segment: one slice copy out, one slice assignment in."""
+
+        def __getitem__(self, where: slice, /) -> bytes: ...
+
+        def __setitem__(self, where: slice, data: bytes, /) -> None: ...
+
+
+class FileView:
+    """Slices of a file through pread and pwrite, for what clients may write; the service maps only what it alone can.
+
+    A file that a client has truncated is a short read, which no CRC passes, and not a SIGBUS that kills the reader.
+    """
+
+    __slots__ = ("fd",)
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+
+    def __getitem__(self, where: slice) -> bytes:
+        return os.pread(self.fd, where.stop - where.start, where.start)
+
+    def __setitem__(self, where: slice, data: bytes) -> None:
+        os.pwrite(self.fd, data, where.start)
 
 
 class PayloadTooLarge(ValueError):
@@ -45,23 +79,207 @@ def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> 
     return _CRC.pack(crc32(body, crc_seed)) + body
 
 
-def sequence(raw: bytes, at: int = 0) -> int:
-    """The sequence number a cell claims, unchecked: good only for choosing which cell to check first."""
-    if len(raw) < at + HEADER_BYTES:
-        return 0
-    seq: int = _HEAD.unpack_from(raw, at)[2]
-    return seq
+def check(raw: bytes, crc_seed: int) -> Entry | None:
+    """Return (seq, t_mono_ns, payload) of a cell's private copy, or None when it is not whole."""
+    if len(raw) < HEADER_BYTES:
+        return None
+    crc, length, seq, t_ns = _HEAD.unpack_from(raw)
+    end = HEADER_BYTES + length
+    if seq == 0 or end > len(raw) or crc32(raw[4:end], crc_seed) != crc:
+        return None
+    return seq, t_ns, raw[HEADER_BYTES:end]
 
 
-def check(raw: bytes, crc_seed: int, at: int = 0, size: int | None = None) -> Entry | None:
-    """Return (seq, t_mono_ns, payload) of the private copy `raw[at:at+size]`, or None when it is not whole."""
-    end = len(raw) if size is None else min(len(raw), at + size)
-    if end - at < HEADER_BYTES:
-        return None
-    crc, length, seq, t_ns = _HEAD.unpack_from(raw, at)
-    stop = at + HEADER_BYTES + length
-    if seq == 0 or stop > end:
-        return None
-    if crc32(raw[at + 4 : stop], crc_seed) != crc:
-        return None
-    return seq, t_ns, raw[at + HEADER_BYTES : stop]
+def cell_bytes(capacity: int) -> int:
+    """Bytes one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
+    return -(-(HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
+
+
+class _Cells:
+    """The cells of one record, one after another."""
+
+    __slots__ = ("_at", "_capacity", "_cells", "_seed", "_size", "_view")
+
+    def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
+        self._view = view
+        self._at = offset
+        self._capacity = capacity
+        self._cells = cells
+        self._size = cell_bytes(capacity)
+        self._seed = crc_seed
+
+    def _slice(self, seq: int) -> slice:
+        """Where the entry of this number lies."""
+        at = self._at + seq % self._cells * self._size
+        return slice(at, at + self._size)
+
+    def _store(self, seq: int, payload: bytes, t_ns: int | None, barrier: Barrier | None = None) -> None:
+        data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
+        at = self._at + seq % self._cells * self._size
+        if barrier is not None:
+            barrier()
+        self._view[at : at + len(data)] = data
+
+    def _whole(self) -> list[int]:
+        """Sequence numbers of all whole entries. Looks at every cell: not for a hot path."""
+        found = [check(self._view[self._slice(i)], self._seed) for i in range(self._cells)]
+        return [entry[0] for i, entry in enumerate(found) if entry and entry[0] % self._cells == i]
+
+
+class LatestReader(_Cells):
+    """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
+    compared, which is a third of the work. A record that nobody has written is zeros."""
+
+    __slots__ = ("_known", "_raw", "_seen", "_where")
+
+    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
+        super().__init__(view, offset, capacity, 2, crc_seed)
+        self._where = slice(offset, offset + 2 * self._size)
+        self._seen = 0
+        self._raw = b""
+        """The bytes of the value that was read last; empty: none was whole."""
+        self._known: Entry | None = None
+
+    def read(self) -> Entry | None:
+        """Return (seq, t_mono_ns, payload) of the newest whole value, or None when there is none."""
+        raw = self._view[self._where]
+        if raw == self._raw:
+            return self._known
+        entry = self._newest(raw)
+        for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
+            if (entry and entry[0] >= self._seen) or not raw.strip(b"\0"):
+                break
+            raw = self._view[self._where]
+            entry = self._newest(raw)
+        self._raw, self._known = raw, entry
+        self._seen = entry[0] if entry else self._seen
+        return entry
+
+    def _newest(self, raw: bytes) -> Entry | None:
+        found = check(raw[: self._size], self._seed), check(raw[self._size :], self._seed)
+        return max(filter(None, found), default=None)
+
+
+class LatestWriter(_Cells):
+    """The record's one writer; continues the sequence that a writer before it left. One that dies in mid-write leaves
+    the value before it readable in the other cell."""
+
+    __slots__ = ("_seq",)
+
+    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
+        super().__init__(view, offset, capacity, 2, crc_seed)
+        found = LatestReader(view, offset, capacity, crc_seed).read()
+        self._seq = found[0] if found else 0
+
+    def write(self, payload: bytes, t_ns: int | None = None) -> int:
+        """Publish a value; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
+        self._store(self._seq + 1, payload, t_ns)
+        self._seq += 1
+        return self._seq
+
+
+class RingWriter(_Cells):
+    """The one writer of a ring: entries in order, for any number of readers. There is no shared head or tail, no reader
+    state in shared memory and no lock: entry `n` lives in cell `n % cells`.
+
+    Writing entry n: (1) build the cell with seq n privately, (2) a barrier, (3) one slice assignment: whoever sees an
+    entry sees what its writer stored before it, and the entries before it among that. A writer that takes over from a
+    dead one goes on after the newest whole entry; a cell torn by the death is overwritten.
+    """
+
+    __slots__ = ("_barrier", "seq")
+
+    def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
+        super().__init__(view, offset, capacity, cells, crc_seed)
+        self._barrier = Barrier()
+        self.seq = max(self._whole(), default=0)
+        """Of the newest entry; 0: there is none."""
+
+    def put(self, payload: bytes, t_ns: int | None = None) -> int:
+        """Append an entry; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
+        self._store(self.seq + 1, payload, t_ns, self._barrier)
+        self.seq += 1
+        return self.seq
+
+
+class RingReader(_Cells):
+    """One reader's place in a ring. `lost` counts the entries that were overwritten before it came to them.
+
+    Reading entry n: (1) one slice copy of cell n % cells, (2) check it:
+        its seq is n                       -> the entry
+        its seq is below n, or never used  -> not published yet
+        its seq is above n                 -> lapped: go on at the oldest entry that can still be whole, count what was
+                                              lost
+        not whole                          -> being written, or damaged: once a later entry is whole, n is gone for
+                                              good, so go on at the oldest of those and count what was lost
+    """
+
+    __slots__ = ("_blank", "_next", "_old", "_where", "lost")
+
+    def __init__(
+        self, view: View, offset: int, capacity: int, cells: int, crc_seed: int, *, from_oldest: bool = False
+    ) -> None:
+        super().__init__(view, offset, capacity, cells, crc_seed)
+        self._blank = bytes(self._size)
+        self.lost = 0
+        self._old = b""
+        """The bytes of its cell that were found to be an older entry, or blank: the same again need no other look."""
+        last = max(self._whole(), default=0)
+        self._await(max(1, last - cells + 1) if from_oldest else last + 1)
+
+    def next(self) -> Entry | None:
+        """Return the next entry (seq, t_mono_ns, payload) in order, or None when nothing new is published."""
+        laps = 0
+        while True:
+            raw = self._view[self._where]
+            if raw == self._old:
+                return None
+            entry = self._check(raw)
+            if entry is None:
+                if raw == self._blank and self._next <= self._cells:
+                    self._old = raw
+                    return None
+                if not self._pass_damage():
+                    return None
+                continue
+            if entry[0] < self._next:
+                self._old = raw
+                return None
+            if entry[0] > self._next:
+                # In a ring at rest this takes fewer steps than there are cells. A writer at full speed overwrites the
+                # oldest entry again and again (400 steps for one entry, measured): then go on closer to the newest.
+                self._resume(entry[0] - (self._cells - 1 >> max(0, laps - self._cells)))
+                laps += 1
+            if entry[0] == self._next:
+                self._await(entry[0] + 1)
+                return entry
+
+    def _await(self, seq: int) -> None:
+        self._next = seq
+        self._where = self._slice(seq)
+        self._old = b""
+
+    def _check(self, raw: bytes) -> Entry | None:
+        """What a copy of the next entry's cell holds; what is whole but belongs in another cell is damage too."""
+        entry = check(raw, self._seed)
+        if entry and (entry[0] - self._next) % self._cells:
+            return None
+        return entry
+
+    def _resume(self, seq: int) -> None:
+        self.lost += seq - self._next
+        self._await(seq)
+
+    def _pass_damage(self) -> bool:
+        """False when the cell may yet become the next entry; True when it is worth another look, or was passed.
+
+        A damaged cell would hold a reader up for a whole lap, and with it the stops that follow in the ring.
+        """
+        later = [seq for seq in self._whole() if seq > self._next]
+        if not later:
+            return False
+        # It may have been published, and others after it, while the ring was looked through.
+        Barrier()()
+        if self._check(self._view[self._where]) is None:
+            self._resume(min(later))
+        return True

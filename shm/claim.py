@@ -15,10 +15,6 @@ from failstop.shm import place
 
 _FLOCK = struct.Struct("hhqqi4x")  # l_type, l_whence, l_start, l_len, l_pid on every 64-bit Linux
 
-# In fcntl from Python 3.9 where libc has them; the numbers are the kernel's, the same on every architecture here.
-F_OFD_GETLK = 36
-F_OFD_SETLK = 37
-
 
 def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int = -1) -> int:
     """Open a claim file; the service creates it. Raises OSError, place.Untrusted among them."""
@@ -33,7 +29,7 @@ def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int 
 def take(fd: int, index: int) -> bool:
     """Claim byte `index` for as long as `fd` stays open; False when somebody else holds it."""
     try:
-        fcntl.fcntl(fd, F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
     except (BlockingIOError, PermissionError):
         return False
     return True
@@ -41,12 +37,12 @@ def take(fd: int, index: int) -> bool:
 
 def drop(fd: int, index: int) -> None:
     """Give a claim back before the descriptor closes."""
-    fcntl.fcntl(fd, F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, index, 1, 0))
+    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, index, 1, 0))
 
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
     """True when somebody else holds byte `index`; `by_writer`: somebody who may write the file, as every claim takes.
     A read-only descriptor will do."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
-    answer = fcntl.fcntl(fd, F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
+    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

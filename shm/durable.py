@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from errno import EINVAL, ENOSPC, EPERM
+from errno import EINVAL, EPERM
 
 KINDS = {
     stat.S_IFLNK: "a link",
@@ -62,17 +62,10 @@ def write_draft(draft: str, data: bytes) -> None:
         os.unlink(draft)
     try:
         # Never through a link: whoever runs this may be more than the folder's owner.
-        fd = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
-        try:
-            rest = memoryview(data)
-            while rest:
-                written = os.write(fd, rest)
-                if not written:
-                    raise OSError(ENOSPC, os.strerror(ENOSPC), draft)
-                rest = rest[written:]
-            os.fsync(fd)
-        finally:
-            os.close(fd)
+        with open(draft, "xb", opener=lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o644)) as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
     except OSError:
         _drop(draft)
         raise

@@ -144,10 +144,15 @@ def proven() -> bool:
     programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
     fd = os.memfd_create("proof")
     word = None
+    kept: list[object] = []  # what the kernel looks into; None: it was refused
     try:
         os.ftruncate(fd, mmap.PAGESIZE)
         word = Futex(fd, 0, write=True)
-        return _dies_holding(word) and word.wait_for_death()
+        _thread.start_new_thread(_hold_until_the_end, (word, kept))
+        until_ns = monotonic_ns() + _PROOF_NS
+        while not word.told() and kept != [None] and monotonic_ns() < until_ns:
+            sleep(_LOOK_S)
+        return word.told()
     except (OSError, RuntimeError):
         return False
     finally:
@@ -156,24 +161,9 @@ def proven() -> bool:
         os.close(fd)
 
 
-def _dies_holding(word: Futex) -> bool:
-    """Let a thread hold it and end. False when the kernel refuses, or has not told within a second."""
-    told: list[object] = []  # and keeps what the kernel looks into
-    ended = _thread.allocate_lock()
-    ended.acquire()
-
-    def hold() -> None:
-        try:
-            with contextlib.suppress(OSError):
-                told.append(word.hold())
-        finally:
-            ended.release()
-
-    _thread.start_new_thread(hold, ())
-    ended.acquire()
-    if not any(told):
-        return False
-    until_ns = monotonic_ns() + _PROOF_NS
-    while word.held() and monotonic_ns() < until_ns:
-        sleep(_LOOK_S)
-    return not word.held()
+def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
+    """Of a thread, which is this alone."""
+    held = None
+    with contextlib.suppress(OSError):
+        held = word.hold()
+    kept.append(held)

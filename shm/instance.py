@@ -7,10 +7,12 @@ import os
 
 from failstop.shm import bell, place, root
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
-
-
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 
@@ -50,33 +52,22 @@ def places(name: str) -> list[str]:
     return [os.path.join(base, check_name(name)) for base in bases()]
 
 
-def lock_path(runtime_dir: str) -> str:
-    """The file whose first byte the running service holds."""
-    return os.path.join(runtime_dir, "lock")
+def _file(name: str) -> Callable[[str], str]:
+    """Where this file is in a runtime directory."""
+    return lambda runtime_dir: os.path.join(runtime_dir, name)
 
 
-def claims_path(runtime_dir: str) -> str:
-    """The file on whose bytes clients hold their slots."""
-    return os.path.join(runtime_dir, "claims")
-
-
-def stop_path(runtime_dir: str) -> str:
-    """The FIFO that every local user may write: any bytes are a stop."""
-    return os.path.join(runtime_dir, "stop")
-
-
-def bell_path(runtime_dir: str) -> str:
-    """The FIFO by which clients wake the gate."""
-    return os.path.join(runtime_dir, "bell")
-
-
-def run_path(runtime_dir: str) -> str:
-    """The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
-    return os.path.join(runtime_dir, "run")
-
-
-def _draft_path(runtime_dir: str) -> str:
-    return f"{run_path(runtime_dir)}.new"
+lock_path = _file("lock")
+"""The file whose first byte the running service holds."""
+claims_path = _file("claims")
+"""The file on whose bytes clients hold their slots."""
+stop_path = _file("stop")
+"""The FIFO that every local user may write: any bytes are a stop."""
+bell_path = _file("bell")
+"""The FIFO by which clients wake the gate."""
+run_path = _file("run")
+"""The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
+_draft_path = _file("run.new")
 
 
 def publish(runtime_dir: str, incarnation: int) -> int:
@@ -100,7 +91,7 @@ def publish(runtime_dir: str, incarnation: int) -> int:
 
 
 def touch(published: int) -> None:
-    """Wake everybody who waits for news of the run (failstop/api/news.py). `published`: from publish()."""
+    """Wake everybody who waits for news of the run (failstop/api/events.py). `published`: from publish()."""
     with contextlib.suppress(OSError):
         os.pwrite(published, b"\n", RUN_DIGITS)
 
@@ -119,18 +110,17 @@ def clear(runtime_dir: str) -> None:
 
 def run(runtime_dir: str) -> tuple[int, int]:
     """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
+    fd = -1
     try:
         fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
+        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
     except place.Untrusted as error:
         raise InstanceError(str(error.strerror)) from None
-    except OSError:
-        raise no_service(os.path.basename(runtime_dir)) from None
-    try:
-        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
-    except ValueError:
+    except (OSError, ValueError):
         raise no_service(os.path.basename(runtime_dir)) from None
     finally:
-        os.close(fd)
+        if fd >= 0:
+            os.close(fd)
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:

@@ -1,4 +1,4 @@
-"""The layout: every record of shared memory, declared once, with its writer, its size and who reads it.
+"""The layout: every record of shared memory, declared once, with its writer, its payload and who reads it.
 
 One segment per writer, so that "one writer per record" is what the mapping permits and not a promise: a process maps
 its own segment for writing and every other one for reading only. Client segments are written by clients and never
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from zlib import crc32
 
-from failstop.shm import box
+from failstop.shm import box, records
+from failstop.shm.cell import cell_bytes
+from failstop.shm.data import Data
 from failstop.shm.futex import BLOCKS, PER_BLOCK
-from failstop.shm.latest import cell_bytes, record_bytes
+from failstop.shm.records import Shape
 from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 7
@@ -19,7 +21,7 @@ SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
-"""What gate and telemetry tell people at once, at most (notes.py)."""
+"""What gate and telemetry tell people at once, at most (packing.py)."""
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
@@ -34,24 +36,19 @@ STOPPER = "stopper"
 PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
-class Record:
+class Record(Data):
     """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, cells (rings), readers."""
 
-    __slots__ = ("capacity", "cells", "kind", "name", "readers")
-
-    def __init__(self, kind: str, name: str, readers: str, capacity: int = 8, cells: int = 1) -> None:
-        self.kind = kind
-        self.name = name
-        self.readers = readers
-        self.capacity = capacity
-        self.cells = cells
+    kind: str
+    name: str
+    readers: str
+    capacity: int = 8
+    cells: int = 1
 
     def size(self) -> int:
         """Bytes the record takes in its segment."""
         if self.kind == "word":
             return LINE_BYTES
-        if self.kind == "latest":
-            return record_bytes(self.capacity)
         if self.kind == "futexes":
             return self.capacity
         return cell_bytes(self.capacity) * self.cells
@@ -83,12 +80,13 @@ def _word(name: str, readers: str) -> Record:
     return Record("word", name, readers)
 
 
-def _latest(name: str, capacity: int, readers: str) -> Record:
-    return Record("latest", name, readers, capacity)
+def _latest(name: str, payload: Shape | int, readers: str) -> Record:
+    """`payload`: the shape that says how large it is, or so many bytes."""
+    return Record("latest", name, readers, payload if isinstance(payload, int) else payload.most, 2)
 
 
-def _ring(name: str, capacity: int, cells: int, readers: str) -> Record:
-    return Record("ring", name, readers, capacity, cells)
+def _ring(name: str, payload: Shape | int, cells: int, readers: str) -> Record:
+    return Record("ring", name, readers, payload if isinstance(payload, int) else payload.most, cells)
 
 
 def _beat() -> tuple[Record, ...]:
@@ -112,16 +110,16 @@ def _client(index: int) -> SegmentSpec:
         CLIENTS,
         (
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
-            _latest("hello", 128, "gate"),
-            _latest("command", 64, "gate"),
+            _latest("hello", records.HELLO, "gate"),
+            _latest("command", records.COMMAND, "gate"),
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
-            _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
+            _latest("interlocks", records.HELD, "gate"),  # the conditions that this client says hold, at its time
             _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
-            _latest("request", 320, "gate"),
-            _latest("speed_limit", 40, "gate"),  # the limit that a request is about (records)
-            _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
-            _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)
-            _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)
+            _latest("request", records.REQUEST, "gate"),
+            _latest("speed_limit", records.SPEED_LIMIT, "gate"),  # the limit that a request is about
+            _latest("arm_goal", records.ARM_GOAL, "gate"),  # follow or jog, renewed
+            _latest("arm_path", records.ARM_PATH, "gate"),  # the trajectory that a request is about
+            _latest("said", records.SAID, "gate"),  # in a line, what the client sees and what is wrong
         ),
     )
 
@@ -139,16 +137,16 @@ SEGMENTS = (
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("latch", 320, "gate, clients"),  # what is latched, or was last (records)
+            _latest("latch", records.LATCH, "gate, clients"),  # what is latched, or was last
             _word("resets", "gate"),  # the number of the newest reset that was decided
-            _latest("reset", 640, "gate"),  # what became of it (records.reply)
+            _latest("reset", records.REPLY, "gate"),  # what became of it (policy/reply.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
             _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
-            _ring("box", box.BEATS_BYTES, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
+            _ring("box", box.OF_BEATS, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
     ),
     SegmentSpec(
@@ -163,10 +161,10 @@ SEGMENTS = (
             _word("moving", "supervisor, stopper"),
             # When the ping of each index was last written; pings take the indices in turn (records.pong).
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
-            _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)
-            _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
+            _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
+            _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
             _ring("received", 512, 512, "telemetry"),  # bytes from the board, in order; about 4 s of them
-            _ring("box", box.WIRE_BYTES, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
+            _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
         ),
     ),
     SegmentSpec(
@@ -178,13 +176,13 @@ SEGMENTS = (
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
-            _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
-            _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
-            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
+            _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
+            _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/remarks.py)
-            *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
-            _ring("box", box.GATE_BYTES, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
+            *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
+            _ring("box", box.GATE, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
             _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # what the arm is to do, for whom (box.py)
         ),
     ),
@@ -197,17 +195,17 @@ SEGMENTS = (
             _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
-            _latest("imu", 64, "clients"),  # records: corrected, the rate less its bias
-            _latest("battery", 32, "clients"),  # records: voltage, charger
-            _latest("bias", 32, "its successor, clients"),  # records: the gyro's
-            _latest("odometry", 64, "its successor, clients"),  # records
-            _latest("pad", 32, "clients"),  # records: the last frame, the mode
-            _latest("pad_arm", 32, "gate"),  # records: one a frame while the pad moves a joint
-            _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
+            _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
+            _latest("battery", records.BATTERY, "clients"),
+            _latest("bias", records.BIAS, "its successor, clients"),
+            _latest("odometry", records.ODOMETRY, "its successor, clients"),
+            _latest("pad", records.PAD, "clients"),
+            _latest("pad_arm", records.PAD_ARM, "gate"),  # one a frame while the pad moves a joint
+            _latest("pad_command", records.PAD_COMMAND, "gate"),  # one a frame while the pad drives
             _ring("causes", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
-            _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
-            _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
-            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
+            _ring("servos", records.SERVO, 64, "gate"),  # answers of the arm's servos, in order
+            _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # what it decoded (box.py)
         ),

@@ -17,13 +17,12 @@ from time import sleep
 
 from failstop.shm import futex
 from failstop.shm.bell import EventBell
+from failstop.shm.futex import Futex
+from failstop.shm.segment import Segment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from failstop.shm.futex import Futex
-    from failstop.shm.segment import Segment
 
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)

@@ -1,13 +1,69 @@
-"""Packing: msgpack for the service's own records, with one small buffer for each process."""
+"""Packing: msgpack for the service's own records, with one small buffer for each process; and the notes made of it."""
 
 from __future__ import annotations
 
 import msgpack
 
+from failstop.shm.data import Data
+from failstop.shm.layout import NOTE_BYTES
+from failstop.shm.records import cut
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+Value = str | int | float
+Fields = dict[str, Value]
+NO_FIELDS: Fields = {}
 
 # msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 """The bytes of a value. Not for several threads. Raises TypeError, ValueError, OverflowError."""
+
+CUTS = ((280, 280), (280, 64))
+"""Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+
+
+def fitting(
+    room: int,
+    cuts: tuple[tuple[int, int], ...],
+    text: str,
+    fields: Mapping[str, Value],
+    whole: Callable[[str, dict[str, Value]], object],
+) -> bytes:
+    """What `whole` makes of text and fields, packed into `room` bytes: texts are cut, as little as it takes, and fields
+    that still do not fit are left out."""
+    for text_bytes, value_bytes in cuts:
+        short = cut(text, text_bytes).decode()
+        given = {
+            key: cut(value, value_bytes).decode() if isinstance(value, str) else value for key, value in fields.items()
+        }
+        data = pack(whole(short, given))
+        if len(data) <= room:
+            return data
+    return pack(whole(short, {}))
+
+
+class Note(Data):
+    """What gate or telemetry has to tell people, on its way to the supervisor, which makes an event of it. A msgpack
+    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, fields."""
+
+    kind: str
+    text: str
+    fields: Fields = NO_FIELDS
+    level: str = ""
+
+    def pack(self) -> bytes:
+        """For a ring of NOTE_BYTES."""
+        return fitting(
+            NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (self.kind, self.level, text, fields)
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Note:
+        """Raises ValueError."""
+        found = msgpack.unpackb(payload)
+        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, dict]:
+            raise ValueError("a payload that is no note")
+        kind, level, text, fields = found
+        return cls(kind, text, fields, level=level)

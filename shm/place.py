@@ -46,40 +46,31 @@ def directory(path: str) -> int:
 
 def base_directory(path: str) -> int:
     """Open the directory that runtime directories are made in. Raises OSError, Untrusted among them."""
-    fd = os.open(path, _DIRECTORY)
-    try:
-        found = os.fstat(fd)
-        _check(path, found, _given_by(os.stat("..", dir_fd=fd), found), found.st_mode & stat.S_ISVTX)
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
+    return _checked(os.open(path, _DIRECTORY), path)
 
 
 def inner_directory(base: int, name: str, path: str) -> int:
     """Open the directory `name` of one that base_directory() has opened; `path` is what people call it."""
-    fd = os.open(name, _DIRECTORY, dir_fd=base)
+    return _checked(os.open(name, _DIRECTORY, dir_fd=base), path, os.fstat(base))
+
+
+def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
+    """The directory that is open as `fd`, if it is root's, this user's, its base's owner's, or of whom root alone can
+    have given it to. In a base that is sticky nobody puts anything in the place of what is there."""
     try:
-        above, found = os.fstat(base), os.fstat(fd)
-        _check(path, found, {above.st_uid} | _given_by(above, found))
+        found = os.fstat(fd)
+        above = base or os.stat("..", dir_fd=fd)
+        by_root = not above.st_uid and not above.st_mode & _BY_OTHERS
+        owners = {0, os.geteuid(), found.st_uid if by_root else 0, base.st_uid if base else 0}
+        if found.st_uid not in owners:
+            raise Untrusted(path, f"belongs to {user(found.st_uid)}: not trusted; remove it, or run as that user")
+        if found.st_mode & _BY_OTHERS and (base or not found.st_mode & stat.S_ISVTX):
+            mode = stat.S_IMODE(found.st_mode)
+            raise Untrusted(path, f"may be written by others (mode {mode:04o}): chmod go-w {path}")
     except BaseException:
         os.close(fd)
         raise
     return fd
-
-
-def _given_by(above: os.stat_result, found: os.stat_result) -> set[int]:
-    """Who may own what was `found` in a directory: root, this user, and whoever root alone can have given it to."""
-    by_root = not above.st_uid and not above.st_mode & _BY_OTHERS
-    return {0, os.geteuid(), found.st_uid if by_root else 0}
-
-
-def _check(path: str, found: os.stat_result, owners: set[int], sticky: int = 0) -> None:
-    """`sticky`: what others make in it they can't put in the place of what is there."""
-    if found.st_uid not in owners:
-        raise Untrusted(path, f"belongs to {user(found.st_uid)}: not trusted; remove it, or run as that user")
-    if found.st_mode & _BY_OTHERS and not sticky:
-        raise Untrusted(path, f"may be written by others (mode {stat.S_IMODE(found.st_mode):04o}): chmod go-w {path}")
 
 
 def opened(path: str, flags: int, *, pipe: bool = False) -> int:

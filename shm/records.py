@@ -1,4 +1,4 @@
-"""Records: the payloads of fixed shape, each declared once with its values.
+"""Records: the payloads of fixed shape, each declared once: its values, how they become bytes and bytes become them.
 
 Payloads of variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
 """
@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import struct
 
-from failstop.shm.payload import REST, Payload, Tail
+from failstop.shm.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from typing import Any, Generic
 
+    from typing_extensions import TypeVarTuple, Unpack
+
+    Values = TypeVarTuple("Values")
     Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION = 1
@@ -20,7 +24,7 @@ MOTION = 1
 STOP = 2
 """Frame kind: write the stop burst now (latched or not)."""
 OTHER = 3
-"""Frame kind: a frame that is not motion (buzzer, LEDs), in order."""
+"""Frame kind: a frame that is not motion, the buzzer's, in order."""
 ARM = 4
 """Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
 ASKED_BYTES = 180
@@ -39,6 +43,11 @@ NOBODY = 0
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
+SAID_BYTES = 190
+WIRE_BYTES = 260
+"""The longest frame on the wire."""
+CAUSE_BYTES = 282
+"""A cause, packed (policy/causes.py)."""
 
 PORT_CLOSED = 0
 PORT_OPEN = 1
@@ -69,6 +78,56 @@ PAD_RESET = 1
 PAD_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive", "joint")
+
+
+class Tail(Data):
+    """What follows the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
+    many bytes there are, at most and at least."""
+
+    pack: Callable[..., bytes]
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    most: int
+    least: int = 0
+
+
+NOTHING = Tail(bytes, lambda data: (), 0)
+
+
+class Shape:
+    """Numbers in the form of `struct`, and the tail's values after them. `pack` takes what `unpack` returns; `unpack`
+    raises ValueError for bytes of another shape, so that a reader takes them for damage. `most`: bytes."""
+
+    __slots__ = ("_count", "_numbers", "_tail", "most")
+
+    def __init__(self, form: str, tail: Tail = NOTHING) -> None:
+        self._numbers = struct.Struct(form)
+        self._count = len(self._numbers.unpack(bytes(self._numbers.size)))
+        self._tail = tail
+        self.most = self._numbers.size + tail.most
+
+    def pack(self, *values: Any) -> bytes:
+        """The bytes of these values."""
+        return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
+
+    def unpack(self, payload: bytes) -> tuple[Any, ...]:
+        """The values of these bytes. Raises ValueError."""
+        size, tail = self._numbers.size, self._tail
+        if not size + tail.least <= len(payload) <= self.most:
+            raise ValueError(f"payload of {len(payload)} bytes, {size + tail.least} to {self.most} expected")
+        return (*self._numbers.unpack_from(payload), *tail.unpack(payload[size:]))
+
+
+if TYPE_CHECKING:
+
+    class Payload(Shape, Generic[Unpack[Values]]):
+        """A shape of these values, as the type checker sees it."""
+
+        def pack(self, *values: Unpack[Values]) -> bytes: ...
+
+        def unpack(self, payload: bytes) -> tuple[Unpack[Values]]: ...
+
+else:
+    Payload = Shape
 
 
 def life(pid: int, block: int) -> int:
@@ -117,13 +176,18 @@ def _whole(text: str, room: int) -> bytes:
     return data
 
 
+def rest(most: int) -> Tail:
+    """Bytes, as they are."""
+    return Tail(bytes, lambda data: (data,), most)
+
+
 def _text(room: int) -> Tail:
     """A text, cut to `room` bytes."""
-    return Tail(lambda text: cut(text, room), lambda data: (data.decode("utf-8", "replace"),))
+    return Tail(lambda text: cut(text, room), lambda data: (data.decode("utf-8", "replace"),), room)
 
 
 def _pack_lines(*texts: str) -> bytes:
-    return b"\n".join(cut(text, 190).replace(b"\n", b" ") for text in texts)
+    return b"\n".join(cut(text, SAID_BYTES).replace(b"\n", b" ") for text in texts)
 
 
 def _unpack_lines(data: bytes) -> tuple[str, str]:
@@ -135,20 +199,12 @@ def _unpack_names(data: bytes) -> tuple[list[str]]:
     return (data.decode("utf-8", "replace").split("\n") if data else [],)
 
 
-def _unpack_source(data: bytes) -> tuple[str]:
-    if len(data) != SOURCE_BYTES:
-        raise ValueError(f"payload of {len(data) + COMMAND.size} bytes, {SOURCE_BYTES + COMMAND.size} expected")
-    return (data.rstrip(b"\0").decode("ascii", "replace"),)
-
-
 def _pack_reply(text: str, cause: bytes) -> bytes:
     said = cut(text, REPLY_BYTES)
     return _LENGTH.pack(len(said)) + said + cause
 
 
 def _unpack_reply(data: bytes) -> tuple[str, bytes]:
-    if len(data) < _LENGTH.size:
-        raise ValueError(f"payload of {len(data) + REPLY.size} bytes, at least {_LENGTH.size + REPLY.size} expected")
     end = _LENGTH.size + _LENGTH.unpack_from(data)[0]
     return data[_LENGTH.size : end].decode("utf-8", "replace"), data[end:]
 
@@ -188,8 +244,6 @@ def _pack_answer(value: int | None) -> bytes:
 
 
 def _unpack_answer(data: bytes) -> tuple[int | None]:
-    if len(data) != _ANSWER.size:
-        raise ValueError(f"payload of {len(data) + SERVO.size} bytes, {_ANSWER.size + SERVO.size} expected")
     answered, value = _ANSWER.unpack(data)
     return (value if answered else None,)
 
@@ -199,24 +253,32 @@ _ANSWER = struct.Struct("<?i")
 _VALUE = struct.Struct("<Bd")
 _COUNTS = struct.Struct("<BH")
 
-FRAME: Payload[int, int, bytes] = Payload("<QB", REST)
+FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
 """An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, STOP nothing."""
-STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", REST)
+STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not), its
 cause, packed."""
-LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", REST)
+LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch was
 raised last; the cause that is latched, else that of the last stop, packed."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
 """The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another, its path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
-    "<Q3d?", Tail(lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"), _unpack_source)
+    "<Q3d?",
+    Tail(
+        lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"),
+        lambda data: (data.rstrip(b"\0").decode("ascii", "replace"),),
+        SOURCE_BYTES,
+        least=SOURCE_BYTES,
+    ),
 )
 """A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
 counter-clockwise), whether a person drives, the source, which is never cut: it could be another one."""
-HELD: Payload[int, list[str]] = Payload("<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names))
+HELD: Payload[int, list[str]] = Payload(
+    "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
+)
 """What a client session asserts now: names of interlocks, never cut, or none for "the sensor delivered"."""
-SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines))
+SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 """Who holds a client slot: a random session number (NOBODY: a goodbye), the pid it says it has and in which namespace
@@ -225,16 +287,22 @@ REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a session's request is about, in percent of the settings' speeds."""
-REPLY: Payload[int, int, int, str, bytes] = Payload("<QQB", Tail(_pack_reply, _unpack_reply))
+REPLY: Payload[int, int, int, str, bytes] = Payload(
+    "<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
+)
 """The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
 text; where that says CAUSE, this cause is meant, packed."""
-ARM_GOAL: Payload[int, int, dict[int, float]] = Payload("<QB", Tail(_pack_goal, _unpack_goal))
+ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
+    "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
+)
 """A session's goal that is renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, ARM_JOG with its rate
 (rad/s); MOST_JOINTS at most."""
-ARM_PATH: Payload[int, float, list[int], Rows] = Payload("<Qd", Tail(_pack_rows, _unpack_rows))
+ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
+    "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
+)
 """A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
 (MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
-SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer))
+SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
 """An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
 none."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
@@ -253,7 +321,7 @@ PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
 """What the gamepad's sticks command: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")
 """What the gamepad asks of the arm: which joint, by its place in the settings, and the share of its speed, -1 to 1."""
-PAD_REQUEST: Payload[int, bytes] = Payload("<B", REST)
+PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
 """What telemetry asks the gate for: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
 
 

@@ -1,4 +1,4 @@
-"""Segments: POSIX shared memory objects, created by the supervisor and attached by everyone else.
+"""Segments: POSIX shared memory, which on Linux are files, created by the supervisor and attached by everyone else.
 
 /dev/shm is everyone's to write. So each run has names of its own that nobody can know before (`memory`: the instance's
 name and the run's incarnation), which the runtime directory tells (instance.run), and what is attached must be the
@@ -15,27 +15,18 @@ import os
 import stat
 import struct
 
-import posix_ipc
-
-from failstop.shm import cell, claim, place
+from failstop.shm import cell, claim, layout, place
+from failstop.shm.cell import FileView, LatestReader, LatestWriter, RingReader, RingWriter
 from failstop.shm.futex import Futex
-from failstop.shm.latest import LatestReader, LatestWriter
-from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS, SUPERVISOR
-from failstop.shm.ring import RingReader, RingWriter
-from failstop.shm.views import FileView
+from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH, SUPERVISOR, Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES, Word
 from failstop.version import VERSION
 
 SHM = "/dev/shm"
 MAGIC = b"failstop"
-_READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+_FLAGS = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
 _HEADER = struct.Struct("<8sQQQ24s24s")
 _HEADER_SEED = cell.seed("header", 0)
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.shm.layout import Record, SegmentSpec
-    from failstop.shm.views import View
 
 
 class AttachError(Exception):
@@ -52,14 +43,9 @@ def memory(instance: str, incarnation: int) -> str:
     return f"{instance}.{incarnation:016x}"
 
 
-def shm_name(memory: str, segment: str) -> str:
-    """Name of a segment's POSIX shared memory object."""
-    return f"/failstop.{memory}.{segment}"
-
-
-def path_of(memory: str, segment: str) -> str:
-    """Where its file is."""
-    return f"{SHM}{shm_name(memory, segment)}"
+def path_of(memory: str, segment: str, folder: str = SHM) -> str:
+    """Where a segment's file is."""
+    return f"{folder}/failstop.{memory}.{segment}"
 
 
 class Segment:
@@ -67,11 +53,11 @@ class Segment:
 
     __slots__ = ("_fd", "incarnation", "mapped", "spec", "view")
 
-    def __init__(self, spec: SegmentSpec, incarnation: int, view: View, mapped: mmap.mmap | None, fd: int) -> None:
+    def __init__(self, spec: SegmentSpec, incarnation: int, mapped: mmap.mmap | None = None, fd: int = -1) -> None:
         self.spec = spec
         self.incarnation = incarnation
-        self.view = view
         self.mapped = mapped
+        self.view: FileView | mmap.mmap = FileView(fd) if mapped is None else mapped
         self._fd = fd
 
     def _place(self, name: str, kind: str) -> tuple[Record, int, int]:
@@ -137,12 +123,11 @@ class Segment:
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
     """Create a segment of this run, whose supervisor alone does it, and holds the lock on its own as long as it lives.
     Raises AttachError, and leaves nothing then."""
-    spec = BY_NAME[name]
+    spec, path = BY_NAME[name], path_of(memory, name)
     try:
-        shared = posix_ipc.SharedMemory(shm_name(memory, name), posix_ipc.O_CREX, mode=0o600)
-    except (posix_ipc.Error, OSError) as error:
-        raise AttachError("damaged", f"{path_of(memory, name)} can't be made: {error}") from None
-    fd: int = shared.fd
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o600)
+    except OSError as error:
+        raise AttachError("damaged", f"{path} can't be made: {error.strerror}") from None
     try:
         if name == SUPERVISOR:
             claim.take(fd, 0)
@@ -160,25 +145,25 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
         raise AttachError(
             "damaged", f"no room in {SHM} for {spec.size} bytes ({error.strerror}): look at {doubt}"
         ) from None
-    return Segment(spec, incarnation, FileView(fd), None, fd)
+    return Segment(spec, incarnation, fd=fd)
 
 
 def unlink(memory: str, name: str) -> None:
     """Remove a segment's name; one that is not there, or is another user's, is fine: nobody needs the name again."""
-    with contextlib.suppress(posix_ipc.Error, OSError):
-        posix_ipc.unlink_shared_memory(shm_name(memory, name))
+    with contextlib.suppress(OSError):
+        os.unlink(path_of(memory, name))
 
 
 def unlink_all(memory: str) -> None:
     """Remove every segment of a run."""
-    for spec in SEGMENTS:
+    for spec in layout.SEGMENTS:
         unlink(memory, spec.name)
 
 
 def living(memory: str, folder: str = SHM) -> bool:
     """True while the supervisor of this run lives: it holds the lock on its segment, which others may only read."""
     try:
-        fd = os.open(f"{folder}{shm_name(memory, SUPERVISOR)}", _READ)
+        fd = os.open(path_of(memory, SUPERVISOR, folder), os.O_RDONLY | _FLAGS)
     except OSError:
         return False
     try:
@@ -193,10 +178,19 @@ def version(memory: str) -> str:
     """The version of failstop that made a run's segments; empty where that can't be read."""
     try:
         with open(path_of(memory, SUPERVISOR), "rb") as file:
-            entry = cell.check(file.read(HEADER_BYTES), _HEADER_SEED)
+            header = _header(file.read(HEADER_BYTES))
     except OSError:
         return ""
-    return _version(_HEADER.unpack(entry[2])[-1]) if entry and len(entry[2]) == _HEADER.size else ""
+    return _version(header[-1]) if header else ""
+
+
+def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
+    """Layout, size, incarnation, name and version, as a segment's first bytes say; None: they are no header."""
+    entry = cell.check(raw, _HEADER_SEED)
+    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+        return None
+    _, fingerprint, size, incarnation, name, version = _HEADER.unpack(entry[2])
+    return fingerprint, size, incarnation, name.rstrip(b"\0"), version
 
 
 def _version(told: bytes) -> str:
@@ -220,59 +214,47 @@ def dead_runs(instance: str) -> list[str]:
 
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
-    """Map a service segment: read-only, or for writing when this process is its declared writer. Never a client's:
-    what clients may truncate is not mapped.
+    """A segment to read, or to write when this process is its declared writer. Mapped, but for what more than one
+    process writes, clients or the lifelines' holders: reached through its file, one that somebody truncates costs no
+    SIGBUS.
 
     `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
     this process's. Raises AttachError.
     """
     spec = BY_NAME[name]
-    if spec.mode == CLIENTS:
-        raise TypeError(f"{name} is written by clients: use attach_client_slot or read_client_slot")
     fd = _open(memory, name, write, owner)
+    mapped = None
     try:
         found = _check_header(fd, memory, spec, incarnation)
-        prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
-        mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
-    finally:
-        os.close(fd)
-    return Segment(spec, found, mapped, mapped, -1)
-
-
-def attach_client_slot(memory: str, index: int, incarnation: int, *, owner: int = -1) -> Segment:
-    """A client's own segment, through pread and pwrite: another client that truncates it costs no SIGBUS here."""
-    return attach_unmapped(memory, f"client.{index}", incarnation, owner=owner)
-
-
-def attach_unmapped(memory: str, name: str, incarnation: int, *, owner: int = -1) -> Segment:
-    """A segment for writing, through its file. Raises AttachError."""
-    fd = _open(memory, name, True, owner)
-    try:
-        _check_header(fd, memory, BY_NAME[name], incarnation)
+        if spec.mode == layout.PUBLIC:
+            prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
+            mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
     except BaseException:
         os.close(fd)
         raise
-    return Segment(BY_NAME[name], incarnation, FileView(fd), None, fd)
+    if mapped is None:
+        return Segment(spec, found, fd=fd)
+    os.close(fd)
+    return Segment(spec, found, mapped)
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
     """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
     and each record carries the incarnation in its CRC."""
     name = f"client.{index}"
-    return Segment(BY_NAME[name], incarnation, FileView(fd := _open(memory, name, False)), None, fd)
+    return Segment(BY_NAME[name], incarnation, fd=_open(memory, name, False))
 
 
 def no_client_slot(index: int, incarnation: int) -> Segment:
     """In the place of a client's segment that can't be opened: nothing is ever in it."""
-    fd = os.open(os.devnull, os.O_RDONLY)
-    return Segment(BY_NAME[f"client.{index}"], incarnation, FileView(fd), None, fd)
+    return Segment(BY_NAME[f"client.{index}"], incarnation, fd=os.open(os.devnull, os.O_RDONLY))
 
 
 def open_all(memory: str) -> dict[str, int]:
     """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
     still be read through them. Only files of this user's."""
     found = {}
-    for name in PROCESSES:
+    for name in layout.PROCESSES:
         try:
             found[name] = _open_file(memory, name, os.O_RDONLY, os.geteuid())
         except OSError:
@@ -282,17 +264,14 @@ def open_all(memory: str) -> dict[str, int]:
 
 def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
     """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
-    spec = BY_NAME[name]
-    incarnation = _check_header(fd, memory, spec, None)
-    data = os.pread(fd, spec.size, 0)
-    return incarnation, data
+    return _check_header(fd, memory, BY_NAME[name], None), os.pread(fd, BY_NAME[name].size, 0)
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
-    """A segment's descriptor. Raises OSError; place.Untrusted for one that is not `owner`'s. Not by
-    shm_open, which waits forever on a pipe that somebody has put there."""
+    """A segment's descriptor; a pipe that somebody has put there is not waited for. Raises OSError; place.Untrusted for
+    one that is not `owner`'s."""
     path = path_of(memory, name)
-    fd = os.open(path, flags | _READ)
+    fd = os.open(path, flags | _FLAGS)
     found = os.fstat(fd)
     if stat.S_ISREG(found.st_mode) and found.st_uid == owner:
         return fd
@@ -328,20 +307,18 @@ def _told(memory: str, name: str) -> str:
 
 def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
     """Return the segment's incarnation, or raise AttachError."""
-    entry = cell.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
-    where = _told(memory, spec.name)
-    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+    header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _told(memory, spec.name)
+    if header is None:
         raise AttachError("damaged", f"{where} has no whole header: restart the service")
-    _, layout, size, found, name, version = _HEADER.unpack(entry[2])
-    if layout != LAYOUT_HASH:
+    fingerprint, size, found, name, version = header
+    if fingerprint != LAYOUT_HASH:
         raise AttachError(
             "version",
             f"{where} is of failstop {_version(version)}, this program is {VERSION} with another layout: "
             "use the service's own version, or restart the service after the upgrade",
         )
-    if name.rstrip(b"\0") != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
+    if name != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
         raise AttachError("damaged", f"{where} has the wrong size or name: restart the service")
     if incarnation is not None and found != incarnation:
         raise AttachError("damaged", f"{where} is of another run: restart the service")
-    incarnation_found: int = found
-    return incarnation_found
+    return found

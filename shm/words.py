@@ -1,17 +1,16 @@
-"""Words: lone aligned u64 values, each alone in a 64-byte line, one writer each.
+"""Words: lone aligned u64 values, each alone in a 64-byte line, one writer each; and the barrier that orders them.
 
 A store or load of one through a memoryview cast to 'Q' is a single machine access, so a reader sees the old or the new
 value and nothing between. What needs more than one word to be true at once belongs in a cell. Two words may be seen in
-another order than they were stored in, but for a barrier between them on both sides (barrier.py).
+another order than they were stored in, but for a barrier between them on both sides.
 """
 
 from __future__ import annotations
 
-LINE_BYTES = 64
+import _thread
+from mmap import mmap
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from mmap import mmap
+LINE_BYTES = 64
 
 
 class Word:
@@ -32,3 +31,28 @@ class Word:
     def set(self, value: int) -> None:
         """Store a value; raises ValueError outside 0..2**64-1. Only the record's declared writer may."""
         self._words[self._index] = value
+
+
+class Barrier:
+    """What this thread has loaded and stored before it, everyone sees before what it loads and stores after it. Of one
+    thread, which alone calls it. Takes 0.2 us, and no memory.
+
+    Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass the store before it.
+    No library gives Python a fence. But to release a lock is a store-release, to acquire one a load-acquire, and no
+    load-acquire passes a store-release that is before it. So a held lock is released and acquired again. The other way
+    around is no barrier: what is before it may move in behind the acquire, what is after it in before the release.
+
+    docs/dev/memory-order.md names the pairs that need one; model/arm has each as a litmus test.
+    """
+
+    __slots__ = ("_acquire", "_release")
+
+    def __init__(self) -> None:
+        lock = _thread.allocate_lock()
+        lock.acquire()
+        self._acquire = lock.acquire
+        self._release = lock.release
+
+    def __call__(self) -> None:
+        self._release()
+        self._acquire()

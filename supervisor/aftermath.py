@@ -13,8 +13,8 @@ from collections.abc import Callable
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
+from failstop.shm.words import Barrier
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNPROVEN, Link, Stop

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping
 from failstop.policy import causes
 from failstop.procs.world import World
 from failstop.shm import instance, layout
-from failstop.shm.notes import fitting
-from failstop.shm.ring import RingWriter
+from failstop.shm.cell import RingWriter
+from failstop.shm.packing import fitting
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
@@ -28,7 +28,7 @@ LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
-"""As notes.CUTS."""
+"""As packing.CUTS."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from failstop.policy.reply import Reply, asked_before
 from failstop.shm import layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.records import CAUSE
+from failstop.shm.words import Barrier
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 

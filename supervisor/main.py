@@ -16,8 +16,8 @@ from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import bell, heartbeat, layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.words import Barrier
 from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox

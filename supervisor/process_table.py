@@ -10,7 +10,7 @@ from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
 from failstop.supervisor.port import OwnPort
@@ -31,7 +31,7 @@ class ProcessTable:
         self._world, self._now_ns = run.world, run.world.now_ns
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
-        lifelines = segment.attach_unmapped(run.memory, "lifelines", run.incarnation)
+        lifelines = segment.attach(run.memory, "lifelines", run.incarnation, write=True)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = run.world.early_news(lifelines)

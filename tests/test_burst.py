@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec, framing, peripherals, servos
+from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import STOP
 from failstop.board.framing import MOTOR
@@ -45,7 +45,7 @@ OWN_FRAMES = {
     "bus stop": servos.bus_servo_stop((1, 2, 3)),
     "bus position": servos.bus_servo_read(1, 0x05),
     "bus torque": servos.bus_servo_torque(1, on=True),
-    "buzzer": peripherals.buzzer(1400, 100, 100, 5),
+    "buzzer": codec.buzzer(1400, 100, 100, 5),
     "led": encoders.led(1, 500, 300, 10),
     "oled": encoders.oled(1, "x" * 23),
     "rgb": encoders.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),

@@ -17,7 +17,7 @@ import failstop
 from failstop.api import why
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
@@ -65,7 +65,7 @@ def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) ->
     assert [field for _, field, _, _ in string.Formatter().parse(kind.template) if field] == names
     explained = {field for _, field, _, _ in string.Formatter().parse(kind.what) if field}
     assert explained <= {*names, *(["role"] if "process" in names else []), *(["names"] if "buttons" in names else [])}
-    assert set(kind.noticed_by) <= set(PROCESSES)
+    assert set(kind.noticed_by.split()) <= set(PROCESSES)
     assert "name" not in names, "for programs that is the row's own, beside its arguments"
 
 
@@ -140,7 +140,7 @@ def test_whatever_bytes_there_are_a_stop_is_one(payload: bytes) -> None:
 
 
 def test_damage_is_told_apart() -> None:
-    with pytest.raises(ValueError, match="a cause of 1 bytes"):
+    with pytest.raises(ValueError, match="no cause has the number 1 of 1 bytes"):
         causes.unpack(b"\1")
     with pytest.raises(ValueError, match="no cause has the number 65535"):
         causes.unpack(b"\xff\xff")
@@ -232,7 +232,7 @@ def test_names_of_who_did_it() -> None:
 
 
 def test_what_the_board_refuses_is_a_defect() -> None:
-    limit = Settings().max_wheel_rps()
+    limit = kinematics.max_wheel_rps(Settings())
     fast = BOARD.motor_speeds((9.0, 0.0, 0.0, 0.0), 10.0)
     wild = b"\xaa\x55\x03\x16\x01\x04\x07" + fast[7:-1]
     faults = [

@@ -16,10 +16,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop.board import codec, framing, peripherals, servos
-from failstop.board.codec import STOP, check_motion
+from failstop.board import codec, framing, servos
+from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import MOTOR, FrameError
-from failstop.board.peripherals import check_aux
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
 from failstop.lab.sim.motors import Motors
@@ -36,11 +35,11 @@ ENCODED: dict[str, Callable[[], bytes]] = {
     "motors id 1 at -1.0 rps and id 2 at +2.0 rps": lambda: encoders.motor_some([(1, -1.0), (2, 2.0)], 2.0),
     "motor stop mask 0x05": lambda: encoders.motor_stop_mask(0x05),
     "motors 0..3 at 0.5, -0.25, 0, 1.5 rps": lambda: codec.motor_speeds((0.5, -0.25, 0.0, 1.5), 1.5),
-    "buzzer 1400 Hz, on 100 ms, off 100 ms, 5 times": lambda: peripherals.buzzer(1400, 100, 100, 5),
-    "buzzer 1000 Hz, on 500 ms, off 300 ms, 10 times": lambda: peripherals.buzzer(1000, 500, 300, 10),
+    "buzzer 1400 Hz, on 100 ms, off 100 ms, 5 times": lambda: codec.buzzer(1400, 100, 100, 5),
+    "buzzer 1000 Hz, on 500 ms, off 300 ms, 10 times": lambda: codec.buzzer(1000, 500, 300, 10),
     "led 1 on 500 ms, off 300 ms, 10 times": lambda: encoders.led(1, 500, 300, 10),
     "pwm servo 1 to 1000 us in 1000 ms": lambda: encoders.pwm_servo_move_one(1, 1000, 1000),
-    "pwm servo 1 read position (the ping)": lambda: peripherals.pwm_servo_read(1),
+    "pwm servo 1 read position (the ping)": lambda: codec.pwm_servo_read(1),
     "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: servos.bus_servo_move([(1, 833), (2, 1000)], 1000, 30_000),
     "bus servo 1 torque off": lambda: servos.bus_servo_torque(1, on=False),
     "bus servo 1 torque on": lambda: servos.bus_servo_torque(1, on=True),
@@ -96,7 +95,7 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(encoders.pwm_servo_move_one, (bad, 1500, 1000), "servo id") for bad in (0, 5, True)],
     *[(encoders.pwm_servo_move_one, (1, bad, 1000), "pulse_us") for bad in (499, 2501, NAN, True)],
     *[(encoders.pwm_servo_move_one, (1, 1500, bad), "duration_ms") for bad in (-1, 30_001, NAN, True)],
-    *[(peripherals.pwm_servo_read, (bad,), "servo id") for bad in (0, 5, True)],
+    *[(codec.pwm_servo_read, (bad,), "servo id") for bad in (0, 5, True)],
     *[(encoders.pwm_servo_deviation, (bad, 0), "servo id") for bad in (0, 5, True)],
     *[(encoders.pwm_servo_deviation, (1, bad), "deviation_us") for bad in (-101, 101, NAN, True)],
     *[(encoders.pwm_servo_read_deviation, (bad,), "servo id") for bad in (0, 5, True)],
@@ -112,10 +111,10 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(servos.bus_servo_read, (1, bad), "what") for bad in (0x01, 0x12, 0x10, None)],
     *[(servos.bus_servo_torque, (bad, True), "servo id") for bad in (0, 254, True)],
     *[(servos.bus_servo_torque, (1, bad), "on") for bad in (1, 0, None, "off")],
-    *[(peripherals.buzzer, (bad, 100, 100, 1), "freq_hz") for bad in (0, 19, 20_001, -1, NAN, True)],
-    *[(peripherals.buzzer, (1000, bad, 100, 1), "on_ms") for bad in (0, 65_536, NAN, True)],
-    *[(peripherals.buzzer, (1000, 100, bad, 1), "off_ms") for bad in (0, 65_536, NAN, True)],
-    *[(peripherals.buzzer, (1000, 100, 100, bad), "repeat") for bad in (0, 65_536, INF, True)],
+    *[(codec.buzzer, (bad, 100, 100, 1), "freq_hz") for bad in (0, 19, 20_001, -1, NAN, True)],
+    *[(codec.buzzer, (1000, bad, 100, 1), "on_ms") for bad in (0, 65_536, NAN, True)],
+    *[(codec.buzzer, (1000, 100, bad, 1), "off_ms") for bad in (0, 65_536, NAN, True)],
+    *[(codec.buzzer, (1000, 100, 100, bad), "repeat") for bad in (0, 65_536, INF, True)],
     *[(encoders.led, (bad, 100, 100, 1), "led id") for bad in (0, 3, True)],
     *[(encoders.led, (1, bad, 100, 1), "on_ms") for bad in (-1, 65_536, NAN, True)],
     *[(encoders.led, (1, 100, bad, 1), "off_ms") for bad in (-1, 65_536, NAN, True)],
@@ -183,13 +182,13 @@ def test_messages_give_value_and_range() -> None:
     with pytest.raises(FrameError, match=r"^speed of wheel 1 is 9\.9, must be a finite number from -1\.4 to 1\.4 rps$"):
         codec.motor_speeds((0.0, 9.9, 0.0, 0.0), 1.4)
     with pytest.raises(FrameError, match=r"^servo id is 0, must be an integer from 1 to 4$"):
-        peripherals.pwm_servo_read(0)
+        codec.pwm_servo_read(0)
 
 
 def test_every_encoder_is_in_the_tables() -> None:
     made = {
         name
-        for module in (framing, codec, peripherals, servos, encoders)
+        for module in (framing, codec, servos, encoders)
         for name, found in vars(module).items()
         if isfunction(found) and found.__module__ == module.__name__ and found.__annotations__["return"] == "bytes"
     }
@@ -218,7 +217,7 @@ def test_what_is_encoded_passes_the_check_and_reaches_the_wheels(case: tuple[lis
     rps, limit = case
     frame = codec.motor_speeds(rps, limit)
     assert check_motion(frame, limit) == ""
-    assert check_aux(frame) == "a motor frame"
+    assert check_aux(frame) == "not a buzzer's frame"
     func, data = receive(frame)
     assert func == MOTOR
     # As asked, or smaller by a few units in the last place: no frame is sent that zeros could complete.

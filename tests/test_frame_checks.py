@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST
-from failstop.board.codec import STOP, check_motion
+from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import MOTOR, FrameError, seal
-from failstop.board.peripherals import check_aux
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
 from failstop.lab.sim.motors import Motors
@@ -100,24 +99,14 @@ def test_motion_that_passes_makes_no_wild_write_and_no_speed_beyond_the_limit(en
 
 # Everything else.
 
-AUX_FRAMES = {
-    **{
-        name: bytes.fromhex(text)
-        for name, text in VECTORS["down"].items()
-        if not name.startswith(("motor", "stop", "bus"))
-    },
-    "pwm servos": encoders.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
-    "pwm deviation": encoders.pwm_servo_deviation(2, -1),
-    "oled": encoders.oled(2, "x" * 23),
-    "oled, empty": encoders.oled(1, ""),
-    "rgb": encoders.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
-    "alarm": encoders.battery_alarm(6800),
+SOUNDS = {name: bytes.fromhex(text) for name, text in VECTORS["down"].items() if name.startswith("buzzer")} | {
+    "the longest and lowest": codec.buzzer(20, 65_535, 65_535, 65_535)
 }
 
 
-@pytest.mark.parametrize("name", AUX_FRAMES)
+@pytest.mark.parametrize("name", SOUNDS)
 def test_own_frames_pass_as_aux_and_damaged_or_cut_they_do_not(name: str) -> None:
-    frame = AUX_FRAMES[name]
+    frame = SOUNDS[name]
     assert check_aux(frame) == ""
     assert check_motion(frame, 1000.0) == "not a motor frame"
     for at in range(len(frame)):
@@ -128,33 +117,34 @@ def test_own_frames_pass_as_aux_and_damaged_or_cut_they_do_not(name: str) -> Non
     assert check_aux(b"\x00" + frame)
 
 
+SOUND = codec.buzzer(1400, 100, 100, 5)
 AUX_REASONS = [
-    (b"", "not a frame"),
-    (b"\xaa\x55\x01\x00", "not a frame"),
-    (STOP, "a motor frame"),
-    (seal(MOTOR, b""), "a motor frame"),
-    (seal(framing.KEY, b"\x01\x01"), "func 6 does not go to the board"),
-    (seal(framing.IMU, bytes(24)), "func 7 does not go to the board"),
-    (seal(12, b"\x01"), "func 12 does not go to the board"),
-    (PING + b"\x00", "8 bytes, its length byte says 7"),
-    (PING[:-1] + b"\xe1", "bad crc"),
-    (seal(framing.OLED, b"\x01\x10" + STOP[:16]), "the start of a motor frame inside"),
-    (seal(framing.PWM_SERVO, b""), "no sub-command"),
-    (seal(framing.PWM_SERVO, b"\x05\x00"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x05"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x07\x00\x10"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x09\x00"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x03\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x01\xe8\x03\x02\x01\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
-    (seal(framing.PWM_SERVO, b"\x01\xe8\x03\x03\x01\xe8\x03\x02\xe8\x03"), "a count beyond its data"),
-    (seal(framing.PWM_SERVO, b"\x01\xe8\x03"), "a count beyond its data"),
-    (servos.bus_servo_stop([1]), "a bus servo's frame"),
-    (seal(framing.BUS_SERVO, b"\x03\xfd" + bytes(253)), "a bus servo's frame"),
-    (seal(framing.OLED, b"\x01\x18" + b"x" * 24), "oled text of 24, limit 23"),
-    (seal(framing.OLED, b"\x02\x05abcd"), "a count beyond its data"),
-    (seal(framing.RGB, b"\x01\x01\x02\xff\xff\xff"), "rgb index beyond 1"),
-    (seal(framing.RGB, b"\x01\x02\x00\xff\xff\xff"), "a count beyond its data"),
-    (seal(framing.RGB, b"\x02\xff"), "rgb sub-command 2, must be 1"),
+    (b"", "not a buzzer's frame"),
+    (SOUND[:4], "not a buzzer's frame"),
+    (SOUND + b"\x00", "not a buzzer's frame"),
+    (seal(framing.BUZZER, bytes(7)), "not a buzzer's frame"),
+    (seal(framing.BUZZER, bytes(9)), "not a buzzer's frame"),
+    (SOUND[:-1] + bytes((SOUND[-1] ^ 1,)), "bad crc"),
+    (seal(framing.BUZZER, b"\x01\xaa\x55\x03\x00\x00\x00\x01"), "the start of a motor frame inside"),
+    *(
+        (frame, "not a buzzer's frame")
+        for frame in (
+            STOP,
+            seal(MOTOR, b""),
+            PING,
+            seal(framing.KEY, b"\x01\x01"),
+            seal(framing.IMU, bytes(24)),
+            seal(12, b"\x01"),
+            servos.bus_servo_stop([1]),
+            encoders.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
+            encoders.pwm_servo_deviation(2, -1),
+            encoders.oled(2, "x" * 23),
+            encoders.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
+            encoders.led(1, 500, 300, 10),
+            encoders.battery_alarm(6800),
+            *(seal(func, bytes(8)) for func in range(256) if func != framing.BUZZER),
+        )
+    ),
 ]
 
 
@@ -172,7 +162,7 @@ def test_published_frames_that_must_not_be_written(name: str) -> None:
 
 @given(
     func=st.sampled_from(framing.AUX_FUNCS),
-    data=st.one_of(st.binary(max_size=255), st.just(STOP), st.just(BURST[:255])),
+    data=st.one_of(st.binary(max_size=255), st.binary(min_size=8, max_size=8), st.just(STOP), st.just(BURST[:255])),
 )
 def test_no_aux_frame_that_passes_holds_a_motor_frame_for_a_receiver_out_of_step(func: int, data: bytes) -> None:
     frame = seal(func, data)

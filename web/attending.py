@@ -10,7 +10,7 @@ from failstop.web.lease import Lease
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.attend import Attendance
+    from failstop.api.calls import Attendance
     from failstop.web.handlers import Live
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.api import history, verdict, words
+from failstop.api import verdict, words
 from failstop.api.why import meaning
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
@@ -156,7 +156,7 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
     if state.cause and state.last_stop and state.last_stop.cause == state.cause:
         return state.last_stop.t
     if state.blocked == blocks.DISABLED:
-        return next((event.t for event in reversed(events) if event.kind in history.SINCE), None)
+        return next((event.t for event in reversed(events) if event.kind in verdict.SINCE), None)
     return None
 
 

@@ -255,7 +255,7 @@ def state(image: Image, payload: Path) -> Path:
         guest.greeted()
         guest.must("systemctl", "is-system-running", "--wait", timeout_s=120.0)
         # What every trial would load first.
-        guest.must("/srv/venv/bin/python", "-c", "import numpy, psutil, msgpack, posix_ipc, serial", timeout_s=120.0)
+        guest.must("/srv/venv/bin/python", "-c", "import numpy, psutil, msgpack, serial", timeout_s=120.0)
         guest.must("modprobe", "-a", "vhci-hcd", "cdc-acm")
         guest.must("sync")
         guest.save(STATE)

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from math import ceil, isfinite
 from time import monotonic_ns
+from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
+from failstop.api.session import Session, Told, sleep_through
+from failstop.api.snapshot import ArmState
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.goals import too_far
-from failstop.procs.gate.arm.joints import Joint, from_settings
+from failstop.procs.gate.arm.joints import Joint
 from failstop.shm import records
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from failstop.api.run import Run
-    from failstop.api.session import Session
-    from failstop.api.snapshot import ArmState
-
-    Told = Callable[[str], None] | None
-    Point = tuple[float, Mapping[str, float]]
+Point = tuple[float, Mapping[str, float]]
 
 STEP_RAD = 0.05
 """Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
@@ -35,29 +30,20 @@ class Arm:
     def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
         self._session = session
-        self._run: Run | None = None
-        with session._lock:
-            self._follow()
-
-    def _follow(self) -> None:
-        """A service that was started anew may have other joints, or other servos for them."""
-        run = self._session._current()
-        if run is self._run:
-            return
-        settings = Settings(dict(self._session.settings))
-        self._joints = {joint.name: joint for joint in from_settings(settings)}
-        if not self._joints:
-            name = self._session.name
-            raise FailstopError(f"the robot of {name!r} has no arm: its settings name no [joints.NAME]")
-        self._model = Model(settings) if settings.on("arm.collision") else None
-        self._run = run
+        _ = self.joints
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """Each joint by name, with its range (range_rad). Raises NoService, FailstopError."""
+        """Each joint by name, with its range (range_rad): of the service that runs now, which may have other ones than
+        before. Raises NoService, FailstopError."""
         with self._session._lock:
-            self._follow()
-            return self._joints
+            found = self._session._current().joints
+        if not found:
+            raise FailstopError(f"the robot of {self._session.name!r} has no arm: its settings name no [joints.NAME]")
+        return found
+
+    def _ask(self, verb: int, told: Told = None, about: tuple[Any, ...] = (), asked_ns: int = 0) -> str:
+        return sleep_through(self._session._asking(verb, told, about, asked_ns=asked_ns))
 
     def move(
         self,
@@ -72,7 +58,7 @@ class Arm:
         there. Raises Refused: out of range, too fast, it would hit something, wheels enabled, latched, preempted, held,
         a servo that does not answer or did not follow."""
         asked_ns = monotonic_ns()  # to look at all of the way takes time, in which something else may be asked for
-        points: Sequence[Point] = [(over_s, to)] if _is_pose(to) else to  # type: ignore[assignment, list-item]
+        points = [(over_s, to)] if isinstance(to, Mapping) else to
         if not points:
             raise ValueError("a trajectory needs at least one point")
         names = list(points[0][1])
@@ -84,8 +70,7 @@ class Arm:
             self._check(angles)
             rows.append((float(t_s), [float(angles[name]) for name in names]))
         self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
-        ask = self._session._ask
-        return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows), asked_ns)
+        return self._ask(records.ARM_MOVE, told, ("arm_path", speed, servos, rows), asked_ns)
 
     def pose(self, name: str, told: Told = None) -> str:
         """Go to a pose of the settings, "drive" or "tuck", slowly (arm.pose_speed). Raises Refused, ValueError."""
@@ -95,7 +80,7 @@ class Arm:
         ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
         if ends:
             self._check_way([(0.0, ends)])
-        return self._session._ask(POSES[name], told, asked_ns=asked_ns)
+        return self._ask(POSES[name], told, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
         """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
@@ -113,20 +98,20 @@ class Arm:
     def _goal(self, mode: int, values: Mapping[str, float]) -> None:
         found = {self._joint(name).servo: float(value) for name, value in values.items()}
         with self._session._lock:
-            self._session._client().arm_goal(mode, found)
+            self._session._client().tell("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
         """Stop where it is; torque stays, every goal is dropped, an enable on its way to the drive pose given up."""
-        return self._session._ask(records.ARM_HOLD)
+        return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
         """Switch the torque off: the arm falls, and lets go of what it holds. Raises Refused while motion is
         enabled."""
-        return self._session._ask(records.ARM_RELEASE)
+        return self._ask(records.ARM_RELEASE)
 
     def read(self, told: Told = None) -> dict[str, float]:
         """Read where each joint is; angles by name. Raises Refused."""
-        self._session._ask(records.ARM_READ, told)
+        self._ask(records.ARM_READ, told)
         return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property
@@ -141,13 +126,11 @@ class Arm:
         """Refused where the arm would hit something, from where it was read to be: all of the way, before it begins.
         Here and not in the gate, which looks at each move before it sends it, whoever wants it: all of a way takes
         many milliseconds, and the gate has wheels to stop."""
-        if self._model is None:
+        settings = Settings(dict(self._session.settings))
+        if not settings.on("arm.collision"):
             return
-        start = {}
-        for name, joint in self.state.joints.items():
-            known = [angle for angle in (joint.commanded_rad, joint.angle_rad) if angle is not None]
-            start[name] = known[0] if known else 0.0
-        if hit := on_the_way(self._model, start, rows):
+        start = {name: joint.at_rad or 0.0 for name, joint in self.state.joints.items()}
+        if hit := on_the_way(Model(settings), start, rows):
             raise Refused(would_hit(*hit[1:], f"after {hit[0]:.2f} s " if rows[-1][0] else ""))
 
     def _joint(self, name: str) -> Joint:
@@ -161,28 +144,21 @@ class Arm:
             raise Refused(fault)
 
 
-def _is_pose(to: object) -> bool:
-    return hasattr(to, "keys")
-
-
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
     """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
     `start` along the rows; None: none does. What touches already may part."""
-    before, gap_m = (0.0, start), model.nearest(start)[0]
+    at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
-        row = (t_s, {**before[1], **to})
-        steps = max(1, ceil(max(abs(row[1][name] - before[1].get(name, 0.0)) for name in row[1]) / STEP_RAD))
+        end = {**at, **to}
+        turns = {name: angle - at.get(name, 0.0) for name, angle in end.items()}
+        steps = max(1, ceil(max(map(abs, turns.values())) / STEP_RAD))
         for step in range(1, steps + 1):
             share = step / steps
-            angles = {name: _between(before[1].get(name, 0.0), angle, share) for name, angle in row[1].items()}
-            was_m, (gap_m, name, other) = gap_m, model.nearest(angles)
+            was_m = gap_m
+            gap_m, name, other = model.nearest({name: at.get(name, 0.0) + share * turn for name, turn in turns.items()})
             if gap_m < min(0.0, was_m):
-                return _between(before[0], row[0], share), name, other
-        before = row
+                return at_s + share * (t_s - at_s), name, other
+        at_s, at = t_s, end
     return None
-
-
-def _between(a: float, b: float, share: float) -> float:
-    return a + share * (b - a)

@@ -10,32 +10,25 @@ import contextlib
 import fcntl
 import os
 import stat
-import struct
 import termios
 import time
 
 from failstop.api.client import attach, send_stop
 from failstop.api.errors import FailstopError
-from failstop.shm import bell, instance, layout, records
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.api.state import State
+from failstop.shm import instance, layout, records
 
 LATCH_S = 1.0
 """How long a request may take until it is seen latched; the service needs a few milliseconds."""
 LOOK_S = 0.002
-_INT = struct.Struct("i")
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str]:
     """Write a request into the pipe of a service, then look until it is latched, LATCH_S at most. Returns (how it went,
     what is wrong): the first is empty when no stop is known to be out. Raises nothing of its own."""
-    if problem := send(name, reason, who):
-        return "", problem
     try:
-        pipe = bell.open_pipe_to_write(instance.stop_path(instance.find(name)))
-    except (instance.InstanceError, instance.NoService, OSError) as error:
+        send_stop(name, reason, who)
+        _, pipe = instance.open_stop(name)
+    except (FailstopError, instance.InstanceError, instance.NoService) as error:
         return "", str(error)
     try:
         return _watch(name, pipe)
@@ -56,7 +49,8 @@ def send(name: str, reason: str, who: str) -> str:
 
 def _watch(name: str, pipe: int) -> tuple[str, str]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
-    others' requests never leaves it empty; then an epoch newer than the one seen first says as much."""
+    others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
+    from failstop.api import verdict
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
@@ -67,30 +61,19 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
         problem = str(error)
     taken, first_epoch = False, -1
     while time.monotonic() < until_s:
-        taken = taken or _waiting(pipe) == 0
+        unread = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), "little")
+        taken = taken or not unread
         if taken and not reader:
             return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
         with contextlib.suppress(Exception):  # likewise, and it may be better the next time
             if reader and (state := reader.read()):
                 first_epoch = state.epoch if first_epoch < 0 else first_epoch
                 if state.estop and (taken or state.epoch > first_epoch):
-                    return _told(name, state)
+                    doubt = verdict.doubt(state)
+                    text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
+                    return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
         time.sleep(LOOK_S)
     return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
-
-
-def _told(name: str, state: State) -> tuple[str, str]:
-    from failstop.api import verdict
-
-    doubt = verdict.doubt(state)
-    text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
-    return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
-
-
-def _waiting(pipe: int) -> int:
-    """Bytes that nobody has read yet. Raises OSError."""
-    found: tuple[int] = _INT.unpack(fcntl.ioctl(pipe, termios.FIONREAD, _INT.pack(0)))
-    return found[0]
 
 
 def port_of(name: str) -> str:

@@ -1,23 +1,27 @@
-"""Calls: what a program may do with a robot that takes no time; the same for Robot and AsyncRobot."""
+"""Calls: what a program may do with a robot that takes no time; the same for Robot and AsyncRobot.
+
+match robot.drive(0.2, 0.0, 0.0):
+    case Preempted(by=who): print(who, "drives")
+    case Blocked(block=Block.NO_SCAN): look_at_the_sensor()
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from math import isfinite
+from typing import TYPE_CHECKING, Any
 
 from failstop.api.arm import Arm
-from failstop.api.attend import Attendance
 from failstop.api.client import send_stop
-from failstop.api.driving import Answer, Blocked, judge, settled
 from failstop.api.events import EventLog
-from failstop.api.samples import Sample, SampleReader
-from failstop.api.session import Session
-from failstop.api.snapshot import Block
-from failstop.api.waiting import POLL_S
+from failstop.api.samples import Sample
+from failstop.api.session import POLL_S, Session, Steps
+from failstop.api.snapshot import Block, Velocity
+from failstop.policy.causes import Cause
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
-from failstop.shm.records import cut
+from failstop.shm import records
 
-TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.api.why import Why
 
@@ -28,11 +32,100 @@ TAKEN_S = 0.01
 0.3 ms on a machine that is idle."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Driving:
+    """This command moves the wheels."""
+
+    velocity: Velocity
+    """What the gate commands now: it gets to what was asked for along the ramp, within the limits."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Preempted:
+    """A source of higher priority drives; this command waits."""
+
+    by: str
+    """Who drives: name and pid."""
+    source: str
+    """As which source."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocked:
+    """Nothing moves."""
+
+    block: Block
+    """What holds the wheels. NO_COMMAND: the gate has not taken the command in time."""
+    why: str
+    """The same in words, with the stop's cause."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+Answer = Driving | Preempted | Blocked
+"""True in a condition only if this command moves the wheels."""
+
+
+def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
+    """The answer of a gate that has decided so; and whether it is settled: a command that the gate has not seen yet
+    changes it where the one of before may have been too old, or the sensor silent. Pure."""
+    block = Block.LATCHED if cause else Block.of(decided["blocked"])
+    if block in (Block.LATCHED, Block.DISABLED):
+        return Blocked(block, str(cause or block.value)), True
+    rows = {row["source"]: row for row in decided["sources"]}
+    if source not in rows:
+        return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet"), False
+    driver = next(row for row in rows.values() if row["state"] == "drives")
+    if driver["source"] != source:
+        return Preempted(driver["who"], driver["source"]), False
+    if block:
+        return Blocked(block, block.value), False
+    return Driving(Velocity(*decided["body_vel"])), True
+
+
+class Attendance:
+    """Of one operator; a context manager, whose end gives it up.
+
+    with robot.attend("Anna") as attendance:
+        while anna_is_there():
+            attendance.renew()
+            time.sleep(0.1)
+
+    Who stops renewing it is gone after attend.lease_s (1 s), and that latches a stop; so does give_up(), at once,
+    unless somebody else attends. The robot's clock alone counts.
+    """
+
+    def __init__(self, session: Session, who: str) -> None:
+        self._session = session
+        self.who = who
+        """As people see it."""
+
+    def __enter__(self) -> Attendance:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.give_up()
+
+    def renew(self, proven_ns: int | None = None) -> None:
+        """The operator was there at `proven_ns` (CLOCK_MONOTONIC, ns; default: now), such as when a question was put
+        that has been answered since. Repeat it every 0.1 s or so. Raises NoService when no service runs."""
+        self._say(self.who, time.monotonic_ns() if proven_ns is None else proven_ns)
+
+    def give_up(self, who: str = "") -> None:
+        """The operator leaves. Raises NoService."""
+        self._say(who or self.who, 0)
+
+    def _say(self, who: str, t_ns: int) -> None:
+        with self._session._lock:
+            self._session._client().tell("attended", [who], t_ns=t_ns, wake=True)
+
+
 class Calls(Session):
     """Drive, assert, look: the base of both."""
-
-    _arm: Arm | None = None
-    _samples: SampleReader | None = None
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
@@ -48,11 +141,13 @@ class Calls(Session):
         """
         self.command(vx, vy, wz, manual=manual, source=source)
         until_s = time.monotonic() + TAKEN_S
-        while (answer := self._answer(source)) is None or not settled(answer):
-            if time.monotonic() > until_s:
-                return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet") if answer is None else answer
+        while True:
+            with self._lock:
+                decided, cause, *_ = self._current().decided()
+            answer, settled = judge(decided, source, cause)
+            if settled or time.monotonic() > until_s:
+                return answer
             time.sleep(POLL_S)
-        return answer
 
     def command(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
         """As drive(), without its answer: it never waits. For a program that has much else to hear."""
@@ -60,20 +155,15 @@ class Calls(Session):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
             run = self._current()
-            run.check_source(source)
+            run.check("source", source)
             self._slot(run).command(vx, vy, wz, manual=manual, source=source)
-
-    def _answer(self, source: str) -> Answer | None:
-        with self._lock:
-            decided, cause = self._reader.decided()
-        return judge(decided, decided["sources"], source, str(cause or ""))
 
     def sensed(self) -> None:
         """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
         least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService when no
         service runs."""
         with self._lock:
-            self._client().sensed()
+            self._client().tell("sensed", [])
 
     def hold(self, *interlocks: str) -> None:
         """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
@@ -84,20 +174,20 @@ class Calls(Session):
         """
         with self._lock:
             run = self._current()
-            run.check_interlocks(interlocks)
-            self._slot(run).hold(list(interlocks))
+            run.check("interlock", *interlocks)
+            self._slot(run).tell("interlocks", interlocks)
 
     def attend(self, who: str) -> Attendance:
         """An operator attends, once the attendance that comes back is renewed, and for as long as it is (see there).
         Where the setting attend.required is "on", motion needs somebody who attends; elsewhere it changes nothing."""
-        return Attendance(self, cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody")
+        return Attendance(self, records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody")
 
     def say(self, sees: str, wrong: str = "") -> None:
         """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
         and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
         every few seconds, as old words are shown with their age."""
         with self._lock:
-            self._client().say(sees, wrong)
+            self._client().tell("said", sees, wrong)
 
     def estop(self, reason: str = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
@@ -105,6 +195,11 @@ class Calls(Session):
         closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
         N)`; of a reason of more than 180 bytes the rest is left out."""
         send_stop(self.name, reason, self.client_name)
+
+    def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
+        return self._asking(records.LIMIT, about=("speed_limit", round(100 * share)), awaited=awaited)
 
     def why(self) -> Why:
         """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
@@ -118,15 +213,10 @@ class Calls(Session):
         PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
         again. Raises NoService, FailstopError."""
         with self._lock:
-            run = self._current()
-            if self._samples is None or self._samples.run is not run:
-                self._samples = SampleReader(self.name, run)
-            return self._samples.read()
+            return self._current().samples()
 
     @property
     def arm(self) -> Arm:
         """The robot's arm. Its calls wait: in an event loop, `await asyncio.to_thread(robot.arm.pose, "drive")`. Raises
         FailstopError where the settings name none."""
-        if self._arm is None:
-            self._arm = Arm(self)
-        return self._arm
+        return Arm(self)

@@ -1,33 +1,45 @@
-"""A local client's side of shared memory: its slot, its requests, its commands, and the stop pipe."""
+"""A program's side of a service: the run that is there, a client slot in it, and the stop pipe."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import time
 import weakref
+from collections.abc import Callable
 from time import monotonic_ns
+from typing import Any, TypeVar
 
-from failstop.api.errors import FailstopError, NoService
+import msgpack
+
+from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
+from failstop.procs.gate.sources import PAD
 from failstop.shm import bell, claim, instance, layout, records, segment
-from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import pid_namespace
+from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import Lifeline, pid_namespace
+from failstop.shm.words import Barrier
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import TypeVar
-
-    T = TypeVar("T")
-
+T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
 """A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
 the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
-RECORDS = ("command", "request", "sensed", "interlocks", "attended", "said", "speed_limit", "arm_goal", "arm_path")
-"""What a client writes into its slot, once it has said hello there."""
+RECORDS: dict[str, Callable[..., bytes]] = {
+    "command": records.COMMAND.pack,
+    "request": records.REQUEST.pack,
+    "sensed": records.HELD.pack,
+    "interlocks": records.HELD.pack,
+    "attended": records.HELD.pack,
+    "said": records.SAID.pack,
+    "speed_limit": records.SPEED_LIMIT.pack,
+    "arm_goal": records.ARM_GOAL.pack,
+    "arm_path": records.ARM_PATH.pack,
+}
+"""What a client writes into its slot once it has said hello there, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
+LONGEST_SHOWN = 40
 
 
 def runtime_dir(name: str) -> str:
@@ -92,36 +104,93 @@ def gone(name: str) -> NoService:
     return NoService(f"the service {name!r} has gone: start it with `failstop run{instance.option(name)}`")
 
 
-class _Held:
-    """What a client holds of a service, given back once: by close(), or when nobody has the client any more."""
+def starting(name: str) -> FailstopError:
+    """The error of a call that needs what a service tells when it has begun."""
+    return FailstopError(f"the service {name!r} is still starting: try again in a moment")
 
-    def __init__(self) -> None:
-        self.claims = -1
-        self.bell = -1
-        self.slot = -1
-        self.segment: segment.Segment | None = None
-        self.life: HeldByThread | None = None
-        self._pid = os.getpid()
 
-    def give_back(self, farewell: bytes = b"") -> None:
-        """A command that lies in the slot stops counting at once. `farewell`: a hello that is a goodbye; without one
-        the gate takes it for a death. A process that was forked from the holder touches nothing in the slot."""
-        if self.segment:
-            if os.getpid() == self._pid:
-                # Another process may have the claim before the gate has seen it free.
-                with contextlib.suppress(OSError, ValueError):
-                    self.segment.wipe()
-                    if farewell:
-                        self.segment.latest_writer("hello").write(farewell)
-                    bell.send(self.bell, bytes([self.slot]))
-                if self.life:
-                    self.life.let_go()
-            self.segment.close()
-            self.segment = self.life = None
-        for fd in (self.claims, self.bell):
-            if fd >= 0:
-                os.close(fd)
-        self.claims = self.bell = -1
+class Run:
+    """The run that is there when this is made: whether it goes on, and what its settings declare. Not for several
+    threads at once."""
+
+    def __init__(self, name: str) -> None:
+        """Raises NoService, FailstopError."""
+        self._life: Lifeline | None = None
+        self.name = name
+        self.found = run(name)
+        """What its segments are named after, and whose they are."""
+        self.supervisor = attach(name, layout.SUPERVISOR, self.found)
+        self.incarnation = self.supervisor.incarnation
+        self._beat = HeartbeatReader(self.supervisor)
+        self._record = self.supervisor.latest_reader("rules")
+        self._rules: dict[str, Any] = {}
+        self._died = False
+
+    def __del__(self) -> None:
+        if self._life:
+            with contextlib.suppress(OSError):  # whoever closes what is not theirs
+                self._life.close()
+
+    def _follow(self) -> dict[str, Any]:
+        """What the supervisor says once, when it has begun; empty before that."""
+        if not self._rules and (entry := self._record.read()):
+            self._rules = msgpack.unpackb(entry[2])
+            # The kernel tells of the supervisor's death where its pid means the same process here as there.
+            if pid_namespace() == self._rules["pid_namespace"] != 0:
+                try:
+                    self._life = Lifeline(self._beat.pid.get())
+                except ProcessLookupError:
+                    self._died = True
+                except OSError:
+                    pass  # no descriptor is left, or this call is forbidden: then its silence tells
+        return self._rules
+
+    def dead(self) -> bool:
+        """True once the kernel says that the supervisor has died; False where it can't be asked."""
+        self._follow()
+        return self._life.wait(0) if self._life else self._died
+
+    def silent(self, now_ns: int) -> bool:
+        """True when the supervisor's lease has run out: then nothing admits motion."""
+        rules = self._follow()
+        return bool(rules) and self._beat.age_ns(now_ns) > rules["lease_ns"]
+
+    def over(self) -> bool:
+        """True when this run has ended. One system call at most while it goes on: cheap enough for every call."""
+        if self._life:
+            return self._life.wait(0)
+        return self.dead() or (self.silent(time.monotonic_ns()) and self._replaced())
+
+    def _replaced(self) -> bool:
+        """True when no service of this name, or another run of it, is there."""
+        try:
+            return run(self.name) != self.found
+        except FailstopError:
+            return True
+
+    def check(self, kind: str, *names: str) -> None:
+        """Raises Undeclared for a "source" that no client may command as, or an "interlock" that the settings do not
+        name; FailstopError while the service starts."""
+        declared: list[str] = self._follow().get(f"{kind}s", [])
+        for name in names:
+            if name not in declared:
+                if not self._rules:
+                    raise starting(self.name)
+                raise Undeclared(_undeclared(kind, name[:LONGEST_SHOWN], declared, self.name))
+
+
+def _undeclared(kind: str, name: str, declared: list[str], service: str) -> str:
+    """What is wrong with a name that the settings do not declare, with the one that may have been meant."""
+    known = ", ".join(declared) or "none"
+    if (kind, name) == ("source", PAD):
+        return f"source {PAD!r} is the board's gamepad alone; a client's are {known}"
+    nearest: list[str] = []
+    with contextlib.suppress(ImportError):  # a program that has given its rights up may be unable to read its library
+        from difflib import get_close_matches  # for a mistake only: it costs more than this file
+
+        nearest = get_close_matches(name, declared, 1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else f"add [{kind}s.NAME] and restart the service"
+    return f"no {kind} {name!r} in the settings of {service!r}, which declare: {known}; {hint}"
 
 
 class Client:
@@ -136,55 +205,55 @@ class Client:
         self._number = 0
         self._commanded = (b"", 0)
         """The last command, and when it was handed over."""
-        self._memory, self._owner = found = run(name)
-        self._gate = attach(name, layout.GATE, found)
-        self._held = _Held()
-        self._drop = weakref.finalize(self, self._held.give_back)
-        try:
-            self._held.claims = claim.open_claims(instance.claims_path(directory))
-            self._bell = self._held.bell = bell.open_pipe_to_write(instance.bell_path(directory))
-            self.slot, self._segment = self._claim_slot()
-        except PermissionError:
-            self._drop()
-            raise FailstopError(
-                f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the service's user"
-            ) from None
-        except segment.AttachError as error:
-            self._drop()
-            raise FailstopError(str(error)) from None
-        except OSError as error:
-            self._drop()
-            raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
-        except FailstopError:
-            self._drop()
-            raise
-        self._held.slot, self._held.segment = self.slot, self._segment
-        # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
-        with contextlib.suppress(RuntimeError, OSError):
-            self._held.life = HeldByThread(self._segment.futex("held", write=True))
+        found = run(name)
+        gate = attach(name, layout.GATE, found)
+        with contextlib.ExitStack() as taken:
+            try:
+                claims = claim.open_claims(instance.claims_path(directory))
+                taken.callback(os.close, claims)
+                self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
+                taken.callback(os.close, self._bell)
+                self.slot, self._segment = self._claim_slot(claims, found, gate.incarnation)
+            except PermissionError:
+                raise FailstopError(
+                    f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the "
+                    "service's user"
+                ) from None
+            except segment.AttachError as error:
+                raise FailstopError(str(error)) from None
+            except OSError as error:
+                raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
+            life = None
+            # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
+            with contextlib.suppress(RuntimeError, OSError):
+                life = HeldByThread(self._segment.futex("held", write=True))
+            self._farewell: list[bytes] = []
+            """A hello that is a goodbye; without one the gate takes the slot's end for a death."""
+            taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
+            self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
-        self._reply = self._gate.latest_reader(f"reply.{self.slot}")
-        self._hint = bytes([self.slot])
+        self._reply = gate.latest_reader(f"reply.{self.slot}")
         self._segment.latest_writer("hello").write(self._hello(self._session))
         self._ring()
 
     def _hello(self, session: int) -> bytes:
         return records.HELLO.pack(session, os.getpid(), pid_namespace(), self.who)
 
-    def _claim_slot(self) -> tuple[int, segment.Segment]:
+    def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
+        memory, owner = found
         damaged = 0
         for index in range(layout.CLIENT_SLOTS):
-            if claim.take(self._held.claims, index):
+            if claim.take(claims, index):
                 try:
-                    found = segment.attach_client_slot(self._memory, index, self._gate.incarnation, owner=self._owner)
+                    taken = segment.attach(memory, f"client.{index}", incarnation, owner=owner, write=True)
                 except segment.AttachError as error:
                     if error.kind not in ("damaged", "absent", "owner"):
                         raise
-                    claim.drop(self._held.claims, index)
+                    claim.drop(claims, index)
                     damaged += 1
                     continue
-                found.wipe()
-                return index, found
+                taken.wipe()
+                return index, taken
         raise FailstopError(
             f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken"
             + (f", {damaged} of them damaged by a client: restart the service" if damaged else "")
@@ -193,58 +262,34 @@ class Client:
 
     def _ring(self) -> None:
         try:
-            bell.send(self._bell, self._hint)
+            bell.send(self._bell, bytes([self.slot]))
         except BrokenPipeError:
             raise gone(self.name) from None
+
+    def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
+        """Write one of RECORDS; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if not of now.
+        The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does not fit."""
+        payload = RECORDS[record](self._session, *values)
+        self._records[record].write(payload, t_ns)
+        if wake:
+            self._ring()
+        return payload
 
     def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
         """Hand a velocity command to the gate; returns at once. What repeats the one just before it waits for the
         gate's tick, which it would have waited for in any case. Raises NoService, and ValueError for a source that is
         too long."""
-        command = records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source)
-        self._records["command"].write(command)
+        command = self.tell("command", vx_mps, vy_mps, wz_radps, manual, source)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()
-
-    def sensed(self) -> None:
-        """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""
-        self._records["sensed"].write(records.HELD.pack(self._session, []))
-
-    def hold(self, names: list[str]) -> None:
-        """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
-        self._records["interlocks"].write(records.HELD.pack(self._session, names))
-
-    def attended(self, who: str, t_ns: int) -> None:
-        """Say that an operator was there at that time; 0: is there no more. Raises NoService, and ValueError for a name
-        that is too long."""
-        self._records["attended"].write(records.HELD.pack(self._session, [who]), t_ns)
-        self._ring()
-
-    def say(self, sees: str, wrong: str) -> None:
-        """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
-        self._records["said"].write(records.SAID.pack(self._session, sees, wrong))
 
     def ask(self, verb: int, asked_ns: int | None = None) -> int:
         """Make a request; returns its number, for answer(). `asked_ns`: when it was asked for (CLOCK_MONOTONIC), if not
         now. Raises NoService."""
         self._number += 1
-        self._records["request"].write(records.REQUEST.pack(self._session, self._number, verb), asked_ns)
-        self._ring()
+        self.tell("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number
-
-    def speed_limit(self, percent: int) -> None:
-        """Leave a speed limit for the request that follows."""
-        self._records["speed_limit"].write(records.SPEED_LIMIT.pack(self._session, percent))
-
-    def arm_goal(self, mode: int, values: dict[int, float]) -> None:
-        """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
-        self._records["arm_goal"].write(records.ARM_GOAL.pack(self._session, mode, values))
-        self._ring()
-
-    def arm_path(self, share: float, servos: list[int], rows: records.Rows) -> None:
-        """Leave a trajectory for the request that follows. Raises ValueError."""
-        self._records["arm_path"].write(records.ARM_PATH.pack(self._session, share, servos, rows))
 
     def answer(self, asked: int) -> Reply | None:
         """The answer to a request; None while there is none. What the request has changed is in the state from then
@@ -259,4 +304,23 @@ class Client:
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
         people are not told of a death."""
-        self._held.give_back(self._hello(records.NOBODY) if in_order else b"")
+        if in_order:
+            self._farewell.append(self._hello(records.NOBODY))
+        self._drop()
+
+
+def _give_back(
+    slot: int, held: segment.Segment, ring: int, life: HeldByThread | None, farewell: list[bytes], owner: int
+) -> None:
+    """Give a slot back: a command that lies in it stops counting at once. A process that was forked from its `owner`
+    touches nothing in it."""
+    if os.getpid() == owner:
+        # Another process may have the claim before the gate has seen it free.
+        with contextlib.suppress(OSError, ValueError):
+            held.wipe()
+            for goodbye in farewell:
+                held.latest_writer("hello").write(goodbye)
+            bell.send(ring, bytes([slot]))
+        if life:
+            life.let_go()
+    held.close()

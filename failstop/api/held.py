@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-# The C module under `signal`, which costs an import of enum.
-import _signal
 import _thread
 import contextlib
 import os
+import signal
 
 from failstop.shm import futex
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.shm.futex import Futex
+from failstop.shm.futex import Futex
 
 _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
     """A futex that a thread of its own holds, which does nothing else: whichever thread may let it go."""
-
-    __slots__ = ("_until",)
 
     def __init__(self, word: Futex) -> None:
         """Returns once it is held. Raises RuntimeError when there are no more threads."""
@@ -32,7 +26,7 @@ class HeldByThread:
         held.acquire()
 
     def _live(self, word: Futex, held: _thread.LockType) -> None:
-        _signal.pthread_sigmask(_signal.SIG_BLOCK, _signal.valid_signals())  # they are for the program's own threads
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the program's own threads
         # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, _FIRST, os.sched_param(1))

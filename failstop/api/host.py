@@ -17,11 +17,9 @@ DEVICE = str(BY_KEY["device.path"].default)
 
 def unit(name: str) -> str:
     """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
-    found = words.unit(name)
-    file = f"{found.partition('@')[0]}{'@' * ('@' in found)}.service"
-    folders = [root.at(folder) for folder in FOLDERS]
-    there = os.path.isdir(root.at(BOOTED)) and any(os.path.exists(os.path.join(folder, file)) for folder in folders)
-    return found if there else ""
+    file = "failstop.service" if name == instance.DEFAULT_NAME else "failstop@.service"
+    there = any(os.path.exists(root.at(f"{folder}/{file}")) for folder in FOLDERS)
+    return words.unit(name) if there and os.path.isdir(root.at(BOOTED)) else ""
 
 
 def start(name: str, device: str | None = None) -> str:

@@ -1,24 +1,18 @@
-"""Robot: drive and stop a robot from Python."""
+"""Robot and AsyncRobot: drive and stop a robot from Python. What takes time waits in the one, and is awaited in the
+other.
+"""
 
 from __future__ import annotations
 
-from types import TracebackType
+import contextlib
+from collections.abc import AsyncIterator, Callable, Iterator
 
 from failstop.api.calls import Calls
-from failstop.api.errors import FailstopError, Refused
-from failstop.api.events import LOOK_EVERY_S, Event, EventLog
-from failstop.api.session import ANSWER_S
+from failstop.api.events import LOOK_EVERY_S, Event, EventLog, News
+from failstop.api.session import ANSWER_S, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import State
-from failstop.api.waiting import limiting, sleep_through
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from failstop.api.aio import AsyncRobot
-    from failstop.api.waiting import Word
 
 
 class Robot(Calls):
@@ -41,8 +35,8 @@ class Robot(Calls):
         self._check_open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._close(in_order=not isinstance(error, Exception))
+    def __exit__(self, *raised: object) -> None:
+        self._close(in_order=not isinstance(raised[1], Exception))
 
     @classmethod
     def connect(
@@ -55,32 +49,30 @@ class Robot(Calls):
         disable_on_exit: bool = True,
     ) -> AsyncRobot:
         """The same for asyncio: `async with Robot.connect() as robot`. What takes time there is awaited."""
-        from failstop.api.aio import AsyncRobot
-
         return AsyncRobot(name, client=client, reconnect=reconnect, answer_s=answer_s, disable_on_exit=disable_on_exit)
 
-    def enable(self, told: Callable[[str], None] | None = None) -> str:
+    def enable(self, told: Told = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
         before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
         how far it is. It can be given up by arm.hold(), disable(), or a stop."""
-        return self._ask(records.ENABLE, told)
+        return sleep_through(self._asking(records.ENABLE, told))
 
     def disable(self) -> str:
         """Disable motion: the wheels stop at once."""
-        return self._ask(records.DISABLE)
+        return sleep_through(self._asking(records.DISABLE))
 
     def reset(self) -> str:
         """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
         Refused."""
-        return self._ask(records.RESET)
+        return sleep_through(self._asking(records.RESET))
 
     def limit_speed(self, share: float) -> str:
         """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.
         It counts at once, by the ramps. Raises Refused, ValueError."""
-        return self._ask(records.LIMIT, prepare=limiting(share))
+        return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """Wait until the state is so, and return it: a word (failstop.api.waiting), or what a function of the state
+        """Wait until the state is so, and return it: a word (docs/python.md), or what a function of the state
         says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
         says what is the case and what to do, and ValueError for a word that there is not."""
         return sleep_through(self._reaching(what, timeout_s))
@@ -89,10 +81,86 @@ class Robot(Calls):
         """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
         one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
         service has ended."""
-        log = EventLog(self.name)
-        if not past:
-            log.skip()
-        return (event for event in log.follow(LOOK_EVERY_S) if event)
+        return (event for event in EventLog(self.name, past=past).follow(LOOK_EVERY_S) if event)
 
 
-__all__ = ["FailstopError", "Refused", "Robot", "State"]
+class AsyncRobot(Calls):
+    """What `Robot.connect()` returns; an asynchronous context manager. It belongs to one event loop. What is
+    not here is as Robot has it."""
+
+    async def __aenter__(self) -> AsyncRobot:
+        self._check_open()
+        return self
+
+    async def __aexit__(self, *raised: object) -> None:
+        self._close(in_order=not isinstance(raised[1], Exception))
+
+    async def _answered(self, verb: int, told: Told = None) -> str:
+        return await _through(self._asking(verb, told, awaited=True))
+
+    async def enable(self, told: Told = None) -> str:
+        """As Robot.enable."""
+        return await self._answered(records.ENABLE, told)
+
+    async def disable(self) -> str:
+        """As Robot.disable."""
+        return await self._answered(records.DISABLE)
+
+    async def reset(self) -> str:
+        """As Robot.reset."""
+        return await self._answered(records.RESET)
+
+    async def limit_speed(self, share: float) -> str:
+        """As Robot.limit_speed."""
+        return await _through(self._limiting(share, awaited=True))
+
+    async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
+        """As Robot.wait_for."""
+        return await _through(self._reaching(what, timeout_s))
+
+    def events(self, *, past: bool = False) -> AsyncIterator[Event]:
+        """As Robot.events: `async for event in robot.events()`. What is told from this call on, whenever it is read: a
+        task that calls it itself may start late."""
+        return _follow(EventLog(self.name, past=past))
+
+
+async def _through(steps: Steps[T]) -> T:
+    """Take the steps, as session.sleep_through() does; the event loop goes on in between."""
+    try:
+        while True:
+            news, for_s = next(steps)
+            await _sleep(news, for_s)
+    except StopIteration as done:
+        found: T = done.value
+        return found
+    finally:
+        steps.close()
+
+
+async def _follow(log: EventLog) -> AsyncIterator[Event]:
+    with contextlib.closing(News(log.name)) as news:
+        while True:
+            news.look()
+            found = log.read()
+            for event in found:
+                yield event
+            if not found:
+                await _sleep(news, LOOK_EVERY_S)
+
+
+async def _sleep(news: News | None, for_s: float) -> None:
+    """Until there may be news, if it is for that; the event loop goes on."""
+    import asyncio  # takes as long as all else here
+
+    if news is None or news.fd < 0:
+        await asyncio.sleep(for_s)
+        return
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    loop.add_reader(news.fd, told.set)
+    try:
+        await asyncio.wait_for(told.wait(), for_s)
+    except asyncio.TimeoutError:
+        pass
+    finally:
+        loop.remove_reader(news.fd)

@@ -13,13 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from failstop.api.client import attach
-from failstop.api.errors import NoService
-from failstop.api.run import Run
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
-from failstop.shm import box, layout, records
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm import box, records
+from failstop.shm.segment import Segment
 
 
 class ImuSample(NamedTuple):
@@ -90,24 +87,15 @@ Sample = ImuSample | BatterySample | PadSample | OdometrySample
 
 
 class SampleReader:
-    """The samples from now on; needs no permission and no client slot. Not thread-safe."""
+    """The samples of a run from now on; needs no permission and no client slot. Not thread-safe."""
 
-    def __init__(self, name: str = DEFAULT_NAME, run: Run | None = None) -> None:
-        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
-        self.run = run or Run(name)
-        segment = attach(name, layout.TELEMETRY, self.run.found)
-        self._board = segment.ring_reader("box")
-        self._odometry = segment.latest_reader("odometry")
+    def __init__(self, telemetry: Segment) -> None:
+        self._board = telemetry.ring_reader("box")
+        self._odometry = telemetry.latest_reader("odometry")
         self._odometry_seq = 0
 
-    @property
-    def lost(self) -> int:
-        """How many samples were overwritten before they were read: those of a minute are kept."""
-        return self._board.lost
-
     def read(self) -> list[Sample]:
-        """The samples since the last call, in order, and the newest odometry, if it is new. Raises NoService when this
-        run of the service is over."""
+        """The samples since the last call, in order, and the newest odometry, if it is new."""
         found: list[Sample] = []
         while entry := self._board.next():
             kind, values = box.unpack_board(entry[2])
@@ -117,8 +105,6 @@ class SampleReader:
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
             found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
-        if not found and self.run.over():
-            raise NoService(f"the service {self.run.name!r} has ended, or was restarted: read its samples again")
         return found
 
 

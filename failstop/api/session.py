@@ -1,4 +1,7 @@
-"""Session: a program's connection to the service of one name: which run of it, the client slot, the requests."""
+"""Session: a program's connection to the service of one name: which run of it, the client slot, the requests.
+
+What takes time is written as steps, between which whoever waits sleeps: a thread here, a task in AsyncRobot.
+"""
 
 from __future__ import annotations
 
@@ -8,43 +11,47 @@ import sys
 import threading
 import time
 import weakref
-from contextlib import closing
+from collections.abc import Callable, Generator
+from math import inf
+from typing import Any, Literal, TypeVar, get_args
 
-from failstop.api import waiting
-from failstop.api.client import Client, gone, runtime_dir
+from failstop.api import verdict
+from failstop.api.client import Client, Run, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut
-from failstop.api.news import News
-from failstop.api.run import Run
+from failstop.api.events import News
+from failstop.api.snapshot import State
 from failstop.api.state import StateReader
-from failstop.api.waiting import LOOK_S, POLL, Steps, sleep_through
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.api.snapshot import State
-    from failstop.api.waiting import Word
-
-    Told = Callable[[str], None] | None
-    Prepare = Callable[[Client], None] | None
+T = TypeVar("T")
+Steps = Generator[tuple[News | None, float], None, T]
+"""Each step: what wakes early, if anything does, and for how long to sleep, s."""
+Told = Callable[[str], None] | None
+Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
+"""What `Robot.wait_for` takes: ready (motion could be enabled or reset), enabled, disabled, latched (a stop is), clear
+(none is), moving and standing (what the gate commands), still (the IMU has seen the wheels still since the last
+stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
 CLOSING_S = 0.3
 """How long the end of a session waits for motion to be disabled."""
+LOOK_S = 0.02
+"""Time between two looks without news: what is told to people wakes who waits, and a velocity is no such thing."""
+POLL_S = 0.0003
 
-
-class Turn:
-    """A place in the queue of a session's requests."""
-
-    def __init__(self, task: object, asked_ns: int = 0) -> None:
-        """`task`: of an event loop, that awaits its turn; None: the thread itself waits, and its tasks with it."""
-        self.thread = threading.get_ident()
-        self.task = task
-        self.asked_ns = asked_ns or time.monotonic_ns()
-        """A stop that comes while it waits for its turn is one that its caller did not know of."""
+_CHECKS: dict[str, Callable[[State], bool]] = {
+    "ready": lambda state: state.waiting_for is None and not verdict.down(state),
+    "enabled": lambda state: state.enabled,
+    "disabled": lambda state: not state.enabled,
+    "latched": lambda state: state.cause is not None,
+    "clear": lambda state: state.cause is None,
+    "moving": lambda state: state.moving,
+    "standing": lambda state: not state.moving,
+    "still": lambda state: bool(state.last_stop and state.last_stop.observed_s is not None),
+}
+assert _CHECKS.keys() == set(get_args(Word))
 
 
 class Session:
@@ -70,21 +77,19 @@ class Session:
         self.client_name = client or os.path.basename(sys.argv[0]) or "python"
         self._reconnect = reconnect
         self._answer_s = answer_s
+        self._disable_on_exit = disable_on_exit
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
         self._closed = False
-        self._closing = False
-        self._disable_on_exit = disable_on_exit
         self._enabled = False
-        """By this Robot."""
-        self._pending: Turn | None = None
-        """Whose request the gate has not answered yet."""
-        self._run: Run | None = None
-        self._state_reader: StateReader | None = None
+        """By this Robot, as far as it knows."""
+        self._pending: tuple[int, object] | None = None
+        """Whose request the gate has not answered yet: the thread, and something of its own if a task awaits it."""
+        self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
         runtime_dir(name)
         with contextlib.suppress(FailstopError):
-            self._run = Run(name)
+            self._run = StateReader(name)
 
     def close(self) -> None:
         """Give the client slot back, for good. If this program was driving, the wheels stop at once, and no command of
@@ -92,10 +97,6 @@ class Session:
         self._close(in_order=True)
 
     def _close(self, *, in_order: bool) -> None:
-        with self._lock:
-            if self._closed:
-                return
-            self._closed = self._closing = True
         try:
             if self._enabled and self._disable_on_exit and self._connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
@@ -103,7 +104,7 @@ class Session:
                     sleep_through(self._asking(records.DISABLE, answer_s=min(self._answer_s, CLOSING_S)))
         finally:
             with self._lock:
-                self._closing = False
+                self._closed = True
                 self._leave(in_order=in_order)
                 self._run = None
 
@@ -130,34 +131,31 @@ class Session:
             connected.close(in_order=in_order)
 
     def _check_open(self) -> None:
-        """What the end of this Robot still asks is asked (`_closing`)."""
-        if self._closed and not self._closing:
+        if self._closed:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
-    def _current(self) -> Run:
+    def _current(self) -> StateReader:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        run = self._run
-        if run is None or run.over():
-            run = self._run = self._renewed()
-        return run
-
-    def _renewed(self) -> Run:
+        before = self._run
+        if before and not before.over():
+            return before
         self._leave()
-        found = Run(self.name)
-        if self._run and not self._reconnect:
-            became = "has ended" if found.incarnation == self._run.incarnation else "was restarted"
+        found = StateReader(self.name)
+        if before and not self._reconnect:
+            became = "has ended" if found.incarnation == before.incarnation else "was restarted"
             raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
+        self._run = found
         return found
 
     def _slot(self, run: Run) -> Client:
-        if self._connected is None:
+        connected = self._connected
+        if connected is None:
             if run.over():
                 raise gone(self.name)
-            self._connected = Client(self.name, self.client_name)
-        connected = self._connected
-        if self._closed and not self._closing:  # by a signal's handler, while this went on
+            connected = self._connected = Client(self.name, self.client_name)
+        if self._closed:  # by a signal's handler, while this went on
             self._leave()
             self._check_open()
         return connected
@@ -173,57 +171,46 @@ class Session:
         self._leave(in_order=False)
 
     @property
-    def _reader(self) -> StateReader:
-        run = self._current()
-        if self._state_reader is None or self._state_reader.run is not run:
-            self._state_reader = StateReader(self.name, run)
-        return self._state_reader
-
-    @property
     def state(self) -> State:
         """One snapshot of the service. When its supervisor has just died it says so, as a latched stop; raises
         NoService once the last of its processes has ended, FailstopError while it starts."""
         with self._lock:
-            return self._reader.read()
+            return self._current().read()
 
     @property
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its whole key (`failstop config` lists them). Raises
         FailstopError."""
         with self._lock:
-            return self._reader.settings()
-
-    def _attended(self, who: str, t_ns: int) -> None:
-        with self._lock:
-            self._client().attended(who, t_ns)
-
-    # Requests.
-
-    def _ask(self, verb: int, told: Told = None, prepare: Prepare = None, asked_ns: int = 0) -> str:
-        """Make a request, and wait for its answer."""
-        return sleep_through(self._asking(verb, told, prepare, asked_ns=asked_ns))
+            return self._current().settings()
 
     def _asking(
         self,
         verb: int,
         told: Told = None,
-        prepare: Prepare = None,
-        answer_s: float | None = None,
-        task: object = None,
+        about: tuple[Any, ...] = (),
+        *,
         asked_ns: int = 0,
+        answer_s: float | None = None,
+        awaited: bool = False,
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
         those of several threads or tasks go one after the other; one that is under way, such as an arm's move, lets
         others pass, which is how it is given up. `told` is called with each word of how far it is, where that takes
-        time; `prepare`: what the gate finds with the request; `asked_ns`: when it was asked for, if not now. Raises
-        Refused, NoAnswer, NoService, FailstopError."""
-        turn, said = Turn(task, asked_ns), ""
+        time; `about`: the record that the gate finds with the request, and its values; `asked_ns`: when it was asked
+        for, if not now: a stop that comes while it waits for its turn is one that its caller did not know of;
+        `awaited`: by a task of an event loop; else the thread itself waits, and its tasks with it. Raises Refused,
+        NoAnswer, NoService, FailstopError."""
+        turn, said = (threading.get_ident(), object() if awaited else None), ""
+        asked_ns = asked_ns or time.monotonic_ns()
         limit_s = self._answer_s if answer_s is None else answer_s
         try:
-            while not (sent := self._send(verb, turn, prepare)):
-                yield POLL
+            while not (sent := self._send(verb, turn, about, asked_ns)):
+                yield None, POLL_S
             client, run, number = sent
-            until_s = time.monotonic() + limit_s
+            before, until_s = self._enabled, time.monotonic() + limit_s
+            if verb == records.ENABLE:
+                self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + limit_s
@@ -237,57 +224,82 @@ class Session:
                 if time.monotonic() > until_s:
                     text = f"the gate of {self.name!r} did not answer within {limit_s:g} s: see `failstop status`"
                     raise NoAnswer(text)
-                yield POLL
+                yield None, POLL_S
             if not answer.done:
+                self._enabled = before if verb == records.ENABLE else self._enabled
                 raise Refused(answer.text, answer.cause)
-            if verb in (records.ENABLE, records.DISABLE):
-                self._enabled = verb == records.ENABLE
+            if verb == records.DISABLE:
+                self._enabled = False
             return str(answer)
         finally:
             self._pass(turn)
 
-    def _send(self, verb: int, turn: Turn, prepare: Prepare) -> tuple[Client, Run, int] | None:
+    def _send(
+        self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
+    ) -> tuple[Client, Run, int] | None:
         """By whom, in which run, under which number; None while another thread's or task's is on its way. A signal's
         handler goes before what it has interrupted, and so does a thread before its tasks."""
         with self._lock:
-            before = self._pending
-            if before and (before.thread != turn.thread or turn.task not in (None, before.task)):
-                self._check_open()
-                return None
+            if self._pending:
+                thread, task = self._pending
+                if thread != turn[0] or turn[1] not in (None, task):
+                    self._check_open()
+                    return None
             run = self._current()
             client = self._slot(run)
             self._pending = turn
-            if prepare:
-                prepare(client)
-            return client, run, client.ask(verb, turn.asked_ns)
+            if about:
+                client.tell(*about)
+            return client, run, client.ask(verb, asked_ns)
 
-    def _pass(self, turn: Turn) -> None:
+    def _pass(self, turn: tuple[int, object]) -> None:
         """Let the next one pass."""
         with self._lock:
-            if self._pending is turn:
+            if self._pending == turn:
                 self._pending = None
 
     def _reaching(self, what: Word | Callable[[State], bool], timeout_s: float | None) -> Steps[State]:
         """Until the state is so; it is what comes of it. Raises TimedOut, NoService, and ValueError for a word that
         there is not."""
-        is_so = waiting.check(what)
+        is_so = what if callable(what) else _CHECKS.get(what)
+        if is_so is None:
+            raise ValueError(f"wait_for({what!r}): no such word; there are {', '.join(_CHECKS)}")
         name = getattr(what, "__name__", "that") if callable(what) else what
-        until_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
-        with closing(News(self.name)) as news:
+        limit_s = inf if timeout_s is None else timeout_s
+        until_s = time.monotonic() + limit_s
+        with contextlib.closing(News(self.name)) as news:
             while True:
                 news.look()
-                late, state = time.monotonic() >= until_s, None
+                late = time.monotonic() >= until_s
                 try:
                     state = self.state
                 except FailstopError as error:
-                    wrong = isinstance(error, NoService) and not self.reconnects
-                    if late or wrong or self.closed:
+                    if late or self._closed or (isinstance(error, NoService) and not self._reconnect):
                         raise
-                if state and is_so(state):
-                    return state
-                if late and timeout_s is not None:
-                    raise TimedOut(waiting.late(name, timeout_s, state))
+                else:
+                    if is_so(state):
+                        return state
+                    if late:
+                        step = verdict.next_step(state)
+                        told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
+                        raise TimedOut(told + (f"; next: {step}" if step else ""))
                 yield news, min(LOOK_S, max(0.0, until_s - time.monotonic()))
+
+
+def sleep_through(steps: Steps[T]) -> T:
+    """Take the steps, asleep in between; returns what they come to, and raises what they raise."""
+    try:
+        while True:
+            news, for_s = next(steps)
+            if news:
+                news.wait(for_s)
+            else:
+                time.sleep(for_s)
+    except StopIteration as done:
+        found: T = done.value
+        return found
+    finally:
+        steps.close()
 
 
 _made: weakref.WeakSet[Session] = weakref.WeakSet()

@@ -7,6 +7,8 @@ import enum
 from typing import Any, Literal, NamedTuple
 
 from failstop.policy.causes import Cause
+from failstop.procs.telemetry.imu import RATE_VARIANCE
+from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks
 
 PortState = Literal["closed", "open", "lost"]
@@ -30,12 +32,8 @@ class Block(enum.Enum):
     @classmethod
     def of(cls, text: str | None) -> Block | None:
         """The block of the gate's words (`State.blocked`)."""
-        if text is None:
-            return None
-        return _BLOCKS.get(text, cls.LATCHED)
-
-
-_BLOCKS = {blocks.DISABLED: Block.DISABLED, blocks.NO_COMMAND: Block.NO_COMMAND, blocks.NO_SCAN: Block.NO_SCAN}
+        told = {blocks.DISABLED: cls.DISABLED, blocks.NO_COMMAND: cls.NO_COMMAND, blocks.NO_SCAN: cls.NO_SCAN}
+        return None if text is None else told.get(text, cls.LATCHED)
 
 
 class Velocity(NamedTuple):
@@ -179,7 +177,7 @@ class Imu:
     """m/s2."""
     rate_radps: tuple[float, float, float]
     """rad/s, less the bias."""
-    rate_variance: float
+    rate_variance: float = RATE_VARIANCE
     """Of each axis of the rate, (rad/s)2."""
 
 
@@ -215,7 +213,7 @@ class Odometry:
     """Standard deviation of vx and vy, m/s, by the settings."""
     twist_std_radps: float
     """Standard deviation of wz, rad/s, by the settings."""
-    pose_variance: float
+    pose_variance: float = POSE_VARIANCE
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
 
 

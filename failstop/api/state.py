@@ -4,44 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cached_property
 from math import pi
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import msgpack
 
-from failstop.api.client import attach
-from failstop.api.errors import FailstopError
-from failstop.api.run import Run
-from failstop.api.snapshot import (
-    ArmState,
-    Client,
-    Device,
-    GyroBias,
-    Imu,
-    JointState,
-    Link,
-    Odometry,
-    PadMode,
-    Plugged,
-    PortState,
-    Process,
-    Source,
-    Starved,
-    State,
-    Stop,
-    Velocity,
-    Wheels,
-)
+from failstop.api import snapshot
+from failstop.api.client import Run, attach, starting
+from failstop.api.errors import NoService
+from failstop.api.samples import Sample, SampleReader
+from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.procs.telemetry.imu import RATE_VARIANCE
-from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks, heartbeat, layout, records
 
+T = TypeVar("T")
+
 HANGING_S = 0.5
+UNITS = {"ms": 1e3, "us": 1e6}
+"""Of times in records, by the end of their names: how many are a second."""
 WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
@@ -64,44 +49,63 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 """What a snapshot is made of: whose each record is, and what reads it."""
 
 
-class StateReader:
-    """Reads snapshots of one run of a service; reads only, and needs no client slot."""
+class StateReader(Run):
+    """A run of a service of which snapshots are read; reads only, and needs no client slot."""
 
-    def __init__(self, name: str, run: Run | None = None) -> None:
-        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
-        self.run = run or Run(name)
-        self.name = name
-        self.incarnation = self.run.incarnation
+    def __init__(self, name: str) -> None:
+        """Raises NoService, FailstopError."""
+        super().__init__(name)
         others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
-        views = {which: attach(name, which, self.run.found) for which in others}
-        views[layout.SUPERVISOR] = self.run.supervisor
+        views = {layout.SUPERVISOR: self.supervisor, **{which: attach(name, which, self.found) for which in others}}
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
-        self._epoch = views[layout.SUPERVISOR].word("epoch")
-        self._records = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
+        self._epoch = self.supervisor.word("epoch")
+        self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
-        self._joints: dict[str, Joint] = {}
-        self._mounted: tuple[tuple[int, float], ...] = ()
-        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
 
     def _value(self, record: str) -> Any:
         """The newest value of one of RECORDS; None before the first."""
-        entry = self._records[record].read()
+        entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _begun(self, record: str) -> Any:
         """The same of one that each service that runs has. Raises FailstopError before that."""
         if (found := self._value(record)) is None:
-            raise self._starting()
+            raise starting(self.name)
         return found
 
-    def _starting(self) -> FailstopError:
-        return FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
+        found: dict[str, float | str] = self._begun("settings")
+        return found
+
+    @cached_property
+    def _samples(self) -> SampleReader:
+        return SampleReader(attach(self.name, layout.TELEMETRY, self.found))
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call. Raises NoService when this run of the service is over."""
+        over = self.over()  # first: what it told last is still to be read then
+        found = self._samples.read()
+        if over and not found:
+            raise NoService(f"the service {self.name!r} has ended, or was restarted: read its samples again")
+        return found
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """The arm's joints by name. Raises FailstopError while the service starts."""
+        return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
+
+    @cached_property
+    def _mounted(self) -> list[tuple[int, float]]:
+        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
+        given = Settings(dict(self.settings()))
+        return [(int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS]
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
-        decided, cause, epoch, told_ns, dead = self._decided()
+        decided, cause, epoch, told_ns, dead = self.decided()
         known: dict[str, Any] = self._begun("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
@@ -113,53 +117,38 @@ class StateReader:
             estop=str(cause) if cause else None,
             cause=cause,
             blocked=decided["blocked"],
-            body_vel=Velocity(*decided["body_vel"]),
-            wheels_radps=self._wheels(decided["wheels_rps"]),
+            body_vel=snapshot.Velocity(*decided["body_vel"]),
+            wheels_radps=snapshot.Wheels(*(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted)),
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
-            starved=starved and Starved(starved["times"], starved["longest_ms"] / 1000, starved["process"]),
+            starved=starved and _made(snapshot.Starved, starved),
             clients=self._clients(decided["clients"], now_ns),
-            sources=tuple(Source(**row) for row in decided["sources"]),
+            sources=tuple(snapshot.Source(**row) for row in decided["sources"]),
             scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
-            imu=imu and Imu(imu[:3], imu[3:], RATE_VARIANCE),
-            gyro_bias=bias and GyroBias(bias[:3], *bias[3:]),
-            odometry=odometry and Odometry(*(*odometry, POSE_VARIANCE)),
-            pad_mode=pad and cast("PadMode", records.PAD_MODES[pad[6]]),
+            imu=imu and snapshot.Imu(imu[:3], imu[3:]),
+            gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
+            odometry=odometry and snapshot.Odometry(*odometry),
+            pad_mode=pad and cast("snapshot.PadMode", records.PAD_MODES[pad[6]]),
             battery_v=millivolts / 1000 or None,
-            plugged=cast("Plugged", records.PLUGGED[plugged]),
+            plugged=cast("snapshot.Plugged", records.PLUGGED[plugged]),
             speed_limit=decided["limit"] / 100,
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
         )
 
-    def decided(self) -> tuple[dict[str, Any], Cause | None]:
-        """What the gate has decided last, and what is latched: the part of read() that a driving program needs each
-        time. Raises FailstopError."""
-        return self._decided()[:2]
-
-    def _wheels(self, speeds_rps: list[float]) -> Wheels:
-        if not self._mounted:
-            given = Settings(dict(self.settings()))
-            self._mounted = tuple(
-                (int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS
-            )
-        return Wheels(*(speeds_rps[at] * scale + 0.0 for at, scale in self._mounted))
-
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:
             return None
-        if not self._joints:
-            self._joints = {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
-            joint = self._joints[name]
             at = measured if commanded is None else commanded
             angle_rad, commanded_rad, at_rad = (
-                None if pulses is None else round(joint.rad(pulses), 4) for pulses in (measured, commanded, at)
+                None if pulses is None else round(self.joints[name].rad(pulses), 4)
+                for pulses in (measured, commanded, at)
             )
             joints[name] = JointState(
                 servo=servo,
@@ -170,34 +159,31 @@ class StateReader:
                 commanded_pulses=commanded,
                 torque=torque,
                 temperature_c=temperature_c or None,
-                supply_v=supply_mv / 1000 if supply_mv else None,
+                supply_v=supply_mv / 1000 or None,
                 at_rad=at_rad,
                 at_by="" if at is None else "read" if at == measured else "sent",
             )
         return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
 
-    def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
-        found: dict[str, float | str] = self._begun("settings")
-        return found
-
-    def _decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
+    def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
-        supervisor is dead. A stop that the gate has not followed yet, because it hangs or has just died, is in force
-        all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and
-        the gate's successor starts latched. The same holds for a gate that says on what it said before the supervisor
-        died or fell silent."""
-        dead = self.run.dead()
+        supervisor is dead: the part of read() that a driving program needs each time. Raises FailstopError.
+
+        A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
+        owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and the gate's successor
+        starts latched. The same holds for a gate that says on what it said before the supervisor died or fell
+        silent."""
+        dead = self.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
-        if (entry := self._records["state"].read()) is None:
-            raise self._starting()
+        if (entry := self._latest["state"].read()) is None:
+            raise starting(self.name)
         _, told_ns, payload = entry
         decided: dict[str, Any] = RECORDS["state"][1](payload)
         own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
         cause = cause or self._own_stop(epoch) or (causes.DIED(layout.SUPERVISOR) if dead else None)
-        if not cause and decided["enabled"] and self.run.silent(time.monotonic_ns()):
+        if not cause and decided["enabled"] and self.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:
             decided |= {
@@ -219,67 +205,59 @@ class StateReader:
                 self._stopped = stopped_in, causes.read(cause)
         return self._stopped[1] if self._stopped[0] >= epoch else None
 
-    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[Client, ...]:
+    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[snapshot.Client, ...]:
         said = {
             slot: {"sees": sees, "wrong": wrong, "said_s": _age_s(now_ns, t_ns)}
             for slot, t_ns, sees, wrong in self._value("said") or ()
         }
-        return tuple(Client(**client, **said.get(client["slot"], {})) for client in clients)
+        return tuple(snapshot.Client(**client, **said.get(client["slot"], {})) for client in clients)
 
-    def _device(self) -> Device:
-        *_, state, path = self._value("port") or (0, 0, None, None)
-        found = "closed" if state is None else records.PORT_STATES[state]
-        return Device(path, cast("PortState", found), cast("Link", self._value("link") or "unproven"))
+    def _device(self) -> snapshot.Device:
+        *_, state, path = self._value("port") or (records.PORT_CLOSED, None)
+        found = cast("snapshot.PortState", records.PORT_STATES[state])
+        return snapshot.Device(path, found, self._value("link") or "unproven")
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
-        rows = {layout.SUPERVISOR: {"pid": self._beats[layout.SUPERVISOR].pid.get(), "restarts": 0}, **table}
-        if dead:
-            left = (name for name in table if BY_NAME[name].outlives_supervisor)
-            states = dict.fromkeys(rows, "dead") | dict.fromkeys(left, "stopping")
-            rows = {name: {**row, "state": states[name]} for name, row in rows.items()}
-        return {name: self._process(name, row, now_ns) for name, row in rows.items()}
-
-    def _process(self, name: str, row: dict[str, Any], now_ns: int) -> Process:
-        beat = self._beats[name]
-        age_s = beat.age_ns(now_ns) / 1e9
-        state = row.get("state") or heartbeat.STATES[beat.state.get()]
-        if state == "running" and age_s > HANGING_S:
-            state = "hanging"
-        granted = beat.rights.get()
-        return Process(
-            pid=row["pid"],
-            state=state,
-            age_s=round(age_s, 4),
-            restarts=row["restarts"],
-            last_exit=row.get("last_exit"),
-            worst_s=round(beat.worst_ns.get() / 1e9, 4),
-            realtime=bool(granted & heartbeat.REALTIME),
-            memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
-            early_news=bool(granted & heartbeat.EARLY_NEWS),
-        )
+        pid = self._beats[layout.SUPERVISOR].pid.get()
+        found = {}
+        for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
+            beat = self._beats[name]
+            age_s = beat.age_ns(now_ns) / 1e9
+            state = row.get("state") or heartbeat.STATES[beat.state.get()]
+            if dead:
+                state = "stopping" if name in table and BY_NAME[name].outlives_supervisor else "dead"
+            elif state == "running" and age_s > HANGING_S:
+                state = "hanging"
+            granted = beat.rights.get()
+            found[name] = _made(
+                Process,
+                row,
+                state=state,
+                age_s=round(age_s, 4),
+                worst_s=round(beat.worst_ns.get() / 1e9, 4),
+                realtime=bool(granted & heartbeat.REALTIME),
+                memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+                early_news=bool(granted & heartbeat.EARLY_NEWS),
+            )
+        return found
 
     def _last_stop(self) -> Stop | None:
-        found: dict[str, Any] | None = self._value("stop")
-        if found is None:
+        if (found := self._value("stop")) is None:
             return None
         cause = causes.read(found["cause"])
-        return Stop(
-            cause=cause,
-            reason=str(cause),
-            t=found["t"],
-            noticed_by=found["noticed_by"],
-            written_by=found["written_by"],
-            written_s=_seconds(found["written_us"], 1e6),
-            acknowledged_s=_seconds(found["acknowledged_us"], 1e6),
-            observed_s=_seconds(found["observed_ms"], 1e3),
-            epoch=found["epoch"],
-            sent=found["sent"],
-        )
+        return _made(Stop, found, cause=cause, reason=str(cause))
 
 
-def _seconds(value: float | None, each: float) -> float | None:
-    return None if value is None else value / each
+def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
+    """A value with the fields of a record, and with what is known besides; times come in s."""
+    for name, value in record.items():
+        stem, _, unit = name.rpartition("_")
+        if unit in UNITS:
+            known[f"{stem}_s"] = None if value is None else value / UNITS[unit]
+        elif name in kind.__dataclass_fields__:  # type: ignore[attr-defined]
+            known.setdefault(name, value)
+    return kind(**known)
 
 
 def _age_s(now_ns: int, t_ns: int) -> float:

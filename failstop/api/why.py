@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
-from failstop.api import history, verdict, words
+from failstop.api import verdict, words
+from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
 from failstop.supervisor.stops import NOT_SENT
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from failstop.api.events import Event
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -71,17 +67,23 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     since, began = _since(state, events, now_s)
     when = "" if since is None else f" since {words.ago(since, now_s)}"
     what = f"{HOLDS[state.block]}{when}" if state.block else _free(state)
+    steps, also = verdict.steps(state), _troubles(state, events)
     if doubt := verdict.doubt(state):
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
-    also = [words.named(text, state.name) for text in _troubles(state, events)]
+    elif state.cause:
+        steps.insert(0, meaning(state.cause)[1])
+    before = verdict.earlier(events)
+    if before and not state.last_stop and state.block is Block.DISABLED:
+        when, story = words.ago(before.t, now_s), before.show(state.name)
+        also.append(f"the run before this one: {before.how} ({when}); its story: {story}")
     return Why(
-        ": ".join(filter(None, (what, began))),
-        _proof(state, now_s),
-        tuple(words.named(step, state.name) for step in (*_first(state), *verdict.steps(state))),
-        (*also, *_before(state, events, now_s)),
-        state.block,
-        state.cause,
-        since,
+        what=": ".join(filter(None, (what, began))),
+        proof=_proof(state, now_s),
+        do=tuple(words.named(step, state.name) for step in steps),
+        also=tuple(words.named(text, state.name) for text in also),
+        block=state.block,
+        cause=state.cause,
+        since=since,
     )
 
 
@@ -100,11 +102,6 @@ def _buttons(pressed: int) -> str:
     return " and ".join(names)
 
 
-def _first(state: State) -> list[str]:
-    """What to see to before a reset."""
-    return [meaning(state.cause)[1]] if state.cause and not verdict.doubt(state) else []
-
-
 def _free(state: State) -> str:
     how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
     if driver := state.driver:
@@ -119,30 +116,18 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
         return (stop.t if stop and stop.cause == state.cause else None), meaning(state.cause)[0]
     if state.block is Block.NO_SCAN:
         age_s = state.scan_age_s
-        told = "has not delivered once in this run" if age_s is None else f"delivered last {words.span(age_s)} ago"
-        return None, f"it {told}"
+        never = "it has not delivered once in this run"
+        return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
         change = next((event for event in reversed(events) if event.kind in CHANGES), None)
         return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
-    if state.block is Block.NO_COMMAND and (event := history.left_off(events)):
-        return None, _left_off(event, state, now_s)
+    if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
+        # It may have driven on since: that is not told of each time.
+        text = f"{verdict.leaving(event)} ({words.ago(event.t, now_s)})"
+        if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
+            text += "; it is still connected, so it hangs, waits, or commands too seldom"
+        return None, text
     return None, ""
-
-
-def _left_off(event: Event, state: State, now_s: float) -> str:
-    """Who drove and did not stop in order. It may have driven on since: that is not told of each time."""
-    text = f"{history.leaving(event)} ({words.ago(event.t, now_s)})"
-    if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
-        text += "; it is still connected, so it hangs, waits, or commands too seldom"
-    return text
-
-
-def _before(state: State, events: Sequence[Event], now_s: float) -> list[str]:
-    """That the run before this one was not ended in order."""
-    found = history.earlier(events)
-    if found is None or state.last_stop or state.block is not Block.DISABLED:
-        return []
-    return [f"the run before this one: {found.how} ({words.ago(found.t, now_s)}); its story: {found.show(state.name)}"]
 
 
 def _proof(state: State, now_s: float) -> str:
@@ -151,12 +136,9 @@ def _proof(state: State, now_s: float) -> str:
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
         return f"{which}{_proofs(stop, state, now_s)}"
-    hears = {"alive": "the board answers", "deaf": "the board does NOT answer"}.get(
-        state.device.link, "the board has not answered yet"
-    )
-    if state.block in (None, Block.LATCHED):
-        return hears
-    return f"the board is told zero; {hears}"
+    hears = {"alive": "the board answers", "deaf": "the board does NOT answer"}
+    told = hears.get(state.device.link, "the board has not answered yet")
+    return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 
 def _proofs(stop: Stop, state: State, now_s: float) -> str:
@@ -167,29 +149,26 @@ def _proofs(stop: Stop, state: State, now_s: float) -> str:
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     how = "written" if stop.sent else "handed to the kernel"
     found = [f"{how} by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
-    if not stop.sent:
-        found.append(NOT_SENT)
+    found += [] if stop.sent else [NOT_SENT]
     if stop.acknowledged_s is None:
         found.append(f"NOT acknowledged by the board{yet}")
     else:
         found.append(f"acknowledged by the board after {words.took(stop.acknowledged_s)}")
-    if stop.observed_s is None:
-        found.append(f"NOT seen still by the IMU{yet}")
-    else:
-        found.append(words.wheels_seen(stop))
+    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else words.wheels_seen(stop))
     return ", ".join(found)
 
 
 def _troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """What else is wrong and keeps the wheels from moving, or may."""
+    """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
+    where the wheels wait for its kind."""
     found = []
-    hung = history.exits(events)
+    hung = verdict.exits(events)
     for name, process in state.processes.items():
         if process.state == "down":
-            how = history.last_exit(state, name, hung)
+            how = verdict.last_exit(state, name, hung)
             found.append(f"{name} died too often (it {how}) and is {verdict.until(name)}")
         elif process.state != "running":
-            after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
+            after = f", after it {verdict.last_exit(state, name, hung)}" if process.last_exit else ""
             found.append(f"{name} is {process.state}{after}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
@@ -201,12 +180,6 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:
         found += [f"the arm: {text}" for text in state.arm.wrong]
-    return found + _said(state)
-
-
-def _said(state: State) -> list[str]:
-    """What is wrong by a client's own account; and what it sees, where the wheels wait for its kind."""
-    found = []
     for who, sees, wrong in words.said(state):
         if wrong:
             found.append(f"{who} says: {wrong}")

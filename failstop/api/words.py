@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
 
+from failstop.api.snapshot import Starved, State, Stop
 from failstop.shm.instance import DEFAULT_NAME, option
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.api.snapshot import Starved, State, Stop
+from failstop.supervisor import stops
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
@@ -44,14 +43,16 @@ def ago(unix_s: float, now_s: float) -> str:
 
 def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     """A body velocity, the axes that are zero left out."""
-    parts = []
-    if abs(vx_mps) >= NOWHERE_MPS:
-        parts.append(f"{abs(vx_mps):.2f} m/s {'forward' if vx_mps > 0 else 'backward'}")
-    if abs(vy_mps) >= NOWHERE_MPS:
-        parts.append(f"{abs(vy_mps):.2f} m/s {'left' if vy_mps > 0 else 'right'}")
-    if abs(wz_radps) >= NOWHERE_MPS:
-        parts.append(f"{abs(wz_radps):.2f} rad/s turning {'left' if wz_radps > 0 else 'right'}")
-    return ", ".join(parts)
+    axes = (
+        (vx_mps, "m/s", "forward", "backward"),
+        (vy_mps, "m/s", "left", "right"),
+        (wz_radps, "rad/s", "turning left", "turning right"),
+    )
+    return ", ".join(
+        f"{abs(value):.2f} {unit} {one if value > 0 else other}"
+        for value, unit, one, other in axes
+        if abs(value) >= NOWHERE_MPS
+    )
 
 
 def limited(share: float) -> str:
@@ -71,8 +72,6 @@ def took(seconds: float) -> str:
 
 def wheels_seen(stop: Stop) -> str:
     """The third proof, to the resolution there is: the IMU's verdict."""
-    from failstop.supervisor import stops
-
     assert stop.observed_s is not None
     return stops.wheels_seen(stop.observed_s)
 
@@ -93,16 +92,7 @@ def unit(name: str) -> str:
 def named(text: str, name: str) -> str:
     """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
     several."""
-    parts = text.split("`")
-    for number in range(1, len(parts) - 1, 2):
-        if parts[number].startswith("failstop ") and " --name " not in parts[number]:
-            parts[number] += option(name)
-    return "`".join(parts)
-
-
-def joined(parts: list[str], last: str = "and") -> str:
-    """a, b and c."""
-    return f" {last} ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
+    return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
 
 def said(state: State) -> list[tuple[str, str, str]]:

@@ -139,7 +139,7 @@ class Incident:
         self.beats = [(ns, times) for ns, times in supervisor if times]
         """(when, (silent_us, before_us) of each process: its longest silence since the sample before, and how long
         before this sample that was seen), as layout.PROCESSES."""
-        wire = self._entries(layout.PORT_OWNER, "box", box.unpack_wire)
+        wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
         writes = [_write(ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
@@ -152,7 +152,7 @@ class Incident:
         self.battery = [(ns, values[0], values[1]) for ns, (kind, values) in board if kind == box.BATTERY]
         """(when, millivolts, charger: an index of records.PLUGGED)."""
         servo = [(ns, values) for ns, (kind, values) in board if kind == box.SERVO]
-        self.servo_positions = [(ns, v[0], v[3]) for ns, v in servo if v[1] == servos.POSITION and v[3]]
+        self.servo_positions = [(ns, v[0], v[2]) for ns, v in servo if v[1] == servos.POSITION and v[2]]
         """(when, servo, pulses): where servos said that they were. A 0, which a late answer makes of the next, is no
         place."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)

@@ -16,7 +16,7 @@ from failstop.api.words import took
 from failstop.policy import causes
 from failstop.shm import box, cell, layout, records
 from failstop.shm import segment as shared
-from failstop.shm.latest import cell_bytes
+from failstop.shm.cell import cell_bytes
 from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
@@ -43,7 +43,7 @@ def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
     seed = cell.seed(f"{name}.{record_name}", incarnation)
-    found = (cell.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
+    found = (cell.check(data[at : at + size], seed) for at in range(offset, offset + record.size(), size))
     return sorted(entry for entry in found if entry)
 
 
@@ -105,7 +105,7 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
     """What the rings hold of the stop for this cause, as supervisor/stops.py has it; None: nobody wrote one."""
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
-        kind, length, taken, _ = box.unpack_wire(payload)
+        kind, length, taken, _ = box.WIRE.unpack(payload)
         if kind == box.BURST and taken == length:
             written[ns] = "port owner"
     first_ns = min((ns for ns in written if ns >= cause_ns), default=None)

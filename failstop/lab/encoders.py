@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.codec import speed_limit, wheel_speed
+from failstop.board.codec import PWM_SERVOS, pwm_servo_read, speed_limit, wheel_speed
 from failstop.board.framing import (
     LED,
     MOTOR,
@@ -21,13 +21,15 @@ from failstop.board.framing import (
     integer,
     seal,
 )
-from failstop.board.peripherals import OLED_TEXT, PIXELS, PWM_SERVOS, pwm_id, pwm_servo_read, zeros_complete
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LEDS = 2
+PIXELS = 2
+# The firmware copies a text and a closing zero into 24 bytes, whatever its length.
+OLED_TEXT = 23
 LONGEST_MS = 30_000
 
 _ID_SPEED = Struct("<Bf")
@@ -76,15 +78,8 @@ def _milliseconds(field: str, value: int) -> int:
     return integer(field, value, 0, 65_535)
 
 
-def _timed(data: bytes, duration_ms: int) -> bytes:
-    """A PWM servo's frame that moves in as many milliseconds, or in one or two more or less: one whose CRC is zero
-    where it may be cut would be completed by the stop burst's zeros, and executed for the servo 0."""
-    step = 1 if duration_ms < LONGEST_MS // 2 else -1
-    for duration in range(duration_ms, duration_ms + 256 * step, step):
-        made = data[:1] + _U16.pack(duration) + data[3:]
-        if not zeros_complete(PWM_SERVO, made):
-            break
-    return frame(PWM_SERVO, made)
+def _pwm_id(servo: int) -> int:
+    return integer("servo id", servo, 1, PWM_SERVOS)
 
 
 def pwm_servo_move(pulses: Sequence[tuple[int, int]], duration_ms: int) -> bytes:
@@ -93,26 +88,26 @@ def pwm_servo_move(pulses: Sequence[tuple[int, int]], duration_ms: int) -> bytes
     data += bytes((counted("moves", pulses, 1, PWM_SERVOS),))
     for move in pulses:
         group("move", move, 2)
-        data += _ID_U16.pack(pwm_id(move[0]), integer("pulse_us", move[1], 500, 2500))
+        data += _ID_U16.pack(_pwm_id(move[0]), integer("pulse_us", move[1], 500, 2500))
     distinct("servo id", [move[0] for move in pulses])
-    return _timed(data, duration_ms)
+    return frame(PWM_SERVO, data)
 
 
 def pwm_servo_move_one(servo: int, pulse_us: int, duration_ms: int) -> bytes:
     """Move one PWM servo (id 1 to 4) to pulse_us (500 to 2500) within duration_ms (0 to 30000)."""
     data = b"\x03" + _U16.pack(integer("duration_ms", duration_ms, 0, LONGEST_MS))
-    data += _ID_U16.pack(pwm_id(servo), integer("pulse_us", pulse_us, 500, 2500))
-    return _timed(data, duration_ms)
+    data += _ID_U16.pack(_pwm_id(servo), integer("pulse_us", pulse_us, 500, 2500))
+    return frame(PWM_SERVO, data)
 
 
 def pwm_servo_deviation(servo: int, deviation_us: int) -> bytes:
     """Set a PWM servo's deviation, -100 to 100 us."""
-    return frame(PWM_SERVO, bytes((0x07, pwm_id(servo), integer("deviation_us", deviation_us, -100, 100) & 0xFF)))
+    return frame(PWM_SERVO, bytes((0x07, _pwm_id(servo), integer("deviation_us", deviation_us, -100, 100) & 0xFF)))
 
 
 def pwm_servo_read_deviation(servo: int) -> bytes:
     """Ask for a PWM servo's deviation."""
-    return frame(PWM_SERVO, bytes((0x09, pwm_id(servo))))
+    return frame(PWM_SERVO, bytes((0x09, _pwm_id(servo))))
 
 
 def led(led_id: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import claim, layout, records
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 

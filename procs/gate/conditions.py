@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 
 MS = 1_000_000
 AHEAD_NS = 20 * MS

@@ -22,7 +22,7 @@ from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff
 from failstop.procs.gate.sources import PAD, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.shm.records import CAUSE
 
 Vector = tuple[float, float, float]

@@ -17,10 +17,10 @@ from failstop.procs.gate.requests import Requests
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, box, instance, layout, place, records
-from failstop.shm.barrier import Barrier
+from failstop.shm.cell import RingWriter
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.packing import pack
-from failstop.shm.ring import RingWriter
+from failstop.shm.words import Barrier
 
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
@@ -54,15 +54,14 @@ class GateBox:
         if command is not None:
             age_us = min(max(0, now_ns - command.t_ns) // 1000, box.LONGEST)
             velocity = tuple(map(box.single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.WHO_BYTES]
             flags |= (box.MANUAL if command.manual else 0) | (
                 box.DRIVES if core.sources.driving(now_ns) is command else 0
             )
         block = box.BLOCK.get(core.blocked(now_ns), 1)
         numbers = (*velocity, *core.velocity, *core.speeds)
-        head = box.GATE.pack(epoch & box.LONGEST, block, flags, min(self._count, 255), age_us, *numbers, source)
-        self._ring.put(head + who, now_ns)
-        self._count = 0
+        count, self._count = min(self._count, 255), 0
+        self._ring.put(box.GATE.pack(epoch & box.LONGEST, block, flags, count, age_us, *numbers, source, who), now_ns)
 
 
 class Gate:
@@ -77,7 +76,7 @@ class Gate:
         self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
-        self._max_rps = settings.max_wheel_rps() * 1.0005
+        self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._said = Said(now_ns)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from failstop.policy.reply import Reply
 from failstop.procs.gate.sources import PAD, Command
 from failstop.shm import records
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 
 Row = tuple[int, int, str, int, str, str]
 """Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""

@@ -9,8 +9,8 @@ from failstop.procs.gate.clients import Slot
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.sources import PAD
 from failstop.shm import layout, records
-from failstop.shm.barrier import Barrier
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
 from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
@@ -17,8 +17,8 @@ from failstop.procs.port_owner.schedule import Pings, Repeats
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.world import SuspendWatch
 from failstop.shm import bell, layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import give_way
+from failstop.shm.words import Barrier
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -42,7 +42,7 @@ class PortOwner:
         self._now_ns = context.world.now_ns
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
-        self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
+        self.admission = Admission(settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = ServoBus(settings.servos())
         self.repeats = Repeats(self.loop.timer(), self._now_ns())
         ping = self.loop.timer() if BOARD.pings else Timer()

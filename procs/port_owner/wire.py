@@ -8,7 +8,7 @@ from failstop.board.interface import BOARD
 from failstop.board.stop_port import StopPort
 from failstop.procs.world import World
 from failstop.shm import box
-from failstop.shm.ring import RingWriter
+from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""

@@ -17,7 +17,7 @@ from failstop.procs.context import Context
 from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import BURST_AFTER_NS, Parent, Peer
 from failstop.shm import bell, layout, records
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 
 TICK_NS = 50_000_000
 FIRST_GO_NS = 3_000_000

@@ -21,11 +21,10 @@ from failstop.procs.telemetry.pad import PRESSES, Pad, Tones
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.shm import box, records
-from failstop.shm.barrier import Barrier
-from failstop.shm.latest import LatestReader
-from failstop.shm.notes import Note
-from failstop.shm.packing import pack
+from failstop.shm.cell import LatestReader
+from failstop.shm.packing import Note, pack
 from failstop.shm.segment import Segment
+from failstop.shm.words import Barrier
 
 TICK_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
@@ -249,7 +248,7 @@ class Telemetry:
         self, kind: str, text: str, fields: dict[str, str | int | float] | None = None, *, level: str = ""
     ) -> None:
         """Tell people something; the supervisor passes it on."""
-        self._rings["notes"].put(Note(kind, text, fields, level=level).pack())
+        self._rings["notes"].put(Note(kind, text, fields or {}, level=level).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
@@ -282,7 +281,7 @@ class Telemetry:
             acceleration = self._accelerometer.mps2(ax, ay, az)
             rate_radps = self._gyro.corrected(raw_radps)
             self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
-            self._box.put(box.pack_imu(acceleration, rate_radps), t_ns)
+            self._box.put(box.pack_board(box.IMU, *map(box.single, (*acceleration, *rate_radps))), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
             self._publish_still()
@@ -299,7 +298,7 @@ class Telemetry:
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
-            self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
+            self._box.put(box.pack_board(box.BATTERY, millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
@@ -317,7 +316,7 @@ class Telemetry:
                 self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
             self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
-            self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
+            self._box.put(box.pack_board(box.PAD, *sample, self._pad.mode), t_ns)
             if news.cause:
                 self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
@@ -326,7 +325,7 @@ class Telemetry:
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
             self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
-            self._box.put(box.pack_servo(*answer), t_ns)
+            self._box.put(box.pack_board(box.SERVO, *answer), t_ns)
             self._gate_bell.ring()
 
     def _on_pwm_servo(self, data: bytes, t_ns: int) -> None:

@@ -7,7 +7,7 @@ any --any latch, any other button--> locked     and locked it stays while latche
 
 from __future__ import annotations
 
-from failstop.board.peripherals import buzzer
+from failstop.board.codec import buzzer
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings

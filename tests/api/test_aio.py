@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import select
+import threading
 import time
 
 import pytest
 
 from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
-from failstop.api import news
-from failstop.api.session import Turn
+from failstop.api.events import News
 from failstop.lab.trial import Trial
 
 
@@ -52,7 +52,7 @@ def test_what_takes_no_await_goes_before_a_task_that_waits_for_its_answer(trial:
     async def end() -> None:
         robot = Robot.connect(trial.name)
         await robot.enable()
-        robot._pending = Turn(object())
+        robot._pending = (threading.get_ident(), object())
         robot.close()
 
     asyncio.run(end())
@@ -104,36 +104,36 @@ def test_the_loop_goes_on_while_one_waits(trial: Trial) -> None:
 
 
 def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
-    found = news.News(trial.name)
+    found = News(trial.name)
     try:
-        assert not found.watch(), "looking comes after watching"
-        assert found.watch()
+        found.look()
+        assert found.watched
         assert _woken(found, 0.0) is False, "nothing happens"
         trial.robot.enable()
         assert _woken(found, 5.0)
-        found.clear()
-        assert found.watch()
+        found.look()
+        assert found.watched
         assert trial.service.end() == 0
-        while found.watch():
+        while found.watched:
             assert _woken(found, 5.0), "its file has gone"
-            found.clear()
+            found.look()
         trial.leave()
         trial.service.start()
-        assert not found.watch()
-        assert found.watch(), "the next one's"
+        found.look()
+        assert found.watched, "the next one's"
         trial.robot.enable()
         assert _woken(found, 5.0)
     finally:
         found.close()
 
 
-def _woken(found: news.News, timeout_s: float) -> bool:
+def _woken(found: News, timeout_s: float) -> bool:
     return bool(select.select((found.fd,), (), (), timeout_s)[0])
 
 
 def test_without_wake_ups_there_is_looking(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a user has no more of inotify's descriptors."""
-    monkeypatch.setattr(news.News, "watch", lambda self: self.close())
+    monkeypatch.setattr(News, "look", lambda self: self.close())
     trial.robot.estop("unheard")
     assert trial.robot.wait_for("latched", 5.0).cause
 

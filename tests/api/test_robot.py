@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import Block, Blocked, Driving, FailstopError, NoService, Preempted, Refused, Robot, TimedOut
+from failstop import Block, Blocked, Driving, FailstopError, NoAnswer, NoService, Preempted, Refused, Robot, TimedOut
 from failstop.lab.trial import Trial, wait_for
 
 
@@ -136,6 +136,30 @@ def _enables_and_fails(name: str) -> None:
     with Robot(name) as robot:
         robot.enable()
         raise ZeroDivisionError
+
+
+def test_motion_that_was_enabled_after_nobody_waited_for_the_answer_is_taken_back(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Robot(trial.name, answer_s=0.05) as robot:
+        monkeypatch.setattr(robot._client(), "answer", lambda _: None)
+        with pytest.raises(NoAnswer):
+            robot.enable()
+        monkeypatch.undo()
+        trial.robot.wait_for("enabled", 5.0)
+    assert not trial.robot.state.enabled
+
+
+def test_motion_that_another_enabled_stays_so_though_one_is_refused(trial: Trial) -> None:
+    trial.robot.enable()
+    trial.robot.estop("held")
+    trial.robot.wait_for("latched", 5.0)
+    with Robot(trial.name) as robot:
+        with pytest.raises(Refused):
+            robot.enable()
+        trial.robot.reset()
+        trial.robot.enable()
+    assert trial.robot.state.enabled
 
 
 def test_motion_that_another_enabled_stays_so(trial: Trial) -> None:

@@ -9,11 +9,9 @@ import pytest
 
 from failstop.api.client import Client
 from failstop.procs.stopper.main import HANG_NS
-from failstop.shm import records, ring
-from failstop.shm.barrier import Barrier
-from failstop.shm.latest import LatestReader, LatestWriter
-from failstop.shm.ring import RingReader, RingWriter
-from failstop.shm.words import Word
+from failstop.shm import records
+from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
+from failstop.shm.words import Barrier, Word
 from tests.support import gate_scene, port_scene, stopper_scene
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene as SupervisorScene
@@ -198,7 +196,7 @@ class Memory(bytearray):
 
 
 def test_an_entry_before_the_next(trace: Trace) -> None:
-    memory = Memory(8 * ring.cell_bytes(64))  # type: ignore[attr-defined]
+    memory = Memory(8 * cell_bytes(64))
     memory.done = trace.done
     writer = RingWriter(memory, 0, 64, 8, 1)
     trace.done.clear()
@@ -208,11 +206,11 @@ def test_an_entry_before_the_next(trace: Trace) -> None:
 
 
 def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> None:
-    memory = Memory(8 * ring.cell_bytes(64))  # type: ignore[attr-defined]
+    memory = Memory(8 * cell_bytes(64))
     memory.done = trace.done
     reader = RingReader(memory, 0, 64, 8, 1)
     writer = RingWriter(memory, 0, 64, 8, 1)
-    torn = ring.cell_bytes(64)  # type: ignore[attr-defined]
+    torn = cell_bytes(64)
     writer.put(b"torn")
     memory[torn : torn + 4] = b"torn"
     writer.put(b"whole")

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop import Robot
+from failstop import AsyncRobot, Robot
 from failstop.api import snapshot
-from failstop.api.aio import AsyncRobot
 from failstop.fleet.settings import BY_KEY as OF_FLEET
 from failstop.policy.causes import BY_NUMBER
 from failstop.policy.settings import BY_KEY

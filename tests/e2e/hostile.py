@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, attach, run, send_stop
-from failstop.shm import bell, cell, claim, instance, latest, layout, records, segment, views
+from failstop.shm import bell, cell, claim, instance, layout, records, segment
 from failstop.shm.lifeline import pid_namespace
 
 NOBODY = 65534
@@ -125,7 +125,7 @@ def garble(name: str, index: str) -> None:
     dice = random.Random(1)
     fd = slot_file(name, int(index))
     spec = layout.BY_NAME[f"client.{index}"]
-    size = latest.cell_bytes(spec.records["command"].capacity)
+    size = cell.cell_bytes(spec.records["command"].capacity)
     velocity = spec.offsets["command"] + cell.HEADER_BYTES + 8  # after the session
     begun()
     while True:
@@ -225,7 +225,7 @@ def lock_everything(name: str) -> None:
     fd = claim.open_claims(instance.claims_path(instance.find(name)))
     whole = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
     try:
-        fcntl.fcntl(fd, claim.F_OFD_SETLK, whole)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
     except OSError as error:
         begun(errno.errorcode[error.errno or 0])
     else:
@@ -266,7 +266,7 @@ def other_run(name: str) -> None:
     incarnation = attach(name, layout.GATE).incarnation ^ 1
     spec = layout.BY_NAME[f"client.{client.slot}"]
     fd = slot_file(name, client.slot)
-    old = segment.Segment(spec, incarnation, views.FileView(fd), None, fd)
+    old = segment.Segment(spec, incarnation, fd=fd)
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
     while True:

@@ -12,7 +12,6 @@ import sys
 import time
 from pathlib import Path
 
-import posix_ipc
 import psutil
 import pytest
 
@@ -177,7 +176,7 @@ def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
         segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
-        assert trial.robot._reader.incarnation != incarnation
+        assert trial.robot._current().incarnation != incarnation
         trial.enable()
         trial.drive(0.1)
         assert trial.moving()
@@ -219,18 +218,18 @@ def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch
 
 def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
-        memory = posix_ipc.SharedMemory(segment.shm_name(run(name)[0], layout.SUPERVISOR))
-        raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
+        memory = os.open(segment.path_of(run(name)[0], layout.SUPERVISOR), os.O_RDWR)
+        raw = os.pread(memory, layout.HEADER_BYTES, 0)
         entry = cell.check(raw, cell.seed("header", 0))
         assert entry is not None
         other = bytearray(entry[2])
         other[8] ^= 0xFF
-        os.pwrite(memory.fd, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
+        os.pwrite(memory, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
         try:
             result = failstop("status", "--name", name)
         finally:
-            os.pwrite(memory.fd, raw, 0)
-            memory.close_fd()
+            os.pwrite(memory, raw, 0)
+            os.close(memory)
         assert result.returncode == 1
         assert "another layout" in _one_line(result)
         trial.enable()

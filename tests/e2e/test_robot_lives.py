@@ -12,7 +12,7 @@ from collections.abc import Callable
 import pytest
 
 from failstop import FailstopError, NoService, Robot, State, instances
-from failstop.api import run
+from failstop.api import client as client_module
 from failstop.api.client import attach
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader
@@ -50,7 +50,7 @@ def nobody_runs(name: str) -> None:
 
 def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a container: the supervisor's pid is another process here, or none."""
-    monkeypatch.setattr(run, "pid_namespace", lambda: 1)
+    monkeypatch.setattr(client_module, "pid_namespace", lambda: 1)
 
 
 # Another version.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader
 
 TIOCGEXCL = 0x80045440
 
@@ -51,7 +51,7 @@ def test_one_process_opens_the_port_exclusively(service: Trial) -> None:
 
 def test_the_imu_is_new_about_110_times_a_second(service: Trial) -> None:
     wait_for("a sample", lambda: service.robot.state.imu is not None)
-    assert 90 < rate_hz(renewals(service.robot._reader._records["imu"], 1.0)) < 120
+    assert 90 < rate_hz(renewals(service.robot._current()._latest["imu"], 1.0)) < 120
 
 
 def test_what_is_not_known_is_not_told(service: Trial) -> None:
@@ -90,8 +90,8 @@ def test_the_state_has_everything(service: Trial) -> None:
 @pytest.mark.parametrize("record", ["state", "bias", "odometry"])
 def test_the_state_is_new_10_times_a_second_though_nothing_happens(service: Trial, record: str) -> None:
     service.leave()
-    reader = service.robot._reader
-    assert rate_hz(renewals(reader._records[record], 2.0)) >= 10
+    reader = service.robot._current()
+    assert rate_hz(renewals(reader._latest[record], 2.0)) >= 10
 
 
 def test_a_latch_is_logged_once_with_its_reason(service: Trial) -> None:

@@ -15,7 +15,6 @@ import tty
 from collections.abc import Iterator
 from pathlib import Path
 
-import posix_ipc
 import pytest
 
 from failstop.api import client
@@ -52,23 +51,23 @@ def written(master: int) -> bytes:
 @contextlib.contextmanager
 def another_layout(name: str) -> Iterator[None]:
     """The service's memory as one of another version has it."""
-    before: list[tuple[posix_ipc.SharedMemory, bytes]] = []
+    before: list[tuple[int, bytes]] = []
     run, _ = client.run(name)
     try:
         for process in layout.PROCESSES:
-            memory = posix_ipc.SharedMemory(segment.shm_name(run, process))
-            raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
+            memory = os.open(segment.path_of(run, process), os.O_RDWR)
+            raw = os.pread(memory, layout.HEADER_BYTES, 0)
             before.append((memory, raw))
             entry = cell.check(raw, cell.seed("header", 0))
             assert entry is not None
             other = bytearray(entry[2])
             other[8] ^= 0xFF
-            os.pwrite(memory.fd, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
+            os.pwrite(memory, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
         yield
     finally:
         for memory, raw in before:
-            os.pwrite(memory.fd, raw, 0)
-            memory.close_fd()
+            os.pwrite(memory, raw, 0)
+            os.close(memory)
 
 
 @contextlib.contextmanager

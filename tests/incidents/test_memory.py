@@ -17,7 +17,7 @@ from failstop.incidents.memory import short, told_stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records, segment
-from failstop.shm.latest import cell_bytes
+from failstop.shm.cell import cell_bytes
 
 _numbers = itertools.count()
 RUN = 0x1234567890
@@ -71,7 +71,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(10):
         writer.put(b"%d" % number, number)
-    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE_BYTES)
+    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE.most)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
     ring = copied(name)[layout.GATE]["rings"]["box"]

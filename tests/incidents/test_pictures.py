@@ -22,7 +22,7 @@ from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_
 @pytest.fixture(scope="module")
 def incident() -> Incident:
     made = drive_and_die()
-    made.ring("telemetry", "box").put(box.pack_battery(11_800, 2), CAUSE_NS)
+    made.ring("telemetry", "box").put(box.pack_board(box.BATTERY, 11_800, 2), CAUSE_NS)
     return made.incident()
 
 
@@ -182,9 +182,9 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
     for ms, mode, aims in ((-810.0, "follow", [(1, 519.0), (4, 281.5)]), (-400.0, "jog", [(1, 24.0)]), (5.0, "", [])):
         goals.put(box.pack_arm(mode, "nav (pid 77)" if mode else "", aims), at(ms))
     for ms, servo, what, value in ((-900.0, 1, POSITION, 500), (40.0, 1, POSITION, 519), (60.0, 4, TORQUE, 1)):
-        board.put(box.pack_servo(servo, what, value), at(ms))
-    board.put(box.pack_servo(4, POSITION, None), at(80.0))
-    board.put(box.pack_servo(4, POSITION, 0), at(90.0))
+        board.put(box.pack_board(box.SERVO, servo, what, value), at(ms))
+    board.put(box.pack_board(box.SERVO, 4, POSITION, None), at(80.0))
+    board.put(box.pack_board(box.SERVO, 4, POSITION, 0), at(90.0))
     found = parts.incident()
     base, wrist = found.joints()
     assert (base.read, wrist.read) == ([(at(-900.0), 500), (at(40.0), 519)], [])

@@ -31,12 +31,12 @@ def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_pa
     paths = [entry.path for entry in running.entries]
     assert len(paths) == len(set(paths))
     tops = {path.split("/")[3].split("-")[0].split(".")[0] for path in paths if path.startswith(tree.SITE)}
-    assert tops >= {"failstop", "msgpack", "numpy", "posix_ipc", "psutil", "serial"}
+    assert tops >= {"failstop", "msgpack", "numpy", "psutil", "serial"}
     assert not tops & {"pytest", "hypothesis", "__editable__", "tests", "bench"}
     inside = f"{tree.SITE}/failstop"
     for room in (
         "board/codec.py",
-        "shm/ring.py",
+        "shm/cell.py",
         "supervisor/main.py",
         "supervisor/child.py",
         "systemd/failstop.service",
@@ -49,7 +49,7 @@ def test_written_it_runs_by_itself_and_is_known_again(running: tree.Environment,
     place = tmp_path / "environment"
     running.write(str(place))
     assert running.is_at(str(place), "install.json")
-    needed = "import failstop, msgpack, numpy, posix_ipc, psutil, serial; print(numpy.__file__, failstop.__file__)"
+    needed = "import failstop, msgpack, numpy, psutil, serial; print(numpy.__file__, failstop.__file__)"
     said = subprocess.run(
         [place / "bin/python3", "-I", "-W", "error", "-c", needed], check=True, capture_output=True, text=True, cwd="/"
     )

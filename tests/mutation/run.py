@@ -2,7 +2,7 @@
 
 run.py [--at DIRECTORY] [ROOM[/FILE]...]
 
-Rooms of rooms.py, or single files of them (shm/ring); without any: all. Exit code 1 when a survivor is unexplained, or
+Rooms of rooms.py, or single files of them (shm/cell); without any: all. Exit code 1 when a survivor is unexplained, or
 when more than 3 % of the mutants survive that are not the same program. With a directory the copy stays there, and
 a run that was ended goes on: what was killed stays so, what survived without a row is tried again, by the tests of now.
 """

@@ -37,7 +37,7 @@ class Client:
         self.session = session
         self.number = 0
         self._claims = claim.open_claims(str(service.claims))
-        self.segment = segment.attach_client_slot(service.name, index, INCARNATION)
+        self.segment = segment.attach(service.name, f"client.{index}", INCARNATION, write=True)
         assert claim.take(self._claims, index)
         self.hello(session, name, os.getpid() if pid is None else pid, namespace)
 
@@ -79,7 +79,7 @@ class Service:
         self.claims_fd = os.open(self.claims, os.O_RDONLY)
         self.loop = Loop(World())
         segment.create(self.name, "lifelines", INCARNATION).close()
-        self._lifelines = segment.attach_unmapped(self.name, "lifelines", INCARNATION)
+        self._lifelines = segment.attach(self.name, "lifelines", INCARNATION, write=True)
         self.early = EarlyNews(self._lifelines)
         self.clients: list[Client] = []
         self._read: list[Segment] = []

@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
@@ -255,7 +255,7 @@ class GateMachine(RuleBasedStateMachine):
     @invariant()
     def within_the_limits(self) -> None:
         assert all(-limit <= now <= limit for now, limit in zip(self.core.velocity, LIMITS, strict=True))
-        limit_rps = Settings().max_wheel_rps() * (1 + 1e-12)
+        limit_rps = kinematics.max_wheel_rps(Settings()) * (1 + 1e-12)
         assert all(-limit_rps <= rps <= limit_rps for rps in self.core.speeds)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec, peripherals
+from failstop.board import codec
 from failstop.board.burst import BURST as BURST_BYTES
 from failstop.lab import encoders
 from failstop.policy import causes
@@ -108,7 +108,7 @@ def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
         (FRAME + b"\0", "not a motor frame"),
         (b"", "not a motor frame"),
         (BURST_BYTES, "not a motor frame"),
-        (peripherals.buzzer(1400, 100, 100, 5), "not a motor frame"),
+        (codec.buzzer(1400, 100, 100, 5), "not a motor frame"),
         (encoders.motor_one(0, 0.5, MAX_RPS), "not a motor frame"),
         (FRAME[:-1] + bytes((FRAME[-1] ^ 1,)), "bad crc"),
         (TOO_FAST, "wheel 3 at 2.50 rps, limit 2.00"),

@@ -9,7 +9,7 @@ from failstop.policy.reply import Reply
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_request
 from failstop.shm import records
 from failstop.shm.layout import NOTE_BYTES
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from tests.support.why import why
 
 WHO: dict[str, str | int] = {"who": "nav", "pid": 7}

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, interface, peripherals
+from failstop.board import codec, interface
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.world import World
@@ -210,7 +210,7 @@ def test_content_that_may_not_be_is_a_stop(scene: Scene, frame: bytes, reason: s
 
 def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_not(scene: Scene) -> None:
     scene.turn()
-    rps = scene.settings.max_wheel_rps()
+    rps = kinematics.max_wheel_rps(scene.settings)
     fastest, faster = (codec.motor_speeds((factor * rps, 0.0, 0.0, -rps), 60.0) for factor in (1.0, 1.01))
     scene.put(fastest)
     assert scene.turn() == fastest
@@ -223,14 +223,14 @@ def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION, kind=records.OTHER)
     scene.put(encoders.motor_stop_mask(15), kind=records.OTHER)
-    scene.put(peripherals.buzzer(1400, 100, 100, 1), kind=records.OTHER)
-    assert scene.turn() == peripherals.buzzer(1400, 100, 100, 1)
+    scene.put(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER)
+    assert scene.turn() == codec.buzzer(1400, 100, 100, 1)
 
 
 def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.drive()
     scene.world.play("unsent_bytes", lambda fd: 27)
-    beep = peripherals.buzzer(1400, 100, 100, 1)
+    beep = codec.buzzer(1400, 100, 100, 1)
     scene.put(beep, kind=records.OTHER)
     assert scene.turn() == beep
 
@@ -309,7 +309,7 @@ def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkey
         scene.raise_epoch(2)
         return ""
 
-    monkeypatch.setattr(interface.RosController, "check_motion", staticmethod(raised_meanwhile))
+    monkeypatch.setattr(interface.Board, "check_motion", staticmethod(raised_meanwhile))
     scene.put()
     assert scene.turn() == BURST
 

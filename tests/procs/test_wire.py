@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, peripherals
+from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
@@ -27,7 +27,7 @@ MS = 1_000_000
 T0 = 3_000 * MS
 MAX_RPS = 2.0
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
-OTHER = peripherals.buzzer(1400, 100, 100, 5)
+OTHER = codec.buzzer(1400, 100, 100, 5)
 
 
 @pytest.fixture

@@ -245,7 +245,7 @@ def look_alive(scene: Scene) -> bool:
         writes = os.access(path, os.W_OK)
         fd = os.open(path, os.O_RDWR if writes else os.O_RDONLY)
         kind = fcntl.F_WRLCK if writes else fcntl.F_RDLCK
-        fcntl.fcntl(fd, claim.F_OFD_SETLK, struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0))
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0))
         send("locked")
         wait()
 

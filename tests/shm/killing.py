@@ -18,32 +18,29 @@ import sys
 import time
 
 from failstop.shm import cell, segment
-from failstop.shm.latest import LatestReader, LatestWriter, cell_bytes
-from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from failstop.shm.words import Word
 
 from .memory import exit_after, payload_of, time_of
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.cell import Entry
-    from failstop.shm.views import View
+    from failstop.shm.cell import Entry, View
 
 DELAY_NS = 300_000
 
 
-def check_without_crc(raw: bytes, crc_seed: int, at: int = 0, size: int | None = None) -> Entry | None:
+def check_without_crc(raw: bytes, crc_seed: int) -> Entry | None:
     """cell.check as it is, but for the CRC."""
-    end = len(raw) if size is None else min(len(raw), at + size)
-    if end - at < cell.HEADER_BYTES:
+    if len(raw) < cell.HEADER_BYTES:
         return None
-    length = int.from_bytes(raw[at + 4 : at + 8], "little")
-    seq = int.from_bytes(raw[at + 8 : at + 16], "little")
-    t_ns = int.from_bytes(raw[at + 16 : at + 24], "little")
-    stop = at + cell.HEADER_BYTES + length
-    if seq == 0 or stop > end:
+    length = int.from_bytes(raw[4:8], "little")
+    seq = int.from_bytes(raw[8:16], "little")
+    t_ns = int.from_bytes(raw[16:24], "little")
+    end = cell.HEADER_BYTES + length
+    if seq == 0 or end > len(raw):
         return None
-    return seq, t_ns, raw[at + cell.HEADER_BYTES : stop]
+    return seq, t_ns, raw[cell.HEADER_BYTES : end]
 
 
 class Separate:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import cell
-from failstop.shm.latest import cell_bytes
-from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 
 from .memory import Cut, Death, Memory, genuine, payload_of, time_of
 
 if TYPE_CHECKING:
-    from failstop.shm.views import View
+    from failstop.shm.cell import View
 
 
 SEED = cell.seed("test.ring", 1)

@@ -20,7 +20,7 @@ PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
 
 
 def path_of(instance: str, of: str) -> str:
-    return "/dev/shm" + segment.shm_name(instance, of)
+    return segment.path_of(instance, of)
 
 
 def content(path: str) -> bytes:
@@ -61,6 +61,4 @@ def write_header(
 
 
 def attach_any(name: str, of: str, run: int = RUN) -> Segment:
-    if of.startswith("client."):
-        return segment.attach_client_slot(name, int(of[-1]), run)
-    return segment.attach(name, of, run)
+    return segment.attach(name, of, run, write=of.startswith("client."))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 
 
 def test_a_barrier_releases_before_it_acquires(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,7 +18,7 @@ def test_a_barrier_releases_before_it_acquires(monkeypatch: pytest.MonkeyPatch) 
         def release(self) -> None:
             done.append("release")
 
-    monkeypatch.setattr("failstop.shm.barrier._thread.allocate_lock", Lock)
+    monkeypatch.setattr("failstop.shm.words._thread.allocate_lock", Lock)
     barrier = Barrier()
     assert done == ["acquire"], "held from the start"
     barrier()

@@ -303,7 +303,7 @@ def test_of_several_bells_those_that_have_rung_are_cleared(fds: list[int]) -> No
     fds += [each.fd for each in bells]
     for each in bells:
         each.ring()
-    bell.clear_rung(bells, {bells[0].fd: select.EPOLLIN, bells[2].fd: select.EPOLLIN})
+    bell.clear_rung(tuple(bells), {bells[0].fd: select.EPOLLIN, bells[2].fd: select.EPOLLIN})
     assert select.select([each.fd for each in bells], [], [], 0)[0] == [bells[1].fd]
 
 

@@ -161,7 +161,7 @@ def test_a_read_only_descriptor_can_look_but_not_take(path: str, fds: list[int])
 
 def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: list[int]) -> None:
     fds += [fd := claim.open_claims(path), reading := os.open(path, os.O_RDONLY)]
-    fcntl.fcntl(reading, claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    fcntl.fcntl(reading, fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
     assert claim.held(fd, 0)
     assert not claim.held(fd, 0, by_writer=True)
     assert not claim.take(fd, 0)

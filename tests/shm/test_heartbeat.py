@@ -81,7 +81,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
             recorded._words, recorded._index = word._words, word._index
             return recorded
 
-    Heartbeat(Recording(own.spec, own.incarnation, own.view, own.mapped, -1), 78, 0, 20_000)
+    Heartbeat(Recording(own.spec, own.incarnation, own.mapped), 78, 0, 20_000)
     names = [name for place in order for name, at in own.spec.offsets.items() if at == place]
     assert names.index("beat_pid") > names.index("beat_state")
     assert names[-1] == "beat_ns"

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.shm import cell
-from failstop.shm.latest import LatestReader, LatestWriter, cell_bytes, record_bytes
+from failstop.shm.cell import LatestReader, LatestWriter, cell_bytes
 from tests.support.children import Child
 
 from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
 
 if TYPE_CHECKING:
-    from failstop.shm.views import View
+    from failstop.shm.cell import View
 
 SEED = cell.seed("test.latest", 1)
 AT = 128
@@ -33,12 +33,12 @@ def write(writer: LatestWriter, seq: int, size: int) -> None:
 
 
 def test_never_written_is_none() -> None:
-    _, reader = pair(Memory(AT + record_bytes(40)), 40)
+    _, reader = pair(Memory(AT + 2 * cell_bytes(40)), 40)
     assert reader.read() is None
 
 
 def test_the_newest_value_is_read_and_stays() -> None:
-    writer, reader = pair(Memory(AT + record_bytes(40)), 40)
+    writer, reader = pair(Memory(AT + 2 * cell_bytes(40)), 40)
     for seq in range(1, 20):
         write(writer, seq, seq % 41)
         for _ in range(2):
@@ -46,7 +46,7 @@ def test_the_newest_value_is_read_and_stays() -> None:
 
 
 def test_time_is_taken_from_the_monotonic_clock_when_none_is_given() -> None:
-    writer, reader = pair(Memory(AT + record_bytes(8)), 8)
+    writer, reader = pair(Memory(AT + 2 * cell_bytes(8)), 8)
     before = time.monotonic_ns()
     writer.write(b"x")
     entry = reader.read()
@@ -56,7 +56,7 @@ def test_time_is_taken_from_the_monotonic_clock_when_none_is_given() -> None:
 
 def test_one_store_and_one_copy() -> None:
     """The rule everything rests on: a write is one slice assignment, a read of whole memory one slice copy."""
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     memory.copies.clear()
     write(writer, 1, 40)
@@ -65,11 +65,11 @@ def test_one_store_and_one_copy() -> None:
     assert memory.copies == []
     for _ in range(3):
         reader.read()
-    assert memory.copies == [slice(AT, AT + record_bytes(40))] * 3
+    assert memory.copies == [slice(AT, AT + 2 * cell_bytes(40))] * 3
 
 
 def test_nothing_outside_the_record_is_touched() -> None:
-    memory = Memory(AT + record_bytes(40) + 64)
+    memory = Memory(AT + 2 * cell_bytes(40) + 64)
     memory.data[:AT] = b"\xa5" * AT
     memory.data[-64:] = b"\xa5" * 64
     writer, _ = pair(memory, 40)
@@ -80,7 +80,7 @@ def test_nothing_outside_the_record_is_touched() -> None:
 
 
 def test_too_large_a_payload_changes_nothing() -> None:
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     write(writer, 1, 40)
     held = bytes(memory.data)
@@ -93,7 +93,7 @@ def test_too_large_a_payload_changes_nothing() -> None:
 
 @pytest.mark.parametrize("damage", ["first byte", "last byte", "zeroed", "filled", "other record", "other run"])
 def test_a_damaged_newest_falls_back_to_the_one_before(damage: str) -> None:
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     for seq in range(1, 8):
         write(writer, seq, 40)
@@ -114,7 +114,7 @@ def test_a_damaged_newest_falls_back_to_the_one_before(damage: str) -> None:
 
 
 def test_both_damaged_is_none() -> None:
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     write(writer, 1, 40)
     write(writer, 2, 40)
@@ -126,7 +126,7 @@ def test_both_damaged_is_none() -> None:
 @pytest.mark.parametrize("filler", [b"\0", b"\xff"])
 def test_a_length_that_leads_into_the_other_cell_is_no_value_even_with_a_right_crc(filler: bytes) -> None:
     """Whichever cell is looked at first: the bytes in the other one's place say a number below or above."""
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     data = cell.build(2, 1, filler * 80, SEED, 80)
     memory.data[AT : AT + len(data)] = data
     assert LatestReader(memory, AT, 40, SEED).read() is None
@@ -136,7 +136,7 @@ def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successo
     capacity = 40
     size = cell.HEADER_BYTES + capacity
     for cut in range(size + 1):
-        memory = Cut(AT + record_bytes(capacity))
+        memory = Cut(AT + 2 * cell_bytes(capacity))
         writer, reader = pair(memory, capacity)
         last = 0
         for generation in range(4):
@@ -153,7 +153,7 @@ def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successo
 
 def test_deaths_one_after_the_other_in_the_same_cell() -> None:
     """Each successor dies in mid-write too: the last whole value outlives them all."""
-    memory = Cut(AT + record_bytes(40))
+    memory = Cut(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     write(writer, 1, 40)
     for cut in range(64):
@@ -187,8 +187,8 @@ class Overtaken(Memory):
 def test_a_copy_that_is_overtaken_gives_a_value_and_none_older_than_seen(writes: int, cut: int) -> None:
     """A reader that sleeps anywhere in its copy may find both cells torn, or a whole cell older than what it read
     before: though there always was a whole value, and a newer one."""
-    for at in range(record_bytes(40) + 1):
-        memory = Cut(AT + record_bytes(40))
+    for at in range(2 * cell_bytes(40) + 1):
+        memory = Cut(AT + 2 * cell_bytes(40))
         writer, _ = pair(memory, 40)
         for seq in (1, 2, 3):
             write(writer, seq, 40)
@@ -210,7 +210,7 @@ def test_a_copy_that_is_overtaken_gives_a_value_and_none_older_than_seen(writes:
 
 
 def test_a_value_that_was_seen_and_is_damaged_since_falls_back_too() -> None:
-    memory = Memory(AT + record_bytes(40))
+    memory = Memory(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     write(writer, 1, 40)
     write(writer, 2, 40)
@@ -223,7 +223,7 @@ def test_a_value_that_was_seen_and_is_damaged_since_falls_back_too() -> None:
 @given(cuts=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 46), st.booleans()), max_size=40))
 def test_model(cuts: list[tuple[int, int, bool]]) -> None:
     """Any series of writes, deaths and successors against the obvious model: the last value that was wholly stored."""
-    memory = Cut(AT + record_bytes(40))
+    memory = Cut(AT + 2 * cell_bytes(40))
     writer, reader = pair(memory, 40)
     seq, value = 0, None
     for cut, size, dies in cuts:
@@ -250,7 +250,7 @@ def test_model(cuts: list[tuple[int, int, bool]]) -> None:
 @pytest.mark.parametrize("capacity", [8, 320, 2048, 65536])
 def test_a_writer_at_full_speed(capacity: int) -> None:
     """Read all the while: every value is whole, none is older than the one before it, and there always is one."""
-    memory = mmap.mmap(-1, AT + record_bytes(capacity))
+    memory = mmap.mmap(-1, AT + 2 * cell_bytes(capacity))
     writer, reader = pair(memory, capacity)
     write(writer, 1, capacity)
 

@@ -245,7 +245,7 @@ RUN = 9
 
 
 def lifelines(instance: str) -> Segment:
-    return segment.attach_unmapped(instance, "lifelines", RUN)
+    return segment.attach(instance, "lifelines", RUN, write=True)
 
 
 def holding(instance: str, block: int) -> Child:

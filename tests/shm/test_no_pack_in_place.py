@@ -30,7 +30,7 @@ def test_the_sources_are_all_read() -> None:
     paths = list(sources(ROOT))
     assert len(paths) == len(set(paths)) > 30
     assert {path.split("/")[0] for path in paths} == set(ROOMS)
-    for path in ("shm/cell.py", "shm/ring.py", "board/codec.py", "procs/port_owner/main.py", "failstop/api/client.py"):
+    for path in ("shm/cell.py", "board/codec.py", "procs/port_owner/main.py", "failstop/api/client.py"):
         assert path in paths
     assert not [path for path in paths if path.startswith("failstop/shm")]
 

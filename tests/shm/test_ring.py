@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import cell
-from failstop.shm.ring import RingReader, RingWriter, newest
+from failstop.shm.cell import RingReader, RingWriter
 
 from .memory import Memory, genuine
 from .rings import (
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def test_empty() -> None:
     memory = ring_memory()
-    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 0
+    assert writer_of(memory).seq == 0
     for oldest in (True, False):
         reader = reader_of(memory, from_oldest=oldest)
         assert reader.next() is None
@@ -251,7 +251,7 @@ def test_a_cell_copied_over_another_is_damage() -> None:
             memory.data[place(target) : place(target) + SIZE] = memory.data[place(source) : place(source) + SIZE]
             assert drain(reader) == [seq for seq in range(1, 7) if seq != target]
             assert reader.lost == 1
-            assert newest(memory, AT, CAPACITY, CELLS, SEED) == 6
+            assert writer_of(memory).seq == 6
 
 
 def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_cell() -> None:
@@ -259,7 +259,7 @@ def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_cell() -> None:
     put(writer_of(memory), 6)
     memory.data[place(2) : place(2) + SIZE] = memory.data[place(6) : place(6) + SIZE]
     damage(memory, 6)
-    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 5
+    assert writer_of(memory).seq == 5
     assert writer_of(memory).seq == 5
 
 
@@ -267,7 +267,7 @@ def test_an_entry_whose_length_leads_into_the_next_cell_is_none_even_with_a_righ
     memory = ring_memory()
     data = cell.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
     memory.data[place(1) : place(1) + len(data)] = data
-    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 0
+    assert writer_of(memory).seq == 0
     assert reader_of(memory).next() is None
 
 

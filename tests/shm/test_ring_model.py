@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
 
 from failstop.shm import cell
-from failstop.shm.latest import cell_bytes
-from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 from tests.support.children import Child
 
 from .memory import Death, exit_after, genuine, payload_of, time_of

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import claim, segment
+from failstop.shm import segment
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
 from tests.support.children import NOBODY, Child, call, group, needs_root, umask
@@ -39,7 +39,9 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
         found = segment.attach(name, of, expected)
         assert found.incarnation == RUN
         assert found.spec is BY_NAME[of]
-        assert found.fileno() == -1, "a mapping needs no descriptor"
+        assert (found.mapped is None) is (of in PRIVATE_NAMES)
+        assert (found.fileno() == -1) is (of in SERVICE), "a mapping needs no descriptor"
+        found.close()
     assert os.stat(path_of(name, of)).st_size == BY_NAME[of].size
     made.close()
 
@@ -92,9 +94,7 @@ def test_nobody_reads_the_service_and_writes_nothing(name: str) -> None:
             client = of.startswith("client.")
             for write in (False, True):
                 try:
-                    if client and write:
-                        segment.attach_client_slot(name, int(of[-1]), RUN, owner=0)
-                    elif client:
+                    if client and not write:
                         segment.read_client_slot(name, int(of[-1]), RUN)
                     else:
                         segment.attach(name, of, RUN, write=write, owner=0)
@@ -116,7 +116,7 @@ def test_a_member_of_the_group_has_a_client_slot_and_no_more(name: str) -> None:
         segment.create(name, of, RUN, client_gid=NOBODY).close()
 
     def attempts() -> tuple[int, str]:
-        own = segment.attach_client_slot(name, 0, RUN, owner=0)
+        own = segment.attach(name, "client.0", RUN, owner=0, write=True)
         seq = own.latest_writer("hello").write(b"hello", 1)
         try:
             segment.attach(name, "gate", RUN, write=True, owner=0)
@@ -157,7 +157,7 @@ def test_a_reader_of_a_client_s_segment_can_not_write_it(name: str) -> None:
 
 def test_client_segments_are_not_mapped(name: str) -> None:
     segment.create(name, "client.0", RUN).close()
-    for seen in (segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 0, RUN)):
+    for seen in (segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)):
         assert seen.mapped is None
         path = os.path.realpath(path_of(name, "client.0"))
         with open("/proc/self/maps") as maps:
@@ -171,9 +171,9 @@ CLIENT_RECORDS = [name for name, record in BY_NAME["client.0"].records.items() i
 def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
     segment.create(name, "client.0", RUN).close()
     new = content(path_of(name, "client.0"))
-    own, seen = segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 0, RUN)
+    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
     for record in CLIENT_RECORDS:
-        own.latest_writer(record).write(b"left by its holder before", 1)
+        own.latest_writer(record).write(b"before", 1)
     own.wipe()
     assert content(path_of(name, "client.0")) == new
     for record in CLIENT_RECORDS:
@@ -199,7 +199,7 @@ def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
 
 def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(name: str) -> None:
     segment.create(name, "client.0", RUN).close()
-    own = segment.attach_client_slot(name, 0, RUN)
+    own = segment.attach(name, "client.0", RUN, write=True)
     writer, number = own.latest_writer("hello"), own.fileno()
     own.close()
     assert own.fileno() == -1
@@ -279,7 +279,7 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: s
         if of == "gate":
             kind, message = refusal(lambda write=write: segment.attach(name, of, RUN, write=write, owner=0))  # type: ignore[misc]
         else:
-            kind, message = refusal(lambda: segment.attach_client_slot(name, 0, RUN, owner=0))
+            kind, message = refusal(lambda: segment.attach(name, "client.0", RUN, owner=0, write=True))
         assert kind == "owner"
         assert path_of(name, of) in message
         assert f"uid {NOBODY}" in message
@@ -287,7 +287,7 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: s
     if of == "gate":
         segment.attach(name, of, RUN, owner=NOBODY).close()
     else:
-        segment.attach_client_slot(name, 0, RUN, owner=NOBODY).close()
+        segment.attach(name, "client.0", RUN, owner=NOBODY, write=True).close()
 
 
 @needs_root
@@ -418,7 +418,7 @@ def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> N
     """Everyone may read the supervisor's segment, and lock what they may read, for reading."""
     create_all(name)
     with open(path_of(name, "supervisor"), "rb") as file:
-        fcntl.fcntl(file.fileno(), claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
+        fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
         assert not segment.living(name)
 
 
@@ -466,8 +466,8 @@ def test_refused_attempts_leave_no_descriptor_open(name: str) -> None:
     gc.collect()  # what other tests have dropped
     before = len(open_fds())
     for _ in range(20):
-        refusal(lambda: segment.attach_client_slot(name, 1, RUN))
-        refusal(lambda: segment.attach_client_slot(name, 0, RUN + 1))
+        refusal(lambda: segment.attach(name, "client.1", RUN, write=True))
+        refusal(lambda: segment.attach(name, "client.0", RUN + 1, write=True))
         refusal(lambda: segment.attach(name, "telemetry", RUN))
         refusal(lambda: segment.attach(name, "gate", RUN + 1))
     assert len(open_fds()) == before
@@ -476,7 +476,7 @@ def test_refused_attempts_leave_no_descriptor_open(name: str) -> None:
 def test_close_is_idempotent_and_frees_the_descriptor(name: str) -> None:
     before = len(open_fds())
     made = segment.create(name, "client.0", RUN)
-    own = segment.attach_client_slot(name, 0, RUN)
+    own = segment.attach(name, "client.0", RUN, write=True)
     assert len(open_fds()) == before + 2
     for _ in range(2):
         made.close()
@@ -491,7 +491,7 @@ def test_no_descriptor_crosses_an_exec(name: str) -> None:
         segment.unlink(name, "stopper")
         made = segment.create(name, "stopper", RUN)
         held = [segment.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
-        held += [segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 1, RUN), made]
+        held += [segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 1, RUN), made]
         assert any(name in link for link in links())
         reading, writing = os.pipe()
         os.set_inheritable(writing, True)

@@ -30,7 +30,7 @@ def test_absent(name: str) -> None:
     for attempt in (
         lambda: segment.attach(name, "gate"),
         lambda: segment.attach(name, "gate", RUN, write=True),
-        lambda: segment.attach_client_slot(name, 0, RUN),
+        lambda: segment.attach(name, "client.0", RUN, write=True),
         lambda: segment.read_client_slot(name, 0, RUN),
     ):
         kind, message = refusal(attempt)
@@ -143,6 +143,6 @@ def test_cells_of_another_run_are_not_read(name: str) -> None:
 def test_client_records_of_another_run_are_not_read(name: str) -> None:
     """The header of a client's segment is not looked at by the service: each record must say its run."""
     segment.create(name, "client.0", 1).close()
-    segment.attach_client_slot(name, 0, 1).latest_writer("command").write(b"drive", 1)
+    segment.attach(name, "client.0", 1, write=True).latest_writer("command").write(b"drive", 1)
     assert segment.read_client_slot(name, 0, 1).latest_reader("command").read() == (1, 1, b"drive")
     assert segment.read_client_slot(name, 0, 2).latest_reader("command").read() is None

@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from failstop.shm import cell
-from failstop.shm.latest import LatestReader, LatestWriter, record_bytes
-from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from tests.support.amounts import LONG, amount
 
 from .killing import Separate, check_without_crc
@@ -110,7 +109,7 @@ def test_a_reader_after_every_byte_of_every_store(
     """The same with no luck in it: with the CRC nothing torn is read, without it much is."""
     if not crc:
         monkeypatch.setattr(cell, "check", check_without_crc)
-    view = Stepwise(Memory(max(record_bytes(40), 4 * 64)))
+    view = Stepwise(Memory(max(2 * cell_bytes(40), 4 * 64)))
     target = view if stores == "one" else Separate(view)
     latest = kind == "latest"
     writer = LatestWriter(target, 0, 40, SEED) if latest else RingWriter(target, 0, 40, 4, SEED)

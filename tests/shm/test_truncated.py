@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import segment
+from failstop.shm.cell import FileView
 from failstop.shm.layout import BY_NAME
 from failstop.shm.segment import AttachError, Segment
-from failstop.shm.views import FileView
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
@@ -49,7 +49,7 @@ def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
             written.read_all(resident)
             written.read_all(written.readers())
             with pytest.raises(AttachError, match=r"damaged|whole header|wrong size"):
-                segment.attach_client_slot(name, int(of[-1]), RUN)
+                segment.attach(name, of, RUN, write=True)
             if dice.random() < 0.5:  # grown again: zeros where its bytes were
                 os.ftruncate(written.fd, written.spec.size)
                 written.read_all(resident)
@@ -76,7 +76,7 @@ def test_a_copy_of_a_truncated_file_is_short() -> None:
 
 def test_a_client_that_writes_to_its_truncated_segment_is_read_again(name: str) -> None:
     segment.create(name, "client.2", RUN).close()
-    own = segment.attach_client_slot(name, 2, RUN)
+    own = segment.attach(name, "client.2", RUN, write=True)
     seen = segment.read_client_slot(name, 2, RUN)
     writer, reader = own.latest_writer("command"), seen.latest_reader("command")
     writer.write(b"before", 1)
@@ -117,7 +117,7 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     """Truncate, regrow, scribble and write, until the reader has ended."""
     dice = random.Random(1)
     size = BY_NAME[of].size
-    own = segment.attach_client_slot(name, int(of[-1]), RUN)
+    own = segment.attach(name, of, RUN, write=True)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
     writers = [own.latest_writer(name) for name, record in own.spec.records.items() if record.kind == "latest"]
@@ -129,7 +129,8 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
         while time.monotonic() < limit and os.waitid(os.P_PIDFD, watch, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             seq += 1
             for writer in writers:
-                writer.write(payload_of(writer._seq + 1, 40), time_of(writer._seq + 1))
+                payload = payload_of(writer._seq + 1, min(40, writer._capacity))
+                writer.write(payload, time_of(writer._seq + 1))
             if dice.random() < 0.3:
                 os.ftruncate(fd, dice.choice([0, 0, size, dice.randrange(size)]))
             if dice.random() < 0.3:
@@ -161,10 +162,12 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
     def attach_mapped() -> Segment:
         with open(path_of(name, "client.0"), "rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
-        return Segment(BY_NAME["client.0"], RUN, mapped, mapped, -1)
+        return Segment(BY_NAME["client.0"], RUN, mapped)
 
-    with pytest.raises(TypeError, match="is written by clients"):
-        segment.attach(name, "client.0", RUN)
+    for write in (False, True):
+        attached = segment.attach(name, "client.0", RUN, write=write)
+        assert attached.mapped is None
+        attached.close()
     with reading_child(name, "client.0", attach_mapped) as child:
         assert child.receive() == "reading"
         truncate_all_the_while(name, "client.0", child)
@@ -174,7 +177,7 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
 def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
     """Its holder and the service have it open; only who comes later finds nothing."""
     segment.create(name, "client.3", RUN).close()
-    own = segment.attach_client_slot(name, 3, RUN)
+    own = segment.attach(name, "client.3", RUN, write=True)
     seen = segment.read_client_slot(name, 3, RUN)
     writer, reader = own.latest_writer("command"), seen.latest_reader("command")
     writer.write(b"one", 1)
@@ -182,9 +185,9 @@ def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
     assert reader.read() == (1, 1, b"one")
     writer.write(b"two", 2)
     assert reader.read() == (2, 2, b"two")
-    for attach in (segment.attach_client_slot, segment.read_client_slot):
+    for attach in (lambda: segment.attach(name, "client.3", RUN), lambda: segment.read_client_slot(name, 3, RUN)):
         with pytest.raises(AttachError) as refused:
-            attach(name, 3, RUN)
+            attach()
         assert refused.value.kind == "absent"
     own.close()
     seen.close()

@@ -7,9 +7,8 @@ import random
 from typing import TYPE_CHECKING
 
 from failstop.shm import segment
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader, RingReader
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SEGMENTS, SegmentSpec
-from failstop.shm.ring import RingReader
 from failstop.shm.segment import Segment
 
 from .memory import payload_of, time_of
@@ -23,7 +22,7 @@ CLIENT_NAMES = [f"client.{i}" for i in range(CLIENT_SLOTS)]
 
 
 def path_of(instance: str, of: str) -> str:
-    return "/dev/shm" + segment.shm_name(instance, of)
+    return segment.path_of(instance, of)
 
 
 class Written:
@@ -65,7 +64,7 @@ class Written:
         if not self.client:
             return segment.attach(self.instance, self.spec.name, RUN, write=write)
         if write:
-            return segment.attach_client_slot(self.instance, index, RUN)
+            return segment.attach(self.instance, f"client.{index}", RUN, write=True)
         return segment.read_client_slot(self.instance, index, RUN)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ import statistics
 
 import pytest
 
-from failstop.board import codec, decoder, framing, peripherals
+from failstop.board import codec, decoder, framing
 from failstop.board.burst import BURST
 from failstop.lab import encoders
 from failstop.lab.sim import imu
@@ -146,7 +146,7 @@ def test_ping_and_servo_reads_are_answered_after_execution() -> None:
     assert model.advance(340_000 + 90_000 - 1) == []
     assert model.advance(340_000 + 90_000) == [bytes.fromhex("AA5504040105DC0553")]
     model.receive(encoders.pwm_servo_move(((1, 700), (3, 2200)), 0) + encoders.pwm_servo_move_one(4, 900, 0), MS)
-    model.receive(b"".join(peripherals.pwm_servo_read(servo) for servo in (1, 2, 3, 4)), MS)
+    model.receive(b"".join(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4)), MS)
     model.receive(encoders.pwm_servo_deviation(2, -7) + encoders.pwm_servo_read_deviation(2), MS)
     answers = [decoder.servo_reply(func, data) for func, data in upward(model, 100 * MS)]
     assert answers == [(1, 5, 700), (2, 5, 1500), (3, 5, 2200), (4, 5, 900), (2, 9, -7)]

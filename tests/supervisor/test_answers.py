@@ -47,7 +47,7 @@ def test_its_own_death_is_told_by_its_futexes(tmp_path: Path, monkeypatch: pytes
     thread.start()
     thread.join()
     (scene,) = made
-    lifelines = segment.attach_unmapped(scene.run.memory, "lifelines", scene.run.incarnation)
+    lifelines = segment.attach(scene.run.memory, "lifelines", scene.run.incarnation, write=True)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
     try:
         until(lambda: not any(word.held() for word in words), "the kernel has marked them")

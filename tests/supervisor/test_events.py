@@ -15,7 +15,7 @@ import pytest
 
 from failstop.procs.world import World
 from failstop.shm import layout, segment
-from failstop.shm.ring import RingReader
+from failstop.shm.cell import RingReader
 from failstop.supervisor import kinds
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, Outbox, journal_entry, pack, say
 from tests.supervisor.streams import stderr_is

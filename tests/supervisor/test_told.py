@@ -10,7 +10,7 @@ import pytest
 from failstop.policy import causes
 from failstop.procs.world import World
 from failstop.shm import layout, segment
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.supervisor.aftermath import MOST_SAID, Aftermath
 from failstop.supervisor.events import Events
 from failstop.supervisor.status import WAITED_NS, Status

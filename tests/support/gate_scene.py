@@ -48,7 +48,7 @@ class GateStage(Stage):
     def join(self, session: int, who: str) -> Segment:
         """A client takes the next slot."""
         index = len(self._clients)
-        found = segment.attach_client_slot(self.name, index, INCARNATION)
+        found = segment.attach(self.name, f"client.{index}", INCARNATION, write=True)
         assert claim.take(self._claims, index)
         found.latest_writer("hello").write(records.HELLO.pack(session, 0, 0, who))
         self._clients.append(found)

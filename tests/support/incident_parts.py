@@ -90,7 +90,7 @@ class Recorder:
         """One sample whose gyro is up or down by `spread` rad/s in turn."""
         ring = self.ring(layout.TELEMETRY, "box")
         rate = spread if len(ring.entries) % 2 else -spread
-        ring.put(box.pack_imu((0.1, 0.2, 9.8), (rate, -rate, 0.01)), at(ms))
+        ring.put(box.pack_board(box.IMU, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
 
     def beats(self, ms: float, **ages_ms: float) -> None:
         ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESSES]

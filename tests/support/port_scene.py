@@ -88,7 +88,7 @@ class Scene(Stage):
         """What the black box has got since the last call, without pings: (kind, bytes, how many of them were taken)."""
         found = []
         while entry := self.black_box.next():
-            kind, length, taken, head = box.unpack_wire(entry[2])
+            kind, length, taken, head = box.WIRE.unpack(entry[2])
             if head not in BOARD.pings:
                 found.append((kind, length, taken))
         return found

@@ -19,7 +19,7 @@ from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.shm.segment import Segment
 from tests.support.waiting import until
 

@@ -41,10 +41,11 @@ def test_as_many_as_the_layout_has_words_for_all_different_and_the_first_as_publ
 
 
 @pytest.mark.parametrize("ping", BOARD.pings)
-def test_a_ping_is_one_frame_that_is_no_motion_and_passes_as_another_frame(ping: bytes) -> None:
-    assert BOARD.check_aux(ping) == ""
+def test_a_ping_is_one_frame_that_is_no_motion_and_asks_for_a_servo_that_there_is(ping: bytes) -> None:
     assert BOARD.check_motion(ping, 1000.0) != ""
-    assert [func for _, func, _ in Receiver().feed(ping)] == [framing.PWM_SERVO]
+    assert framing.MOTOR_HEAD not in ping
+    assert [found[1:] for found in Receiver().feed(ping)] == [(framing.PWM_SERVO, bytes((5, ping[5])))]
+    assert ping[5] in (1, 2, 3, 4)
 
 
 @pytest.mark.parametrize("behind", [BOARD.burst, BOARD.stop * 20, DRIVE * 20])

@@ -20,7 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
-    from failstop.api.attend import Attendance
+    from failstop.api.calls import Attendance
     from failstop.api.state import State
     from failstop.cli.style import Line
 

@@ -62,7 +62,7 @@ def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     follower = Follower(arguments.name)
     if follower.reader:
-        follower.reader.run.check_source(arguments.source)
+        follower.reader.check("source", arguments.source)
     terminal = Terminal(on=keys.ASK, off=keys.UNASK)
     with Robot(arguments.name, client=CLIENT) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes

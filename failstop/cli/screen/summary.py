@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.api import history, verdict, words
+from failstop.api import verdict, words
 from failstop.cli import style
 from failstop.cli.screen import arm
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from failstop.api.events import Event
-    from failstop.api.history import Earlier
     from failstop.api.state import Process, State, Stop
+    from failstop.api.verdict import Earlier
     from failstop.cli.style import Line
 
 LABEL = 10
@@ -36,11 +36,11 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
     oldest first."""
     rows = wheels(state)
-    rows += _drivers(state, history.left_off(events), now_s)
-    rows += last_stop(state, now_s, history.earlier(events))
+    rows += _drivers(state, verdict.left_off(events), now_s)
+    rows += last_stop(state, now_s, verdict.earlier(events))
     rows += [*_limit(state), *_arm(state), device(state), battery(state), *_sensors(state), *_clients(state)]
     wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
-    return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
+    return [*wrapped, [], *processes(state), *_remarks(state, columns, verdict.exits(events))]
 
 
 def row(label: str, text: str, role: str = PLAIN) -> Line:
@@ -82,7 +82,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
         found = row("driver", "nobody commands")
         if left_off and state.blocked == blocks.NO_COMMAND:
             when = f" ({words.ago(left_off.t, now_s)})"
-            found += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
+            found += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
         return [found]
     rows = []
     for source in state.sources:
@@ -222,10 +222,10 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
     found: list[Line] = []
     for name, process in state.processes.items():
         if process.state == "down":
-            how = history.last_exit(state, name, hung)
+            how = verdict.last_exit(state, name, hung)
             found.append([(f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL)])
         elif process.last_exit:
-            how = history.last_exit(state, name, hung)
+            how = verdict.last_exit(state, name, hung)
             found.append([(f"{name} was restarted {_times(process.restarts)}; it {how}", WARN)])
     if state.age_s > verdict.STALE_S:
         found.append([(f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL)])

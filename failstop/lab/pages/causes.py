@@ -43,6 +43,6 @@ def page() -> str:
 def _row(kind: Kind) -> str:
     words = {name: _Word(name.upper() if of is str else "N") for name, of in kind.parameters}
     words |= {name: _Word(name.upper()) for name in ("role", "names")}
-    noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by) or NOBODY
+    noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or NOBODY
     text, what = (template.format_map(words) for template in (kind.template, kind.what))
     return f"| `{text}` | `{kind.name}` | {what} | {kind.remedy} | {noticed_by} | {kind.cleared_by} |"

@@ -18,7 +18,7 @@ from failstop.doctor.stop_path import Tap
 from failstop.lab.prove.shake import Sample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm import layout, records
-from failstop.shm.ring import RingReader
+from failstop.shm.cell import RingReader
 from failstop.shm.words import Word
 
 WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)

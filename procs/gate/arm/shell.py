@@ -17,7 +17,7 @@ from failstop.procs.gate.core import IS_LATCHED
 from failstop.procs.gate.sources import PAD
 from failstop.procs.loop import Timer
 from failstop.shm import box, records
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from failstop.api import history
+from failstop.api import verdict
 from failstop.api.events import Event
 from failstop.api.why import explain
 from failstop.cli import style
@@ -91,8 +91,8 @@ def test_the_run_before_this_one_is_told_of_with_its_incident() -> None:
 def test_an_incident_of_this_run_is_none_of_before() -> None:
     own, _ = _incident("this", "gate died")
     begun = told("ready", t=NOW_S - 8)
-    assert history.earlier([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) is None
+    assert verdict.earlier([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) is None
     saved, _ = _incident("before")
-    assert history.earlier([told("ready", t=NOW_S - 8, seq=300), saved]) is None, "the first events are gone"
-    assert history.earlier([begun, told("incident", {"reason": "no room"})]) is None
-    assert history.earlier([]) is None
+    assert verdict.earlier([told("ready", t=NOW_S - 8, seq=300), saved]) is None, "the first events are gone"
+    assert verdict.earlier([begun, told("incident", {"reason": "no room"})]) is None
+    assert verdict.earlier([]) is None
