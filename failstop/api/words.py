@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import time
 
-from failstop.api.snapshot import Starved, State, Stop
 from failstop.shm.instance import DEFAULT_NAME, option
 from failstop.supervisor import stops
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
+    from failstop.api.snapshot import Starved, State, Stop
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
@@ -92,6 +94,8 @@ def unit(name: str) -> str:
 def named(text: str, name: str) -> str:
     """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
     several."""
+    import re  # nor does the saver need this
+
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
 

@@ -60,7 +60,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of the three."""
     command = parser.prog.rpartition(" ")[2]
     parser.set_defaults(watch=command == "watch")
-    how = parser.add_mutually_exclusive_group()
+    how = parser.add_mutually_exclusive_group() if command == "status" else parser
     if command == "status":
         live = "live, with velocity and vibration, until q or Ctrl-C"
         how.add_argument("-w", "--watch", action="store_true", help=live)
