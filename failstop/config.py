@@ -30,11 +30,18 @@ def installed(name: str) -> str:
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
     """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
-    return checked({**read(path), **(changed or {})})
+    return checked({**read(path), **(changed or {})}, path)
 
 
-def checked(changed: dict[str, object]) -> Settings:
-    """The settings that a person wrote, by whole key. Raises SettingError."""
+def checked(changed: dict[str, object], path: str | None = None) -> Settings:
+    """The settings that a person wrote, by whole key. Raises SettingError, which names the file, if there is one."""
+    try:
+        return _checked(changed)
+    except SettingError as error:
+        raise SettingError(f"{path}: {error}" if path else str(error)) from None
+
+
+def _checked(changed: dict[str, object]) -> Settings:
     button = changed.get(MODE_BUTTON)
     # Two bits would be two buttons that do not stop.
     if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
@@ -56,8 +63,8 @@ def read(path: str | None) -> dict[str, object]:
             import tomli as tomllib
 
         return dict(_flat("", tomllib.loads(_text(path))))
-    except SettingError:
-        raise
+    except SettingError as error:
+        raise SettingError(f"{path}: {error}") from None
     except OSError as error:
         raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
     except RecursionError:

@@ -19,7 +19,7 @@ AGAIN_EVERY_S = 0.25
 """An id that comes again is answered this often at most."""
 MOST_DUTIES = 32
 UNWRITTEN = "latched, but NOT written: the board did not get it"
-FORGOTTEN = "asked for before its publisher was started anew, which does not know what became of it"
+FORGOTTEN = "asked for before its publisher was restarted, which does not know what became of it"
 
 
 class Duty:

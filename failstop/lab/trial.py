@@ -228,10 +228,11 @@ class Trial:
     def enable(self) -> None:
         """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
         if self.robot.state.estop:
-            wait_for("a reset to be taken", self._reset)
+            wait_for("a reset to be taken", self.reset)
         self.robot.enable()
 
-    def _reset(self) -> bool:
+    def reset(self) -> bool:
+        """True once a reset was taken: one that a stop has come before is refused."""
         with contextlib.suppress(Refused):
             self.robot.reset()
             return True

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
+from failstop.shm import instance
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Scene
 from tests.safety.table import TABLE, USERS, Row
@@ -29,9 +33,19 @@ def trial(running: Trial) -> Trial:
     """Stopped by nobody, driven by nobody, and whole."""
     running.leave()
     wait_for("the service to be whole", running.service.ready)
+    wait_for("the last stop request to be heard", lambda: not _unheard(running.name))
     if running.robot.state.estop:
-        running.robot.reset()
+        wait_for("a reset to be taken", running.reset)
     return running
+
+
+def _unheard(name: str) -> int:
+    """Bytes in the stop pipe, of who has ended too: the port owner lets the pipe rest after a request."""
+    pipe = os.open(instance.stop_path(instance.find(name)), os.O_WRONLY | os.O_NONBLOCK)
+    try:
+        return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
+    finally:
+        os.close(pipe)
 
 
 @needs_root

@@ -90,7 +90,7 @@ def test_the_command_line_wins(file: Path) -> None:
     ],
 )
 def test_what_is_not_allowed_names_the_key(file: Path, text: str, message: str) -> None:
-    assert refusal(file, text).startswith(message)
+    assert refusal(file, text).startswith(f"{file}: {message}")
 
 
 @pytest.mark.parametrize("text", ["[gate\n", "gate.period_s 0.02\n", "[gate]\n[gate]\n", b"\xff\xfe", b"a = '\xff'"])
@@ -149,8 +149,9 @@ def test_a_line_may_be_as_long_as_said(file: Path) -> None:
 
 def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> None:
     longest = "x" * config.LONGEST_KEY
-    assert refusal(file, f"{longest} = 1\n").startswith(f"{longest}: no such setting")
-    assert refusal(file, f"{longest}x = 1\n") == f"'{longest}x': no such setting; `failstop config` lists them all"
+    assert refusal(file, f"{longest} = 1\n").startswith(f"{file}: {longest}: no such setting")
+    told = f"{file}: '{longest}x': no such setting; `failstop config` lists them all"
+    assert refusal(file, f"{longest}x = 1\n") == told
 
 
 def test_a_mistake_without_words_is_told_by_its_name(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,5 +53,5 @@ def test_each_way_to_read_a_file_refuses_it(
     file.write_text("[pad]\nmode_button = 0x3000\n")
     assert cli.main([*words, str(file)]) == 1
     said = capsys.readouterr().err
-    problem = "failstop: pad.mode_button = 0x3000: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000"
+    problem = f"failstop: {file}: pad.mode_button = 0x3000: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000"
     assert said.startswith(f"{problem}; no stop was written: no device" if words[0] == "run" else f"{problem}\n")

@@ -89,7 +89,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        config.checked(read)
+        config.checked(read, arguments.check)
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:
@@ -104,7 +104,7 @@ def main(arguments: Namespace) -> int:
 def rows(path: str | None, device: str | None) -> dict[str, dict[str, float | str]]:
     """Of every setting, by its whole key: value, unit, origin and what is allowed; the origin is "default", the file's
     path or "--device". Raises SettingError."""
-    changed: dict[str, object] = {"device.path": device} if device else {}
+    changed: dict[str, object] = {"device.path": BY_KEY["device.path"].check(device, "--device")} if device else {}
     read = config.read(path)
     origins = {**dict.fromkeys(read, path or ""), **dict.fromkeys(changed, "--device")}
     return {
@@ -114,7 +114,7 @@ def rows(path: str | None, device: str | None) -> dict[str, dict[str, float | st
             "origin": origins.get(key, "default"),
             "allowed": setting.range(),
         }
-        for key, value in config.checked({**read, **changed}).flat().items()
+        for key, value in config.checked({**read, **changed}, path).flat().items()
     }
 
 

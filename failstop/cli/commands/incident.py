@@ -15,7 +15,9 @@ import msgpack
 
 from failstop.api.client import attach, last_run
 from failstop.api.errors import FailstopError
+from failstop.cli import standard
 from failstop.cli.commands import add_name
+from failstop.cli.screen.follow import left
 from failstop.cli.style import show, width
 from failstop.incidents import files, report
 from failstop.incidents.files import IncidentError
@@ -125,6 +127,8 @@ def _meant(arguments: Namespace) -> str:
         if time.monotonic() > until_s:
             raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds")
         time.sleep(LOOK_S)
+    if arguments.id == files.LAST and left(arguments.name):
+        standard.say("how the last run ended is saved when the service is started again: this is from before it")
     return files.find(arguments.id, arguments.name, os.environ)
 
 

@@ -68,8 +68,9 @@ def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
     rights.take_descriptors()
-    given = {DEVICE: arguments.device} if arguments.device else {}
-    settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
+    given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
+    read = config.read(arguments.config) if read is None else read
+    settings = config.checked({**read, **given}, arguments.config)
     instance.check_name(arguments.name)
     if port is None:
         return

@@ -111,7 +111,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     steps = [host.start(name, device), words.named("`failstop incident show last`, for what came before it", name)]
     also = ["its black box is in memory, and is saved as an incident when it is started again"]
     if not host.unit(name):
-        also.append("a configuration file that it had is not known here: name it with --config")
+        also.append("if it had a configuration file, name that with --config")
     if stop:
         proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
     else:

@@ -123,7 +123,7 @@ class ArmTrial(Trial):
         self.stop_following()
         wait_for("the service to be whole", self._whole)
         if self.robot.state.estop:
-            wait_for("a reset", self._reset)
+            wait_for("a reset", self.reset)
         self.robot.disable()
         self.leave()
 
