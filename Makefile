@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site screens fleet web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -88,6 +88,11 @@ docs: $(VENV)/.installed
 site: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/zensical build --clean --strict
+
+# The pictures of terminals that README and docs show, of what the commands print now.
+screens: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
+	$(BIN)/python -m bench.screens
 
 # What a fleet needs a broker for: the tests on a real one, then a thousand robots on it. Installs mosquitto where it may.
 fleet: $(VENV)/.dev
