@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pty
 import signal
+import struct
 import subprocess
 import sys
 import termios
@@ -51,7 +53,7 @@ WINDOW = """\
 def shown(*words: str) -> str:
     """What the command prints on a terminal of COLUMNS columns. Raises CalledProcessError."""
     master, slave = pty.openpty()
-    termios.tcsetwinsize(slave, (ROWS, COLUMNS))
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", ROWS, COLUMNS, 0, 0))
     environment = {**os.environ, "TERM": "xterm-256color", "LANG": "C.UTF-8"}
     environment.pop("NO_COLOR", None)
     with subprocess.Popen((*FAILSTOP, *words), stdin=slave, stdout=slave, stderr=slave, env=environment) as process:
