@@ -68,7 +68,7 @@ class Incidents:
         path = os.path.join(self._pictures.name, f"{identity}.png")
         async with self._one_at_a_time:
             if not os.path.exists(path):
-                await self._command("plot", identity, "--force", "-o", path)
+                await self._command("plot", identity, "-o", path)
                 self._forget()
         try:
             with open(path, "rb") as file:

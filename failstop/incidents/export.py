@@ -11,9 +11,9 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import WHEELS, Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
-from failstop.shm import layout
 
 NEEDS = "an export needs MCAP: pip install 'failstop[export]'"
+SUFFIX = ".mcap"
 FRAME = "base_link"
 TOPICS = {
     "command": "geometry_msgs/TwistStamped",
@@ -22,11 +22,9 @@ TOPICS = {
     "imu": "sensor_msgs/Imu",
     "battery": "sensor_msgs/BatteryState",
     "events": "rcl_interfaces/Log",
-    "processes": "diagnostic_msgs/DiagnosticArray",
 }
 """Below /failstop: the newest command of each tick in which one came; what the gate made of it, each tick; each motor
-frame and stop burst written (rad/s); IMU; battery; what people were told, and the cause; how long each process was
-silent, 10 Hz."""
+frame and stop burst written (rad/s); IMU; battery; what people were told, and the cause."""
 FIELDS = {
     "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
@@ -49,10 +47,6 @@ FIELDS = {
     "float32[] cell_voltage; float32[] cell_temperature; string location; string serial_number",
     "rcl_interfaces/Log": "byte DEBUG=10; byte INFO=20; byte WARN=30; byte ERROR=40; byte FATAL=50; "
     "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; string function; uint32 line",
-    "diagnostic_msgs/KeyValue": "string key; string value",
-    "diagnostic_msgs/DiagnosticStatus": "byte OK=0; byte WARN=1; byte ERROR=2; byte STALE=3; "
-    "byte level; string name; string message; string hardware_id; diagnostic_msgs/KeyValue[] values",
-    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header; diagnostic_msgs/DiagnosticStatus[] status",
 }
 """The messages' own fields."""
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
@@ -68,6 +62,8 @@ def save(incident: Incident, path: str) -> int:
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
+    if not path.endswith(SUFFIX):
+        raise IncidentError(f"{path}: an export's name ends in {SUFFIX}")
     found = sorted((*_motion(incident), *_board(incident), *_told(incident)), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)
@@ -128,12 +124,3 @@ def _told(incident: Incident) -> Iterator[Message]:
     for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
         number = LOG_LEVELS.get(level, LOG_LEVELS["info"])
         yield ns, "events", {"level": number, "name": f"failstop.{kind}", "msg": text}
-    allowed_us = [incident.allowed_ns(process) / 1000 for process in layout.PROCESSES]
-    for ns, times in incident.beats:
-        status = []
-        for process, most_us, (silent_us, _) in zip(layout.PROCESSES, allowed_us, times, strict=True):
-            late = silent_us > most_us
-            row = {"level": 2, "message": "silent for too long"} if late else {"level": 0, "message": "beats"}
-            values = [{"key": "silent_ms", "value": f"{silent_us / 1e3:.3f}"}]
-            status.append({**row, "name": process, "hardware_id": incident.head["host"], "values": values})
-        yield ns, "processes", {"status": status}

@@ -38,7 +38,6 @@ LONGEST_BODY = 64 * 1024 * 1024
 """Uncompressed; what claims to be longer is damage, and not worth the memory."""
 FOLDER = "incidents"
 LAST = "last"
-MOST_NAMED = 4
 
 
 class IncidentError(FailstopError):
@@ -111,27 +110,20 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
         raise IncidentError(f"{path} is damaged: its {what} does not match its checksum")
     try:
         if what == "body":
-            inflater = zlib.decompressobj()
-            data = inflater.decompress(data, LONGEST_BODY)
-            if inflater.unconsumed_tail:
-                raise ValueError(f"more than {LONGEST_BODY} bytes")
+            # What is cut off here can't be unpacked.
+            data = zlib.decompressobj().decompress(data, LONGEST_BODY)
         found: dict[str, Any] = msgpack.unpackb(data, strict_map_key=False)
     except (zlib.error, ValueError, msgpack.UnpackException) as error:
         raise IncidentError(f"{path} is damaged: its {what} can't be decoded ({error})") from None
     return found
 
 
-def _home(environ: Mapping[str, str]) -> str:
-    return os.path.join(environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state"), "failstop")
-
-
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
     """Every folder in which a service of this name may have kept incidents: as one that was started from here, and as
     one of the system's, that systemd gave its state directory."""
-    without = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
-    base = root.at(SYSTEM_BASE)
-    places = [state_directory(name, environ), state_directory(name, without), os.path.join(base, name), base]
-    places.append(os.path.join(_home(environ), name))
+    elsewhere = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
+    places = [state_directory(name, given) for given in (environ, elsewhere)]
+    places.append(os.path.join(root.at(SYSTEM_BASE), name))
     return [path for place in dict.fromkeys(places) if os.path.isdir(path := os.path.join(place, FOLDER))]
 
 
@@ -179,32 +171,21 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> list[str]:
     return removed
 
 
-def identities(environ: Mapping[str, str]) -> list[str]:
-    """The ids of all incidents on this machine, whatever service they are of; as far as this user may look."""
-    from glob import glob
-
-    places = [os.path.join(base, deep) for base in (root.at(SYSTEM_BASE), _home(environ)) for deep in ("", "*")]
-    return sorted(identity(path) for place in places for path in glob(os.path.join(place, FOLDER, "*" + SUFFIX)))
-
-
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     """The path of the incident that is meant by a path, `last`, an id or the beginning of one. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
     places = folders(name, environ)
-    found, problems = heads(name, places)
     # A damaged file is not in the list; whoever names it should be told why.
     if whole := [path for folder in places if os.path.exists(path := os.path.join(folder, wanted + SUFFIX))]:
         return whole[0]
+    found, problems = heads(name, places)
     meant = found[-1:] if wanted == LAST else [head for head in found if head["id"].startswith(wanted)]
     if len(meant) == 1:
         return str(meant[0]["path"])
     if meant:
-        newest = ", ".join(head["id"] for head in meant[-MOST_NAMED:])
-        more = f" and {len(meant) - MOST_NAMED} older ones" if len(meant) > MOST_NAMED else ""
-        raise IncidentError(f"incident {wanted!r} may be {newest}{more}: write more of it")
-    if not found:
-        more = f"; {problems[0]}" if problems else ""
-        where = ", ".join(places) or "no folder for them"
-        raise IncidentError(f"no incidents of {name!r} ({where}): nothing was latched yet, or see --name{more}")
-    raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
+        raise IncidentError(f"incident {wanted!r} may be {', '.join(head['id'] for head in meant)}: write more of it")
+    if found:
+        raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
+    told = "; ".join([f"no incidents of {name!r}: nothing was latched yet, or see --name", *problems])
+    raise IncidentError(told)
