@@ -56,7 +56,6 @@ def write(folder: str, name: str, data: bytes) -> str:
     """Write a file under a name that nobody has yet; returns its path. It is whole, and on the disk, or not there.
     Raises OSError."""
     os.makedirs(folder, exist_ok=True)
-    clear_drafts(folder)
     draft = os.path.join(folder, f"{DRAFT}{os.getpid()}")
     durable.write_draft(draft, data)
     names = (f"{name}{f'-{number}' * (number > 1)}{SUFFIX}" for number in count(1))
@@ -73,15 +72,6 @@ def write_as(path: str, data: bytes) -> None:
         durable.publish(draft, path)
     except OSError as error:
         raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-
-
-def clear_drafts(folder: str) -> None:
-    """Remove what writers that are dead have left."""
-    for entry in os.listdir(folder):
-        pid = entry[len(DRAFT) :]
-        if entry.startswith(DRAFT) and pid.isdigit() and not os.path.exists(f"/proc/{pid}"):
-            with contextlib.suppress(OSError):
-                os.unlink(os.path.join(folder, entry))
 
 
 def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -154,21 +144,22 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
     return sorted(found, key=lambda head: float(head.get("t", 0.0))), problems
 
 
-def prune(folder: str, name: str, keep: int, most_bytes: int) -> list[str]:
+def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
     """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
-    but the newest; returns the file names that were removed. What is no incident is left alone."""
+    but the newest, and what writers that are dead have left. What is no incident is left alone."""
     # By the time of saving: an old run's incident is saved after newer ones of nobody.
     newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
-    removed, total = [], 0
-    for index, path in enumerate(head["path"] for head in newest_first):
+    paths, total = [head["path"] for head in newest_first], 0
+    drafts = [entry for entry in os.listdir(folder) if entry.startswith(DRAFT)]
+    gone = [os.path.join(folder, e) for e in drafts if not os.path.exists(f"/proc/{e.removeprefix(DRAFT)}")]
+    for index, path in enumerate(paths):
         with contextlib.suppress(OSError):
-            size = os.stat(path).st_size
-            if index and (index >= keep or total + size > most_bytes):
-                os.unlink(path)
-                removed.append(os.path.basename(path))
-            else:
-                total += size
-    return removed
+            total += os.stat(path).st_size
+        if index and (index >= keep or total > most_bytes):
+            gone.append(path)
+    for path in gone:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:

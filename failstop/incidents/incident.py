@@ -18,12 +18,9 @@ from failstop.incidents.files import IncidentError
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
-from failstop.procs.telemetry.still import StillJudge
 from failstop.shm import blocks, box, layout, records
 
 Payload = TypeVar("Payload")
-Points = list[tuple[int, float]]
-"""When (CLOCK_MONOTONIC ns), and a value."""
 WHEELS = ("front left", "rear left", "front right", "rear right")
 MOVES_AT = 8
 """Where the first servo of a move stands in its frame."""
@@ -88,28 +85,6 @@ class Write(NamedTuple):
     """The speeds that it sets, as WHEELS; None: it sets none."""
 
 
-class Silence(NamedTuple):
-    """A process that did not beat for longer than it should."""
-
-    process: str
-    since_ns: int
-    """Its last beat before."""
-    until_ns: int
-    """When it was last seen to be silent."""
-
-
-class Joint(NamedTuple):
-    """One servo of the arm over time, in pulses."""
-
-    servo: int
-    name: str
-    """Of the settings; empty: they name none."""
-    sent: Points
-    """Where it was sent."""
-    read: Points
-    """Where it said that it was."""
-
-
 class Incident:
     """One file, whole. `ms(ns)` is relative to the cause."""
 
@@ -143,12 +118,8 @@ class Incident:
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
         self.imu = [ImuSample(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
-        self.battery = [(ns, values[0], values[1]) for ns, (kind, values) in board if kind == box.BATTERY]
-        """(when, millivolts, charger: an index of records.PLUGGED)."""
-        servo = [(ns, values) for ns, (kind, values) in board if kind == box.SERVO]
-        self.servo_positions = [(ns, v[0], v[2]) for ns, v in servo if v[1] == servos.POSITION and v[2]]
-        """(when, servo, pulses): where servos said that they were. A 0, which a late answer makes of the next, is no
-        place."""
+        self.battery_v = [values[0] / 1e3 for _, (kind, values) in board if kind == box.BATTERY]
+        """Volts, at each of its readings."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
         """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
         self.received = self._entries(layout.PORT_OWNER, "received", bytes)
@@ -204,12 +175,6 @@ class Incident:
         """It is of a run that ended without an order, as the next start found it in memory."""
         return bool(self.head["kind"] == "left")
 
-    @property
-    def noticed_by(self) -> str:
-        """The process that noticed the cause; empty: not known."""
-        noticed = [by for ns, by, _ in self.stops if ns == self.cause_ns]
-        return (self.head["stop"] or {}).get("noticed_by") or (noticed[0] if noticed else "")
-
     def check_layout(self) -> None:
         """Raise IncidentError for one whose records this version can't read."""
         if self.foreign:
@@ -222,31 +187,13 @@ class Incident:
         """Milliseconds from the cause."""
         return (ns - self.cause_ns) / 1e6
 
-    def unix_ns(self, ns: int) -> int:
-        """Wall time of a moment, in nanoseconds."""
-        return int(ns + self.head["unix_minus_monotonic_ns"])
-
     def number(self, key: str) -> float:
-        """A setting; its default where the file has none, or no number."""
-        try:
-            return float(self.settings[key])
-        except (KeyError, ValueError):
-            return float(BY_KEY[key].default)
+        """A setting; its default where the file has none."""
+        return float(self.settings.get(key, BY_KEY[key].default))
 
     def words(self, segment: str) -> dict[str, int]:
         """The words of a segment."""
         return dict(self._segments.get(segment, {}).get("words", {}))
-
-    def verdicts(self) -> list[tuple[int, bool]]:
-        """(when it was found, still or not) at each change of telemetry's judgement on the wheels, judged again."""
-        judge = StillJudge(self.number("still.std_radps"))
-        found: list[tuple[int, bool]] = []
-        for sample in self.imu:
-            judge.take(sample.rate_radps[0], sample.rate_radps[1], sample.t_ns)
-            still = judge.still_ns > 0
-            if judge.judged_ns and (not found or found[-1][1] != still):
-                found.append((sample.t_ns, still))
-        return found
 
     def allowed_ns(self, process: str) -> int:
         """How long a process may be silent without anybody minding."""
@@ -254,17 +201,17 @@ class Incident:
             return round(self.number("gate.lease_s") * 1e9)
         return BY_NAME[process].deadline_ns
 
-    def silences(self) -> list[Silence]:
-        """Every silence that the supervisor saw, the oldest first; of its own, those that it noticed afterwards."""
+    def silences(self) -> list[tuple[str, int, int]]:
+        """(process, its last beat before, when it was last seen to be silent) of each that was silent for too long, as
+        the supervisor saw it; of its own silences, those that it noticed afterwards."""
         found = []
         for index, process in enumerate(layout.PROCESSES):
-            beats = [(ns, *times[index]) for ns, times in self.beats]
-            allowed = self.allowed_ns(process)
-            seen = [(us * 1000 > allowed, ns - before_us * 1000, us * 1000) for ns, us, before_us in beats]
-            for late, run in ((late, list(group)) for late, group in groupby(seen, itemgetter(0))):
-                if late:
-                    found.append(Silence(process, run[0][1] - run[0][2], run[-1][1]))
-        return sorted(found, key=lambda silence: silence.since_ns)
+            allowed_us = self.allowed_ns(process) / 1000
+            seen = [(times[index][0] > allowed_us, ns, *times[index]) for ns, times in self.beats]
+            for late, run in groupby(seen, itemgetter(0)):
+                spans = [(ns - (us + before_us) * 1000, ns - before_us * 1000) for _, ns, us, before_us in run]
+                found += [(process, spans[0][0], spans[-1][1])] * late
+        return found
 
     def deaths(self, process: str) -> list[int]:
         """When it was told that a process had died."""
@@ -280,23 +227,20 @@ class Incident:
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
-    def joints(self) -> list[Joint]:
-        """Each servo that was sent somewhere or read, by its number."""
-        parts = ((key.split("."), value) for key, value in self.settings.items())
-        names = {int(value): key[1] for key, value in parts if key[0] == "joints" and key[2:] == ["servo"]}
-        found: dict[int, Joint] = {}
+    def joint(self, servo: int) -> str:
+        """What the settings name it."""
+        named = (key.split(".") for key, value in self.settings.items() if value == str(servo))
+        return next((key[1] for key in named if key[0] == "joints" and key[2:] == ["servo"]), f"servo {servo}")
 
-        def of(servo: int) -> Joint:
-            return found.setdefault(servo, Joint(servo, names.get(servo, ""), [], []))
-
+    def joints(self) -> dict[int, list[tuple[int, int]]]:
+        """(when, pulses): where each servo of the arm was sent, by its number."""
+        found: dict[int, list[tuple[int, int]]] = {}
         for write in self.writes:
             head = write.head
             if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.MOVE:
                 for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
-                    of(head[at]).sent.append((write.ns, head[at + 1] | head[at + 2] << 8))
-        for ns, servo, pulses in self.servo_positions:
-            of(servo).read.append((ns, pulses))
-        return sorted(found.values())
+                    found.setdefault(head[at], []).append((write.ns, head[at + 1] | head[at + 2] << 8))
+        return found
 
 
 def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:

@@ -70,17 +70,6 @@ def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
     return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
 
 
-def unsaved_cause(segments: Segments, start_ns: int) -> tuple[int, int, Cause] | None:
-    """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
-    supervisor lived on for `start_ns`, from a stop to its saver's start."""
-    supervisor = segments[layout.SUPERVISOR]
-    with contextlib.suppress(KeyError, ValueError):
-        epoch, cause_ns, _, packed = records.LATCH.unpack(supervisor["latest"]["latch"][2])
-        if epoch and supervisor["words"]["beat_ns"] < cause_ns + start_ns:
-            return cause_ns, epoch, causes.read(packed)
-    return None
-
-
 def left_cause(segments: Segments) -> tuple[int, int, Cause]:
     """What ended a run that was not ended in order: (cause_ns, epoch, cause), by the port owner's word where it has
     outlived the supervisor, else by the last sign of life."""
@@ -128,7 +117,10 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
         found = {level: last.get(level) for level in LEVELS}
     for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
         fields = event.get("fields", {})
-        if not isinstance(fields, dict) or not tells_of(fields, cause) or fields.get("epoch", 0) < epoch:
+        if not isinstance(fields, dict) or fields.get("cause") != cause.kind.name or fields.get("epoch", 0) < epoch:
+            continue
+        # It may have been cut.
+        if not str(cause).startswith(str(fields.get("reason", ""))):
             continue
         if event.get("kind") == "stop":
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}
@@ -147,29 +139,20 @@ def as_map(payload: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def proofs(stop: dict[str, Any] | None, head: dict[str, Any]) -> list[str]:
-    """What is known of the three levels, in a few words each; `head` tells how long after the stop the file was
-    saved."""
-    written, heard, seen = (f"{what} {NOT_KNOWN}" for what in ("stop frame", "answer of the board", "standstill"))
-    if stop is not None:
-        written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"
-        if stop.get("written_us") is not None:
-            written = f"written after {took(stop['written_us'] / 1e6)}"
-        if (heard_us := stop.get("acknowledged_us")) is not None:
-            heard = f"acknowledged after {took(heard_us / 1e6)}"
-        if (seen_ms := stop.get("observed_ms")) is not None:
-            # Without a word that would not fit a line of 80 columns.
-            seen = wheels_seen(seen_ms / 1e3).removeprefix("wheels ")
-        elif stop.get("wheels") == "unstill":
-            seen = "wheels NOT seen still"
+def proofs(head: dict[str, Any]) -> list[str]:
+    """What is known of the three levels, in a few words each, by the head of an incident."""
+    stop: dict[str, Any] = head["stop"] or {}
+    heard, seen = f"answer of the board: {NOT_KNOWN}", f"standstill: {NOT_KNOWN}"
+    written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"
+    if not stop:
+        written = f"whether a stop was written: {NOT_KNOWN}"
+    elif stop.get("written_us") is not None:
+        written = f"written after {took(stop['written_us'] / 1e6)}"
+    if (heard_us := stop.get("acknowledged_us")) is not None:
+        heard = f"acknowledged after {took(heard_us / 1e6)}"
+    if (seen_ms := stop.get("observed_ms")) is not None:
+        # Without a word that would not fit a line of 80 columns.
+        seen = wheels_seen(seen_ms / 1e3).removeprefix("wheels ")
+    elif stop.get("wheels") == "unstill":
+        seen = "wheels NOT seen still"
     return [written, heard, seen]
-
-
-def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
-    """The same as one text."""
-    return ", ".join(proofs(stop, head))
-
-
-def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
-    """True when an event with these fields is of this cause, as far as its text was not cut."""
-    return fields.get("cause") == cause.kind.name and str(cause).startswith(str(fields.get("reason", "")))

@@ -50,9 +50,8 @@ STYLE: Any = {
     "text.parse_math": False,
 }
 AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
-WRITTEN = {Sort.MOTION: ("motion frames", INK), Sort.ZERO: ("zero frames", FAINT)}
-WRITTEN |= {Sort.STOP_BURST: ("stop bursts", ALARM), Sort.PING: ("pings", "C3")}
-"""The lanes of what was written, by its sort: name, colour."""
+WRITTEN = {Sort.MOTION: INK, Sort.ZERO: FAINT, Sort.STOP_BURST: ALARM, Sort.PING: "C3"}
+"""The lanes of what was written, by its sort, and their colours."""
 SHADES = {
     DRIVING: "white",
     "estop": "#fdeaea",
@@ -84,8 +83,7 @@ def save(incident: Incident, path: str, seconds: float) -> None:
 
 def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
     """From the top: what happened, the panels, what their background means, the story."""
-    moved = any(joint.sent for joint in incident.joints())
-    shown = [panel for panel in PANELS if moved or panel[2] is not _joints]
+    shown = [panel for panel in PANELS if panel[2] is not _joints or incident.joints()]
     lines = story.brief(incident)
     heights = [height for _, height, _ in shown]
     inches = (0.95, sum(heights) + 0.4, 0.6 + LINE_IN * len(lines))
@@ -120,7 +118,7 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
 def _title(figure: SubFigure, incident: Incident) -> None:
     head, reason = incident.head, shorten(incident.reason, 130) or "?"
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
-    figure.text(0.03, 0.28, memory.proof(head["stop"], head), fontsize=11)
+    figure.text(0.03, 0.28, ", ".join(memory.proofs(head)), fontsize=11)
     where = f"{report.when(head['t'])}   {head['host']}   service {head['name']}   {incident.id}"
     figure.text(0.03, 0.06, where, color=FAINT)
 
@@ -131,8 +129,8 @@ def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[s
 
     patches = [Patch(facecolor=SHADES[what], edgecolor=FAINT, label=SAYS[what]) for what in SHADES if what in there]
     if patches:
-        place = {"loc": "upper left", "bbox_to_anchor": (0.07, 1.0), "ncols": len(patches)}
-        figure.legend(handles=patches, title="Background, what the gate said:", alignment="left", **place)
+        said = {"title": "Background, what the gate said:", "alignment": "left", "ncols": len(patches)}
+        figure.legend(handles=patches, loc="upper left", bbox_to_anchor=(0.07, 1.0), **said)
     rows = (f"{incident.ms(line.ns):+9.1f} ms  {named(line.what):<14}{shorten(line.text, 130)}" for line in lines)
     figure.text(0.03, 0.0, "\n".join(rows), family="monospace", linespacing=1.5, va="bottom")
 
@@ -152,16 +150,16 @@ def broken(at_ms: list[float], values: Any) -> tuple[Array, Array]:
 def _velocity(axes: Axes, incident: Incident) -> None:
     """What was commanded and what the gate made of it. A command far beyond its limit must not squash the rest."""
     fresh_us = incident.number("gate.command_timeout_s") * 1e6
-    fresh = [tick.age_us is not None and tick.age_us <= fresh_us for tick in incident.ticks]
+    old = nan, nan, nan
+    asked = [tick.command if (tick.age_us or 0) <= fresh_us else old for tick in incident.ticks]
     at = _at(incident, incident.ticks)
     for index, (name, unit, limit) in enumerate(AXES):
         most, color = incident.number(limit) * 1.3, f"C{index}"
-        there = zip(incident.ticks, fresh, strict=True)
-        asked = np.clip([tick.command[index] if young else nan for tick, young in there], -most, most)
-        gated = np.clip([tick.velocity[index] for tick in incident.ticks], -most, most)
-        if np.nan_to_num([asked, gated]).any():
-            axes.step(*broken(at, asked), where="post", color=color, linewidth=1.1, linestyle="--", alpha=0.5)
-            axes.step(*broken(at, gated), where="post", color=color, label=f"{name} ({unit})")
+        dashed = np.clip([command[index] for command in asked], -most, most)
+        line = np.clip([tick.velocity[index] for tick in incident.ticks], -most, most)
+        if np.nan_to_num([dashed, line]).any():
+            axes.step(*broken(at, dashed), where="post", color=color, linewidth=1.1, linestyle="--", alpha=0.5)
+            axes.step(*broken(at, line), where="post", color=color, label=f"{name} ({unit})")
 
 
 def _wheels(axes: Axes, incident: Incident) -> None:
@@ -175,12 +173,9 @@ def _wheels(axes: Axes, incident: Incident) -> None:
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
-    """Where each joint was sent, a line: a servo gets there within its move, of some 40 ms, and stands at a stop burst.
-    Where it was read to be, crosses: while it moves no servo is asked."""
-    for index, joint in enumerate(joint for joint in incident.joints() if joint.sent):
-        sent = broken(_at(incident, joint.sent), [pulses for _, pulses in joint.sent])
-        axes.plot(*sent, color=f"C{index}", label=f"{joint.name or 'servo'} ({joint.servo})")
-        axes.plot(_at(incident, joint.read), [pulses for _, pulses in joint.read], f"C{index}x", markersize=4)
+    """Where each joint was sent: a servo gets there within its move, of some 40 ms, and stands at a stop burst."""
+    for servo, sent in sorted(incident.joints().items()):
+        axes.plot(*broken(_at(incident, sent), [pulses for _, pulses in sent]), label=incident.joint(servo))
 
 
 def _vibration(axes: Axes, incident: Incident) -> None:
@@ -203,19 +198,17 @@ def _vibration(axes: Axes, incident: Incident) -> None:
 
 def _lanes(axes: Axes, incident: Incident) -> None:
     """One lane each for what came, what went out, and who beat."""
-    lanes = [("commands", "C0", [tick for tick in incident.ticks if tick.commands])]
-    for sort, (name, color) in WRITTEN.items():
-        lanes.append((name, color, [write for write in incident.writes if write.sort == sort]))
-    lanes.append(("board heard", "C1", incident.imu))
-    names, colors, found = zip(*lanes, strict=True)
-    widths = [2.2 if color == ALARM else 1.0 for color in colors]
-    times = [_at(incident, entries) for entries in found]
-    axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=widths, colors=colors)
+    lanes = [("commands", "C0", _at(incident, (tick for tick in incident.ticks if tick.commands)))]
+    for sort, color in WRITTEN.items():
+        lanes.append((sort, color, _at(incident, (write for write in incident.writes if write.sort == sort))))
+    lanes.append(("board heard", "C1", _at(incident, incident.imu)))
+    names, colors, times = zip(*lanes, strict=True)
+    axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=1.2, colors=colors)
     begin_ns, end_ns = incident.span_ns
     for y, process in enumerate(layout.PROCESSES, len(lanes)):
         last_ns = max(begin_ns, min(end_ns, incident.words(process)["beat_ns"]))
         died = [*incident.deaths(process), *[last_ns] * incident.left]
-        silent = [silence[1:] for silence in incident.silences() if silence.process == process]
+        silent = [silence[1:] for silence in incident.silences() if silence[0] == process]
         for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS), (silent, 0.64, ALARM)):
             bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
             axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
@@ -229,7 +222,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
 PANELS: tuple[Panel, ...] = (
     ("Velocity (dashed: commanded)", 1.85, _velocity),
     ("Wheel speeds written to the board (rps)", 1.6, _wheels),
-    ("The arm: sent (lines), read (crosses); pulses of 0.24 degrees", 1.6, _joints),
+    ("Where the arm was sent (pulses of 0.24 degrees)", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),
 )

@@ -19,6 +19,7 @@ Lines = list[list[tuple[str, str]]]
 Fact = tuple[str, str, str]
 """Its name, what it says, and its role."""
 
+MORE = "--all tells the rest; `plot` in place of `show` draws it"
 NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
@@ -36,23 +37,22 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
     lines: Lines = []
     for head in heads:
-        said = memory.proof(head["stop"], head)
+        said = ", ".join(memory.proofs(head))
         lines.append([(head["id"], STRONG)])
         lines += _wrapped("  ", f"{when(head['t'])}  {head['reason']}", PLAIN, columns)
         lines += _wrapped("  ", said, FAIL if "NOT " in said else DIM, columns)
     return lines
 
 
-def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, again: str = "") -> Lines:
+def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False) -> Lines:
     """The facts, and the lines of the story that matter, without scrolling; `whole`: every line of it, and what was
-    around it. `again`: the words that name the incident on a command line."""
+    around it."""
     columns = max(columns, NARROWEST)
-    more = f"--all tells the rest; a picture: `failstop incident plot{again}`"
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),
         [],
         *_story(incident, columns, whole=whole),
-        *([[], *_facts("Around it", _around(incident), columns)] if whole else _wrapped("", more, DIM, columns)),
+        *([[], *_facts("Around it", _around(incident), columns)] if whole else [[(MORE, DIM)]]),
     ]
 
 
@@ -70,7 +70,8 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
     """What, when, who noticed it, and the three proofs of the stop, which are kept apart."""
     head = incident.head
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
-    noticed = f"by the {named(incident.noticed_by)}" if incident.noticed_by else memory.NOT_KNOWN
+    by = (head["stop"] or {}).get("noticed_by")
+    noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
     if incident.cause.kind is causes.REQUESTED:
         asked = incident.cause.named()
         noticed += f"; asked for by {asked['who']} (pid {asked['pid']})"
@@ -80,7 +81,7 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
         ("before", _before(incident), PLAIN),
         ("noticed", noticed, PLAIN),
     ]
-    for name, said in zip(("proof", "", ""), memory.proofs(head["stop"], head), strict=True):
+    for name, said in zip(("proof", "", ""), memory.proofs(head), strict=True):
         rows.append((name, said, FAIL if "NOT " in said else WARN if memory.NOT_KNOWN in said else PLAIN))
     if incident.left:
         rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
@@ -125,12 +126,12 @@ def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """What is wanted once the story has raised a question: how busy the machine was, settings, versions."""
+    """What is wanted once the story has raised a question."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
-    begin_ms, end_ms = map(incident.ms, incident.span_ns)
+    volts = f"{incident.battery_v[-1]:.2f} V, at least {min(incident.battery_v):.2f} V" if incident.battery_v else ""
     return [
-        ("recorded", f"from {-begin_ms / 1e3:.1f} s before to {end_ms / 1e3:.1f} s after", PLAIN),
+        ("battery", volts or memory.NOT_KNOWN, PLAIN),
         ("machine", ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in incident.machine.items()), PLAIN),
         ("settings", ", ".join(changed) or "all as by default", PLAIN),
         ("versions", ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items()), PLAIN),
@@ -140,13 +141,7 @@ def _around(incident: Incident) -> list[Fact]:
 def as_dict(incident: Incident) -> dict[str, Any]:
     """For programs: the head, the whole story, the machine, and every setting."""
     lines = [
-        {
-            "ms": round(incident.ms(line.ns), 3),
-            "until_ms": round(incident.ms(line.until_ns), 3) if line.until_ns else None,
-            "what": line.what,
-            "text": line.text,
-            "count": line.count,
-        }
+        {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
         for line in story.tell(incident)
     ]
     found = {"id": incident.id, **incident.head, "story": lines}

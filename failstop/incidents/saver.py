@@ -29,7 +29,6 @@ from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
-from failstop.supervisor.blackbox import START_NS
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from typing import Any
 
     from failstop.policy.causes import Cause
-    from failstop.shm.cell import Entry
 
 SLUG_LENGTH = 32
 RETURN_NS = 12_000_000_000
@@ -73,8 +71,7 @@ def save(words: dict[str, str]) -> dict[str, Any]:
     """Returns which: its id, when its cause was (Unix time, s), the cause's text, and of which run it is."""
     name, live = words["name"], "cause_ns" in words
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
-    hurried = _wait(words, int(words["until_ns"]))
-    if live and not hurried:
+    if not _wait(words, int(words["until_ns"])) and live:
         _wait_for_port(words, fds[layout.PORT_OWNER])
     run, segments = memory.copy(fds, name)
     if live:
@@ -83,21 +80,16 @@ def save(words: dict[str, str]) -> dict[str, Any]:
         # It never was ready: why is in the journal, and a service that can't start must not fill the folder.
         return {}
     else:
-        # What came before the end, if no other file has it, is what people look for.
-        cause = memory.unsaved_cause(segments, START_NS) or memory.left_cause(segments)
+        cause = memory.left_cause(segments)
     head = _head(name, "stop" if live else "left", cause, run, segments)
-    settings = os.environ.get("FAILSTOP_SETTINGS", "").splitlines()
-    body = {
-        "segments": segments,
-        "settings": dict(line.split("=", 1) for line in settings),
-        "machine": machine(),
-    }
+    settings = dict(line.split("=", 1) for line in os.environ.get("FAILSTOP_SETTINGS", "").splitlines())
+    body = {"segments": segments, "settings": settings, "machine": machine()}
     folder = os.path.join(state_directory(name, os.environ), files.FOLDER)
     stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(head["t"]))
     path = files.write(folder, f"{stamp}-{slug(cause[2])}", files.build(head, body))
     files.prune(folder, name, int(words["keep"]), int(words["max_mb"]) * 1_000_000)
-    which = "this" if live else "before"
-    return {"id": files.identity(path), "at": round(head["t"], 3), "reason": head["reason"], "run": which}
+    told = {"id": files.identity(path), "at": round(head["t"], 3), "reason": head["reason"]}
+    return told | {"run": "this" if live else "before"}
 
 
 def _wait(words: dict[str, str], until_ns: int) -> bool:
@@ -109,7 +101,7 @@ def _wait(words: dict[str, str], until_ns: int) -> bool:
 def _wait_for_port(words: dict[str, str], fd: int) -> None:
     """While the port is lost; once it is back, as long again as after any stop."""
     cause_ns, lost = int(words["cause_ns"]), False
-    while (port := _port(words["name"], fd)) and records.PORT.unpack(port[-1][2])[2] == records.PORT_LOST:
+    while _is_lost(words["name"], fd):
         now_ns = time.monotonic_ns()
         if now_ns > cause_ns + RETURN_NS or _wait(words, now_ns + LOOK_NS):
             return
@@ -118,9 +110,9 @@ def _wait_for_port(words: dict[str, str], fd: int) -> None:
         _wait(words, time.monotonic_ns() + int(words["until_ns"]) - cause_ns)
 
 
-def _port(name: str, fd: int) -> list[Entry]:
-    """What the port owner tells of the port, as of now."""
-    return memory.entries(layout.PORT_OWNER, "port", *segment.copy(fd, name, layout.PORT_OWNER))
+def _is_lost(name: str, fd: int) -> bool:
+    told = memory.entries(layout.PORT_OWNER, "port", *segment.copy(fd, name, layout.PORT_OWNER))
+    return bool(told) and records.PORT.unpack(told[-1][2])[2] == records.PORT_LOST
 
 
 def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segments: memory.Segments) -> dict[str, Any]:

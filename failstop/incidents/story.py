@@ -38,7 +38,7 @@ LESSER = ("gate", "command")
 
 @dataclass(frozen=True)
 class Line:
-    """One line. `what` is who speaks: command, gate, arm, wire, board, beat, wheels, event kinds, CAUSE."""
+    """One line. `what` is who speaks: command, gate, arm, wire, board, beat, event kinds, cause, CAUSE."""
 
     ns: int
     what: str
@@ -60,7 +60,6 @@ def tell(incident: Incident) -> list[Line]:
         *_arm(incident),
         *_writes(incident),
         *_board(incident),
-        *_wheels(incident),
         *_silences(incident),
         *_events(incident),
     ]
@@ -109,11 +108,10 @@ def _decisions(incident: Incident) -> Iterator[Line]:
 
 def _arm(incident: Incident) -> Iterator[Line]:
     """For whom it moved, and where it was to be."""
-    names = {joint.servo: joint.name or joint.servo for joint in incident.joints()}
     for run in _runs(incident.arm_goals, lambda goal: goal[1][:2]):
         until_ns, (mode, who, aims) = run[-1]
         unit = "/s" if mode == "jog" else ""
-        told = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in aims.items())
+        told = ", ".join(f"{incident.joint(servo)} {aim:.0f}{unit}" for servo, aim in aims.items())
         text = f"{mode} for {who}: {told}" if mode else "moved by nobody"
         yield Line(run[0][0], "arm", text, until_ns, len(run))
 
@@ -149,12 +147,6 @@ def _board(incident: Incident) -> Iterator[Line]:
             yield Line(earlier, "board", f"silent for {(later - earlier) / 1e6:.0f} ms from here", later)
 
 
-def _wheels(incident: Incident) -> Iterator[Line]:
-    """What the IMU says."""
-    for ns, still in incident.verdicts():
-        yield Line(ns, "wheels", f"the IMU says: {'still' if still else 'they turn'}")
-
-
 def _silences(incident: Incident) -> Iterator[Line]:
     """Of each process; of a run that has ended, its last sign of life."""
     for process, since_ns, until_ns in incident.silences():
@@ -166,7 +158,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
 
 
 def _events(incident: Incident) -> Iterator[Line]:
-    """What was told; and of a run that has ended, causes after which nobody was there to tell."""
+    """What was told; and of a run that has ended, the causes that nobody was there to tell of."""
     for event in incident.events:
         said = event.text.partition("; next: ")[0]
         # Of the stop itself the facts tell.
@@ -174,5 +166,5 @@ def _events(incident: Incident) -> Iterator[Line]:
         routine = own if event.kind == "stop" else event.kind in NO_NEWS
         yield Line(event.ns, event.kind, f"{'! ' * (event.level in ('error', 'critical'))}{said}", routine=routine)
     for ns, by, cause in incident.stops if incident.left else ():
-        if ns > incident.cause_ns:
+        if ns >= incident.cause_ns:
             yield Line(ns, "cause", f"{cause} (noticed by the {named(by)})")

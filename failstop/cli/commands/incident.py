@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import sys
 import time
 from argparse import ArgumentParser, Namespace
@@ -18,7 +17,6 @@ from failstop.cli.screen.follow import left
 from failstop.cli.style import show, width
 from failstop.incidents import files, report
 from failstop.incidents.incident import Incident
-from failstop.shm.instance import option
 
 EXAMPLES = """\
 failstop incident list
@@ -32,8 +30,6 @@ WHICH = "the incident's id, the beginning of one, a file's path, or `last` (defa
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
 """A stop's file is there 2.4 s after it."""
-RECENT_S = 20.0
-"""A stop that is older is saved, or never will be: a lost port is waited for less long (saver.py)."""
 CLOCKS_S = 0.5
 """A stop's time of day is no more exact than this: it is told twice, by clocks that may be set between."""
 LOOK_S = 0.1
@@ -96,9 +92,7 @@ def _show(arguments: Namespace, incident: Incident) -> int:
     if arguments.json:
         print(json.dumps(report.as_dict(incident), indent=2))
     else:
-        again = "" if arguments.id == files.LAST else f" {shlex.quote(arguments.id)}"
-        again += option(arguments.name)
-        show(report.text(incident, width(), time.time(), whole=arguments.all, again=again))
+        show(report.text(incident, width(), time.time(), whole=arguments.all))
     return 0
 
 
@@ -108,21 +102,21 @@ def _meant(arguments: Namespace) -> str:
         while (stop := unsaved(arguments.name)) and time.time() < stop.t + SAVED_S:
             time.sleep(LOOK_S)
         if stop:
-            standard.say(f"the stop ({stop.reason}) is not saved yet: this is from before it")
+            standard.say(f"the stop ({stop.reason}) is in no file yet: this is from before it")
         elif left(arguments.name):
             standard.say("how the last run ended is saved when the service is started again: this is from before it")
     return files.find(arguments.id, arguments.name, os.environ)
 
 
 def unsaved(name: str) -> Stop | None:
-    """The service's last stop, when it is recent and in no file."""
+    """The service's last stop, when it is in no file."""
     try:
         state = StateReader(name).read()
     except FailstopError:
         return None
     stop = state.last_stop
     # What comes while a stop is latched belongs to that one's file.
-    if not stop or state.cause not in (None, stop.cause) or time.time() - stop.t > RECENT_S:
+    if not stop or state.cause not in (None, stop.cause):
         return None
     heads, _ = files.heads(name, files.folders(name, os.environ))
     return None if any(head["t"] > stop.t - CLOCKS_S for head in heads) else stop
