@@ -131,8 +131,8 @@ class Incident:
         ]
         self.stops = sorted(noticed, key=lambda stop: stop[0])
         """(when, by whom, cause): every cause that port owner and gate noticed."""
-        told = [event for _, event in self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))]
-        self.events: list[Event] = sorted(told, key=lambda event: event.ns)
+        told: list[tuple[int, Event]] = self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))
+        self.events = [event for _, event in told]
         """What people were told."""
         times = [found[0] for series in (self.ticks, self.writes, self.imu, self.beats) for found in series]
         self.span_ns = min(times, default=self.cause_ns), max(times, default=self.cause_ns)

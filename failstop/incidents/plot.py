@@ -10,7 +10,6 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from failstop.incidents import files, memory, report, story
 from failstop.incidents.files import IncidentError
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-Array = npt.NDArray[np.float64]
 Panel = tuple[str, float, Callable[["Axes", Incident], None]]
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -140,7 +138,7 @@ def _at(incident: Incident, entries: Iterable[tuple[Any, ...]]) -> list[float]:
     return [incident.ms(entry[0]) for entry in entries]
 
 
-def broken(at_ms: list[float], values: Any) -> tuple[Array, Array]:
+def broken(at_ms: list[float], values: Any) -> tuple[Any, Any]:
     """A curve with no value (NaN) wherever what it is made of is further apart than BREAK_MS."""
     times, found = np.array(at_ms), np.array(values, dtype=float)
     gaps = np.nonzero(np.diff(times) > BREAK_MS)[0] + 1

@@ -24,8 +24,16 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
-ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
-ROLES |= {"wire": DIM, "board": DIM}
+ROLES = {
+    CAUSE: FAIL,
+    "gate": STRONG,
+    "beat": WARN,
+    "board": WARN,
+    "stop": FAIL,
+    "died": FAIL,
+    "fenced": FAIL,
+    "wire": DIM,
+}
 
 
 def when(unix_s: float) -> str:

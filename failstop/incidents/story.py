@@ -3,16 +3,13 @@ those that say at a glance what led to it and what came of it. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import Any, TypeVar
 
 from failstop.api import words
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, Sort, Tick, Write, named
 from failstop.shm import layout
-
-Entry = TypeVar("Entry")
 
 CAUSE = "CAUSE"
 QUIET_NS = 100_000_000
@@ -79,11 +76,6 @@ def brief(incident: Incident) -> list[Line]:
     return sorted(sorted(found, key=weight)[:MOST_LINES], key=lambda line: line.ns)
 
 
-def _runs(entries: Iterable[Entry], key: Callable[[Entry], Any]) -> Iterator[list[Entry]]:
-    """Neighbours of one key."""
-    return (list(group) for _, group in groupby(entries, key))
-
-
 def _commands(incident: Incident) -> Iterator[Line]:
     """Who commanded what, before the cause and after it."""
 
@@ -91,7 +83,8 @@ def _commands(incident: Incident) -> Iterator[Line]:
         return tick.who, tick.source, tick.manual, tick.ns >= incident.cause_ns
 
     heard = [tick for tick in incident.ticks if tick.commands and tick.age_us is not None]
-    for run in _runs(sorted(heard, key=key), key):
+    for _, group in groupby(sorted(heard, key=key), key):
+        run = list(group)
         last = run[-1]
         how = words.velocity(*last.command) or "zero"
         said = f"{last.who} as {last.source}{', manual' * last.manual}: {how}"
@@ -108,7 +101,8 @@ def _decisions(incident: Incident) -> Iterator[Line]:
 
 def _arm(incident: Incident) -> Iterator[Line]:
     """For whom it moved, and where it was to be."""
-    for run in _runs(incident.arm_goals, lambda goal: goal[1][:2]):
+    for _, group in groupby(incident.arm_goals, lambda goal: goal[1][:2]):
+        run = list(group)
         until_ns, (mode, who, aims) = run[-1]
         unit = "/s" if mode == "jog" else ""
         told = ", ".join(f"{incident.joint(servo)} {aim:.0f}{unit}" for servo, aim in aims.items())
@@ -123,7 +117,8 @@ def _writes(incident: Incident) -> Iterator[Line]:
     def key(write: Write) -> tuple[str, str, bool, bool]:
         return write.sort, write.by, write.ns >= incident.cause_ns, write.taken < write.length
 
-    for run in _runs(sorted(incident.writes, key=key), key):
+    for _, group in groupby(sorted(incident.writes, key=key), key):
+        run = list(group)
         first, last = run[0], run[-1]
         text, routine = _written(last), first.ns < incident.cause_ns or first.sort in (Sort.ZERO, Sort.PING)
         if last.taken < last.length:
