@@ -24,16 +24,7 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
-ROLES = {
-    CAUSE: FAIL,
-    "gate": STRONG,
-    "beat": WARN,
-    "board": WARN,
-    "stop": FAIL,
-    "died": FAIL,
-    "fenced": FAIL,
-    "wire": DIM,
-}
+ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
 
 def when(unix_s: float) -> str:
