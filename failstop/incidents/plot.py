@@ -117,8 +117,8 @@ def _title(figure: SubFigure, incident: Incident) -> None:
     head, reason = incident.head, shorten(incident.reason, 130) or "?"
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
     figure.text(0.03, 0.28, ", ".join(memory.proofs(head)), fontsize=11)
-    where = f"{report.when(head['t'])}   {head['host']}   service {head['name']}   {incident.id}"
-    figure.text(0.03, 0.06, where, color=FAINT)
+    when = report.when(head["t"])
+    figure.text(0.03, 0.06, f"{when}   {head['host']}   service {head['name']}   {incident.id}", color=FAINT)
 
 
 def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[str]) -> None:
@@ -201,7 +201,9 @@ def _lanes(axes: Axes, incident: Incident) -> None:
         lanes.append((sort, color, _at(incident, (write for write in incident.writes if write.sort == sort))))
     lanes.append(("board heard", "C1", _at(incident, incident.imu)))
     names, colors, times = zip(*lanes, strict=True)
-    axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=1.2, colors=colors)
+    # A burst is to be seen beside the line of the cause.
+    widths = [2.6 if color == ALARM else 1.0 for color in colors]
+    axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=widths, colors=colors)
     begin_ns, end_ns = incident.span_ns
     for y, process in enumerate(layout.PROCESSES, len(lanes)):
         last_ns = max(begin_ns, min(end_ns, incident.words(process)["beat_ns"]))

@@ -52,7 +52,7 @@ def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
         "gate died",
         "acknowledged after 3.10 ms",
         "was killed by SIGKILL",
-        "stop bursts",
+        "stop burst",
         "still below 3.5",
         "the gate is silent",
     ):
