@@ -56,6 +56,11 @@ def write(folder: str, name: str, data: bytes) -> str:
     """Write a file under a name that nobody has yet; returns its path. It is whole, and on the disk, or not there.
     Raises OSError."""
     os.makedirs(folder, exist_ok=True)
+    for entry in os.listdir(folder):
+        # What writers that are dead have left takes room that this file may need.
+        if entry.startswith(DRAFT) and not os.path.exists(f"/proc/{entry.removeprefix(DRAFT)}"):
+            with contextlib.suppress(OSError):
+                os.unlink(os.path.join(folder, entry))
     draft = os.path.join(folder, f"{DRAFT}{os.getpid()}")
     durable.write_draft(draft, data)
     names = (f"{name}{f'-{number}' * (number > 1)}{SUFFIX}" for number in count(1))
@@ -146,20 +151,15 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
 
 def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
     """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
-    but the newest, and what writers that are dead have left. What is no incident is left alone."""
+    but the newest. What is no incident is left alone."""
     # By the time of saving: an old run's incident is saved after newer ones of nobody.
     newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
-    paths, total = [head["path"] for head in newest_first], 0
-    drafts = [entry for entry in os.listdir(folder) if entry.startswith(DRAFT)]
-    gone = [os.path.join(folder, e) for e in drafts if not os.path.exists(f"/proc/{e.removeprefix(DRAFT)}")]
-    for index, path in enumerate(paths):
+    total = 0
+    for index, path in enumerate(head["path"] for head in newest_first):
         with contextlib.suppress(OSError):
             total += os.stat(path).st_size
-        if index and (index >= keep or total > most_bytes):
-            gone.append(path)
-    for path in gone:
-        with contextlib.suppress(OSError):
-            os.unlink(path)
+            if index and (index >= keep or total > most_bytes):
+                os.unlink(path)
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
@@ -178,5 +178,4 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
         raise IncidentError(f"incident {wanted!r} may be {', '.join(head['id'] for head in meant)}: write more of it")
     if found:
         raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
-    told = "; ".join([f"no incidents of {name!r}: nothing was latched yet, or see --name", *problems])
-    raise IncidentError(told)
+    raise IncidentError("; ".join((f"no incidents of {name!r}: nothing was latched yet, or see --name", *problems)))

@@ -139,7 +139,7 @@ def test_drafts_of_the_dead_are_cleared_and_those_of_the_living_are_not(path: st
     dead, alive = folder / f".draft-{gone.pid}", folder / f".draft-{os.getppid()}"
     for draft in (dead, alive):
         draft.write_bytes(b"half")
-    prune(str(folder), "failstop", 1, 10**9)
+    files.write(str(folder), "x", files.build(HEAD, BODY))
     assert not dead.exists()
     assert alive.exists()
 

@@ -32,7 +32,6 @@ SAVED_S = 3.0
 """A stop's file is there 2.4 s after it."""
 CLOCKS_S = 0.5
 """A stop's time of day is no more exact than this: it is told twice, by clocks that may be set between."""
-LOOK_S = 0.1
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -100,7 +99,7 @@ def _meant(arguments: Namespace) -> str:
     """The incident's path; a stop of a moment ago is the last one, so its file is waited for. Raises IncidentError."""
     if arguments.id == files.LAST:
         while (stop := unsaved(arguments.name)) and time.time() < stop.t + SAVED_S:
-            time.sleep(LOOK_S)
+            time.sleep(0.1)
         if stop:
             standard.say(f"the stop ({stop.reason}) is in no file yet: this is from before it")
         elif left(arguments.name):
