@@ -96,4 +96,4 @@ def test_an_older_one_is_not_shown_without_a_word(
     assert main(["incident", "show"]) == 0
     shown = capsys.readouterr()
     assert shown.out.startswith("Incident ")
-    assert shown.err == "failstop: the stop (gate died) is in no file yet: this is from before it\n"
+    assert shown.err == "failstop: the last stop (gate died) is in no file so far: this is another\n"

@@ -101,7 +101,7 @@ def _meant(arguments: Namespace) -> str:
         while (stop := unsaved(arguments.name)) and time.time() < stop.t + SAVED_S:
             time.sleep(0.1)
         if stop:
-            standard.say(f"the stop ({stop.reason}) is in no file yet: this is from before it")
+            standard.say(f"the last stop ({stop.reason}) is in no file so far: this is another")
         elif left(arguments.name):
             standard.say("how the last run ended is saved when the service is started again: this is from before it")
     return files.find(arguments.id, arguments.name, os.environ)
