@@ -69,7 +69,7 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
     """What, when, who noticed it, and the three proofs of the stop, which are kept apart."""
     head = incident.head
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
-    by = (head["stop"] or {}).get("noticed_by")
+    by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
     noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
     if incident.cause.kind is causes.REQUESTED:
         asked = incident.cause.named()

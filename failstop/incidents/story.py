@@ -161,5 +161,5 @@ def _events(incident: Incident) -> Iterator[Line]:
         routine = own if event.kind == "stop" else event.kind in NO_NEWS
         yield Line(event.ns, event.kind, f"{'! ' * (event.level in ('error', 'critical'))}{said}", routine=routine)
     for ns, by, cause in incident.stops if incident.left else ():
-        if ns >= incident.cause_ns:
+        if ns > incident.cause_ns:
             yield Line(ns, "cause", f"{cause} (noticed by the {named(by)})")

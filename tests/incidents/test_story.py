@@ -113,8 +113,9 @@ def test_causes_that_nobody_was_there_to_tell_of() -> None:
     made.cause(-900, causes.KEY(1))
     made.cause(0, causes.DIED("supervisor"))
     made.cause(300, causes.DIED("gate"))
-    noticed = ["supervisor died (noticed by the port owner)", "gate died (noticed by the port owner)"]
-    assert told(made.incident(), "cause") == noticed
+    made.stop = {"written_by": "port owner", "written_us": 30.0}
+    assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]
+    assert re.search("^  noticed +by the port owner$", text(made.incident()), re.M), "that of the stop is a fact"
     made.kind = "stop"
     assert told(made.incident(), "cause") == [], "the supervisor tells of each"
 
