@@ -11,6 +11,11 @@ LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 
 
+def board_there() -> bool:
+    """A controller board is plugged in."""
+    return any(rank == BOARDS for rank, *_ in _ranked())
+
+
 def candidates() -> list[tuple[str, str]]:
     """(path, description) of each serial device: controller boards first, then other USB devices, then the rest."""
     return [(path, description) for _, path, description in sorted(_ranked())]

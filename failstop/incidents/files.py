@@ -179,6 +179,14 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> list[str]:
     return removed
 
 
+def identities(environ: Mapping[str, str]) -> list[str]:
+    """The ids of all incidents on this machine, whatever service they are of; as far as this user may look."""
+    from glob import glob
+
+    places = [os.path.join(base, deep) for base in (root.at(SYSTEM_BASE), _home(environ)) for deep in ("", "*")]
+    return sorted(identity(path) for place in places for path in glob(os.path.join(place, FOLDER, "*" + SUFFIX)))
+
+
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     """The path of the incident that is meant by a path, `last`, an id or the beginning of one. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
