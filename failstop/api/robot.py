@@ -4,11 +4,10 @@ other.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import AsyncIterator, Callable, Iterator
 
 from failstop.api.calls import Calls
-from failstop.api.events import LOOK_EVERY_S, Event, EventLog, News
+from failstop.api.events import LOOK_S, Event, EventLog
 from failstop.api.session import ANSWER_S, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import State
 from failstop.shm import records
@@ -81,7 +80,7 @@ class Robot(Calls):
         """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
         one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
         service has ended."""
-        return (event for event in EventLog(self.name, past=past).follow(LOOK_EVERY_S) if event)
+        return EventLog(self.name, past=past).follow()
 
 
 class AsyncRobot(Calls):
@@ -126,10 +125,11 @@ class AsyncRobot(Calls):
 
 async def _through(steps: Steps[T]) -> T:
     """Take the steps, as session.sleep_through() does; the event loop goes on in between."""
+    import asyncio  # takes as long as all else here
+
     try:
         while True:
-            news, for_s = next(steps)
-            await _sleep(news, for_s)
+            await asyncio.sleep(next(steps))
     except StopIteration as done:
         found: T = done.value
         return found
@@ -138,29 +138,11 @@ async def _through(steps: Steps[T]) -> T:
 
 
 async def _follow(log: EventLog) -> AsyncIterator[Event]:
-    with contextlib.closing(News(log.name)) as news:
-        while True:
-            news.look()
-            found = log.read()
-            for event in found:
-                yield event
-            if not found:
-                await _sleep(news, LOOK_EVERY_S)
+    import asyncio
 
-
-async def _sleep(news: News | None, for_s: float) -> None:
-    """Until there may be news, if it is for that; the event loop goes on."""
-    import asyncio  # takes as long as all else here
-
-    if news is None or news.fd < 0:
-        await asyncio.sleep(for_s)
-        return
-    loop = asyncio.get_running_loop()
-    told = asyncio.Event()
-    loop.add_reader(news.fd, told.set)
-    try:
-        await asyncio.wait_for(told.wait(), for_s)
-    except asyncio.TimeoutError:
-        pass
-    finally:
-        loop.remove_reader(news.fd)
+    while True:
+        found = log.read()
+        for event in found:
+            yield event
+        if not found:
+            await asyncio.sleep(LOOK_S)

@@ -18,15 +18,14 @@ from typing import Any, Literal, TypeVar, get_args
 from failstop.api import verdict
 from failstop.api.client import Client, Run, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut
-from failstop.api.events import News
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 
 T = TypeVar("T")
-Steps = Generator[tuple[News | None, float], None, T]
-"""Each step: what wakes early, if anything does, and for how long to sleep, s."""
+Steps = Generator[float, None, T]
+"""Each step: for how long to sleep, s."""
 Told = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """What `Robot.wait_for` takes: ready (motion could be enabled or reset), enabled, disabled, latched (a stop is), clear
@@ -38,7 +37,7 @@ ANSWER_S = 1.0
 CLOSING_S = 0.3
 """How long the end of a session waits for motion to be disabled."""
 LOOK_S = 0.02
-"""Time between two looks without news: what is told to people wakes who waits, and a velocity is no such thing."""
+"""Time between two looks at the state."""
 POLL_S = 0.0003
 
 _CHECKS: dict[str, Callable[[State], bool]] = {
@@ -107,16 +106,6 @@ class Session:
                 self._closed = True
                 self._leave(in_order=in_order)
                 self._run = None
-
-    @property
-    def closed(self) -> bool:
-        """After close(), or when `with` was left."""
-        return self._closed
-
-    @property
-    def reconnects(self) -> bool:
-        """It goes over to the next run of the service (`reconnect`)."""
-        return self._reconnect
 
     def release(self) -> None:
         """Give the client slot back until a call needs one again. If this program was driving, the wheels stop at
@@ -206,7 +195,7 @@ class Session:
         limit_s = self._answer_s if answer_s is None else answer_s
         try:
             while not (sent := self._send(verb, turn, about, asked_ns)):
-                yield None, POLL_S
+                yield POLL_S
             client, run, number = sent
             before, until_s = self._enabled, time.monotonic() + limit_s
             if verb == records.ENABLE:
@@ -224,7 +213,7 @@ class Session:
                 if time.monotonic() > until_s:
                     text = f"the gate of {self.name!r} did not answer within {limit_s:g} s: see `failstop status`"
                     raise NoAnswer(text)
-                yield None, POLL_S
+                yield POLL_S
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled
                 raise Refused(answer.text, answer.cause)
@@ -267,34 +256,28 @@ class Session:
         name = getattr(what, "__name__", "that") if callable(what) else what
         limit_s = inf if timeout_s is None else timeout_s
         until_s = time.monotonic() + limit_s
-        with contextlib.closing(News(self.name)) as news:
-            while True:
-                news.look()
-                late = time.monotonic() >= until_s
-                try:
-                    state = self.state
-                except FailstopError as error:
-                    if late or self._closed or (isinstance(error, NoService) and not self._reconnect):
-                        raise
-                else:
-                    if is_so(state):
-                        return state
-                    if late:
-                        step = verdict.next_step(state)
-                        told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
-                        raise TimedOut(told + (f"; next: {step}" if step else ""))
-                yield news, min(LOOK_S, max(0.0, until_s - time.monotonic()))
+        while True:
+            late = time.monotonic() >= until_s
+            try:
+                state = self.state
+            except FailstopError as error:
+                if late or self._closed or (isinstance(error, NoService) and not self._reconnect):
+                    raise
+            else:
+                if is_so(state):
+                    return state
+                if late:
+                    step = verdict.next_step(state)
+                    told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
+                    raise TimedOut(told + (f"; next: {step}" if step else ""))
+            yield min(LOOK_S, max(0.0, until_s - time.monotonic()))
 
 
 def sleep_through(steps: Steps[T]) -> T:
     """Take the steps, asleep in between; returns what they come to, and raises what they raise."""
     try:
         while True:
-            news, for_s = next(steps)
-            if news:
-                news.wait(for_s)
-            else:
-                time.sleep(for_s)
+            time.sleep(next(steps))
     except StopIteration as done:
         found: T = done.value
         return found
