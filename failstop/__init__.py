@@ -24,19 +24,23 @@ if TYPE_CHECKING:
     from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
     from failstop.api.events import Event
     from failstop.api.robot import AsyncRobot, Robot
-    from failstop.api.snapshot import Block, Process, State, Stop, Velocity
+    from failstop.api.snapshot import Battery, Block, Imu, Odometry, Pad, Process, State, Stop, Velocity
     from failstop.api.why import Why
 
 __all__ = [
     "Answer",
     "AsyncRobot",
+    "Battery",
     "Block",
     "Blocked",
     "Driving",
     "Event",
     "FailstopError",
+    "Imu",
     "NoAnswer",
     "NoService",
+    "Odometry",
+    "Pad",
     "Preempted",
     "Process",
     "Refused",

@@ -22,7 +22,6 @@ SECTIONS = (
     ("State", "snapshot", ()),
     ("Arm", "arm", ("Arm",)),
     ("Events", "events", ("Event",)),
-    ("Samples (failstop.api.samples)", "samples", ("ImuSample", "BatterySample", "PadSample", "OdometrySample")),
     ("Errors", "errors", ()),
 )
 """Title, module, and the classes that are shown of it; none named: all."""

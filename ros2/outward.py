@@ -14,7 +14,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample
+from failstop.api.snapshot import Battery, Imu, Odometry, Pad
 from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
@@ -73,7 +73,7 @@ class Outward:
         self._told: list[diagnostics.Status] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: BatterySample | None = None
+        self._battery: Battery | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -87,7 +87,7 @@ class Outward:
         self._messages[topic.name] = kind()
 
     def _constants(self) -> None:
-        variance = ImuSample._field_defaults["rate_variance"]
+        variance = Imu._field_defaults["rate_variance"]
         self._keep(contract.IMU, messages.imu_constant(self._imu_frame, variance), messages.IMU_PLACES)
         self._keep(contract.ODOMETRY, messages.odometry_constant(*self._frames), messages.ODOMETRY_PLACES)
         self._keep(contract.GAMEPAD, messages.GAMEPAD_CONSTANT, messages.GAMEPAD_PLACES)
@@ -151,20 +151,20 @@ class Outward:
             self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
 
     def _sample(self, sample: object) -> None:
-        if isinstance(sample, ImuSample):
+        if isinstance(sample, Imu):
             # What the port had in one piece has one time, and a filter divides by the time between two samples.
             # A clock that was set back is followed.
             ros_ns = sample.t_ns + self._offset_ns
             self._imu_ns = ros_ns if self._imu_ns - ros_ns > CLOCK_NS else max(ros_ns, self._imu_ns + LEAST_NS)
             self._send(contract.IMU, messages.imu(sample, self._imu_ns))
-        elif isinstance(sample, OdometrySample):
+        elif isinstance(sample, Odometry):
             self._odometry(sample)
-        elif isinstance(sample, PadSample):
+        elif isinstance(sample, Pad):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
-        elif isinstance(sample, BatterySample):
+        elif isinstance(sample, Battery):
             self._battery = sample
 
-    def _odometry(self, sample: OdometrySample) -> None:
+    def _odometry(self, sample: Odometry) -> None:
         ros_ns = sample.t_ns + self._offset_ns
         deviations = (sample.pose_variance, sample.twist_std_mps, sample.twist_std_radps)
         if deviations != self._deviations:

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 from failstop.api.arm import Arm
 from failstop.api.client import send_stop
 from failstop.api.events import EventLog
-from failstop.api.samples import Sample
 from failstop.api.session import POLL_S, Session, Steps
-from failstop.api.snapshot import Block, Velocity
+from failstop.api.snapshot import Block, Sample, Velocity
 from failstop.policy.causes import Cause
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
@@ -209,9 +208,9 @@ class Calls(Session):
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call, each sample once with its time: ImuSample, BatterySample,
-        PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
-        again. Raises NoService, FailstopError."""
+        """What the board reported since the last call, each sample once with its time: Imu, Battery, Pad, Odometry. The
+        first call begins it, and the first of a new run begins again. What one read brought has one time. The state has
+        the newest of each alone. Raises NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 

@@ -170,18 +170,6 @@ class Starved:
 
 
 @dataclasses.dataclass(frozen=True)
-class Imu:
-    """The newest sample of the IMU: x forward, y left, z up."""
-
-    acceleration_mps2: tuple[float, float, float]
-    """m/s2."""
-    rate_radps: tuple[float, float, float]
-    """rad/s, less the bias."""
-    rate_variance: float = RATE_VARIANCE
-    """Of each axis of the rate, (rad/s)2."""
-
-
-@dataclasses.dataclass(frozen=True)
 class GyroBias:
     """What the gyro shows of a robot that stands still."""
 
@@ -193,10 +181,24 @@ class GyroBias:
     """The robot stood still long enough at the start."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Odometry:
+class Imu(NamedTuple):
+    """One sample of the IMU: x forward, y left, z up."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    acceleration_mps2: tuple[float, ...]
+    """m/s2."""
+    rate_radps: tuple[float, ...]
+    """rad/s, less the bias."""
+    rate_variance: float = RATE_VARIANCE
+    """Of each axis of the rate, (rad/s)2."""
+
+
+class Odometry(NamedTuple):
     """Pose since the start and velocity, both integrated from what was commanded."""
 
+    t_ns: int
+    """CLOCK_MONOTONIC of when it was so, ns."""
     x_m: float
     """m, forward at the start."""
     y_m: float
@@ -215,6 +217,36 @@ class Odometry:
     """Standard deviation of wz, rad/s, by the settings."""
     pose_variance: float = POSE_VARIANCE
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
+
+
+class Battery(NamedTuple):
+    """One reading of the battery."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    battery_v: float
+    """V."""
+    plugged: Plugged
+    """Whether a charger is plugged in, judged from the voltage's steps."""
+
+
+class Pad(NamedTuple):
+    """One frame of the gamepad."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    buttons: int
+    """A bit a button."""
+    hat: int
+    """As the board gives it."""
+    axes: tuple[int, ...]
+    """lx, ly, rx, ry, -128 to 127."""
+    mode: PadMode
+    """What the gamepad moves."""
+
+
+Sample = Imu | Battery | Pad | Odometry
+"""What `Robot.samples` gives."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -359,5 +391,7 @@ class State:
                 del plain[absent]
         return plain | {
             "cause": self.cause and self.cause.as_map(),
+            "imu": self.imu and self.imu._asdict(),
+            "odometry": self.odometry and self.odometry._asdict(),
             "last_stop": self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()},
         }

@@ -13,14 +13,14 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
 from failstop.api.errors import NoService
-from failstop.api.samples import Sample, SampleReader
-from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
+from failstop.api.snapshot import ArmState, Battery, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.shm import blocks, heartbeat, layout, records
+from failstop.shm import blocks, box, heartbeat, layout, records
+from failstop.shm.cell import RingReader
 
 T = TypeVar("T")
 
@@ -48,6 +48,25 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 }
 """What a snapshot is made of: whose each record is, and what reads it."""
 
+PLUGGED = cast("tuple[snapshot.Plugged, ...]", records.PLUGGED)
+PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
+
+
+def _imu(t_ns: int, *values: float) -> Imu:
+    return Imu(t_ns, values[:3], values[3:])
+
+
+def _battery(t_ns: int, millivolts: int, plugged: int) -> Battery:
+    return Battery(t_ns, millivolts / 1000, PLUGGED[plugged])
+
+
+def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
+    return Pad(t_ns, buttons, hat, rest[:-1], PAD_MODES[rest[-1]])
+
+
+SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.BATTERY: _battery, box.PAD: _pad}
+"""What makes samples of the board's reports: what the arm's servos answer is told in State.arm."""
+
 
 class StateReader(Run):
     """A run of a service of which snapshots are read; reads only, and needs no client slot."""
@@ -60,6 +79,8 @@ class StateReader(Run):
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = self.supervisor.word("epoch")
         self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
+        self._telemetry = views[layout.TELEMETRY]
+        self._sampled: Odometry | None = None
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
@@ -68,6 +89,11 @@ class StateReader(Run):
         """The newest value of one of RECORDS; None before the first."""
         entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
+
+    def _timed(self, record: str, make: Callable[..., T]) -> T | None:
+        """The same with its time, as the type of it."""
+        entry = self._latest[record].read()
+        return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
     def _begun(self, record: str) -> Any:
         """The same of one that each service that runs has. Raises FailstopError before that."""
@@ -81,13 +107,21 @@ class StateReader(Run):
         return found
 
     @cached_property
-    def _samples(self) -> SampleReader:
-        return SampleReader(attach(self.name, layout.TELEMETRY, self.found))
+    def _box(self) -> RingReader:
+        return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call. Raises NoService when this run of the service is over."""
+        """What the board reported since the last call, in order, and the newest odometry, if it is new. Raises
+        NoService when this run of the service is over."""
         over = self.over()  # first: what it told last is still to be read then
-        found = self._samples.read()
+        found = []
+        while entry := self._box.next():
+            kind, values = box.unpack_board(entry[2])
+            if make := SAMPLES.get(kind):
+                found.append(make(entry[1], *values))
+        if (odometry := self._timed("odometry", Odometry)) and odometry != self._sampled:
+            self._sampled = odometry
+            found.append(odometry)
         if over and not found:
             raise NoService(f"the service {self.name!r} has ended, or was restarted: read its samples again")
         return found
@@ -109,7 +143,7 @@ class StateReader(Run):
         known: dict[str, Any] = self._begun("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
-        imu, bias, odometry, pad = map(self._value, ("imu", "bias", "odometry", "pad"))
+        bias, pad = self._value("bias"), self._value("pad")
         starved, attended = known["starved"], decided.get("attended")
         return State(
             name=self.name,
@@ -128,12 +162,12 @@ class StateReader(Run):
             sources=tuple(snapshot.Source(**row) for row in decided["sources"]),
             scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
-            imu=imu and snapshot.Imu(imu[:3], imu[3:]),
+            imu=self._timed("imu", _imu),
             gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
-            odometry=odometry and snapshot.Odometry(*odometry),
-            pad_mode=pad and cast("snapshot.PadMode", records.PAD_MODES[pad[6]]),
+            odometry=self._timed("odometry", Odometry),
+            pad_mode=pad and PAD_MODES[pad[6]],
             battery_v=millivolts / 1000 or None,
-            plugged=cast("snapshot.Plugged", records.PLUGGED[plugged]),
+            plugged=PLUGGED[plugged],
             speed_limit=decided["limit"] / 100,
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
