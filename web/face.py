@@ -156,7 +156,8 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
     if state.cause and state.last_stop and state.last_stop.cause == state.cause:
         return state.last_stop.t
     if state.blocked == blocks.DISABLED:
-        return next((event.t for event in reversed(events) if event.kind in verdict.SINCE), None)
+        change = verdict.newest(events, verdict.CHANGES)
+        return change.t if change else None
     return None
 
 

@@ -180,16 +180,11 @@ class Run:
 
 
 def _undeclared(kind: str, name: str, declared: list[str], service: str) -> str:
-    """What is wrong with a name that the settings do not declare, with the one that may have been meant."""
+    """What is wrong with a name that the settings do not declare."""
     known = ", ".join(declared) or "none"
     if (kind, name) == ("source", PAD):
         return f"source {PAD!r} is the board's gamepad alone; a client's are {known}"
-    nearest: list[str] = []
-    with contextlib.suppress(ImportError):  # a program that has given its rights up may be unable to read its library
-        from difflib import get_close_matches  # for a mistake only: it costs more than this file
-
-        nearest = get_close_matches(name, declared, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"add [{kind}s.NAME] and restart the service"
+    hint = f"add [{kind}s.NAME] and restart the service"
     return f"no {kind} {name!r} in the settings of {service!r}, which declare: {known}; {hint}"
 
 

@@ -106,8 +106,6 @@ class Process:
     """It has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
     """Its memory can't be swapped out."""
-    early_news: bool = True
-    """The kernel tells it of a death before it takes the dead process's memory down."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -263,18 +261,18 @@ class JointState:
     """Since it was read, s."""
     commanded_rad: float | None
     """Where it was sent, rad; None while it is not known where it is."""
-    commanded_pulses: float | None
-    """The same in the servo's pulses."""
     torque: bool
     """It holds."""
     temperature_c: int | None
     """Of the servo, degrees Celsius."""
     supply_v: float | None
     """Of the servo, V."""
-    at_rad: float | None = None
-    """Where it is as far as is known, rad; None: it is not."""
-    at_by: str = ""
-    """How that is known: `read`, or `sent` (while it moves no servo is asked)."""
+
+    @property
+    def at_rad(self) -> float | None:
+        """Where it is as far as is known, rad: where it was sent, since while it moves no servo is asked, or else where
+        it was read to be."""
+        return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
 @dataclasses.dataclass(frozen=True)
@@ -303,8 +301,6 @@ class ArmState:
     """drive, tuck, or empty."""
     auto_tuck_s: float | None
     """Until it tucks itself, s; None: it does not."""
-    tucks: bool
-    """It is about to tuck itself."""
     pad_joint: str | None
     """The joint that the gamepad turns."""
     joints: dict[str, JointState]

@@ -179,25 +179,18 @@ class StateReader(Run):
             return None
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
-            at = measured if commanded is None else commanded
-            angle_rad, commanded_rad, at_rad = (
-                None if pulses is None else round(self.joints[name].rad(pulses), 4)
-                for pulses in (measured, commanded, at)
-            )
+            rad = self.joints[name].rad
             joints[name] = JointState(
                 servo=servo,
-                angle_rad=angle_rad,
+                angle_rad=None if measured is None else round(rad(measured), 4),
                 pulses=measured,
                 age_s=None if measured is None else _age_s(now_ns, measured_ns),
-                commanded_rad=commanded_rad,
-                commanded_pulses=commanded,
+                commanded_rad=None if commanded is None else round(rad(commanded), 4),
                 torque=torque,
                 temperature_c=temperature_c or None,
                 supply_v=supply_mv / 1000 or None,
-                at_rad=at_rad,
-                at_by="" if at is None else "read" if at == measured else "sent",
             )
-        return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
+        return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
@@ -272,7 +265,6 @@ class StateReader(Run):
                 worst_s=round(beat.worst_ns.get() / 1e9, 4),
                 realtime=bool(granted & heartbeat.REALTIME),
                 memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
-                early_news=bool(granted & heartbeat.EARLY_NEWS),
             )
         return found
 

@@ -16,8 +16,6 @@ from failstop.supervisor.stops import NOT_SENT
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
-CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
-"""Events that change whether motion is enabled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,10 +70,8 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
     elif state.cause:
         steps.insert(0, meaning(state.cause)[1])
-    before = verdict.earlier(events)
-    if before and not state.last_stop and state.block is Block.DISABLED:
-        when, story = words.ago(before.t, now_s), before.show(state.name)
-        also.append(f"the run before this one: {before.how} ({when}); its story: {story}")
+    if (before := verdict.before(events)) and not state.last_stop and state.block is Block.DISABLED:
+        also.append(f"the run before this one: {before}")
     return Why(
         what=": ".join(filter(None, (what, began))),
         proof=_proof(state, now_s),
@@ -119,14 +115,11 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
         never = "it has not delivered once in this run"
         return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
-        change = next((event for event in reversed(events) if event.kind in CHANGES), None)
+        change = verdict.newest(events, verdict.CHANGES)
         return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven on since: that is not told of each time.
-        text = f"{verdict.leaving(event)} ({words.ago(event.t, now_s)})"
-        if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
-            text += "; it is still connected, so it hangs, waits, or commands too seldom"
-        return None, text
+        return None, f"{event.text} ({words.ago(event.t, now_s)})"
     return None, ""
 
 
@@ -162,13 +155,12 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
     where the wheels wait for its kind."""
     found = []
-    hung = verdict.exits(events)
+    ends = verdict.ends(state, events)
     for name, process in state.processes.items():
         if process.state == "down":
-            how = verdict.last_exit(state, name, hung)
-            found.append(f"{name} died too often (it {how}) and is {verdict.until(name)}")
+            found.append(f"{name} died too often (it {ends[name]}) and is {verdict.until(name)}")
         elif process.state != "running":
-            after = f", after it {verdict.last_exit(state, name, hung)}" if process.last_exit else ""
+            after = f", after it {ends[name]}" if process.last_exit else ""
             found.append(f"{name} is {process.state}{after}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")

@@ -102,12 +102,6 @@ def test_restarts_and_missing_rights_are_remarked() -> None:
     assert "none" in said
 
 
-def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
-    late = process(early_news=False)
-    assert "tells of deaths late" in shown(summary.lines(state(processes={"gate": late}), NOW_S, 120))
-    assert "tells of deaths late" not in shown(summary.lines(state(), NOW_S, 120))
-
-
 def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
     found = Live("failstop")
     lines: list[style.Line] = []

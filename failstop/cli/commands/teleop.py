@@ -316,6 +316,6 @@ class Pilot:
         """What the arm does, and the chosen joint: where it is, or was sent."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
-        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
+        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"
         closed = f"; {arm.closed}" if arm.closed else ""
         return [row("arm", f"{summary.arm_headline(arm)}{closed}"), row("joint", f"{self.joint + 1} {name}: {where}")]
