@@ -86,43 +86,6 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
     return Driving(Velocity(*decided["body_vel"])), True
 
 
-class Attendance:
-    """Of one operator; a context manager, whose end gives it up.
-
-    with robot.attend("Anna") as attendance:
-        while anna_is_there():
-            attendance.renew()
-            time.sleep(0.1)
-
-    Who stops renewing it is gone after attend.lease_s (1 s), and that latches a stop; so does give_up(), at once,
-    unless somebody else attends. The robot's clock alone counts.
-    """
-
-    def __init__(self, session: Session, who: str) -> None:
-        self._session = session
-        self.who = who
-        """As people see it."""
-
-    def __enter__(self) -> Attendance:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.give_up()
-
-    def renew(self, proven_ns: int | None = None) -> None:
-        """The operator was there at `proven_ns` (CLOCK_MONOTONIC, ns; default: now), such as when a question was put
-        that has been answered since. Repeat it every 0.1 s or so. Raises NoService when no service runs."""
-        self._say(self.who, time.monotonic_ns() if proven_ns is None else proven_ns)
-
-    def give_up(self, who: str = "") -> None:
-        """The operator leaves. Raises NoService."""
-        self._say(who or self.who, 0)
-
-    def _say(self, who: str, t_ns: int) -> None:
-        with self._session._lock:
-            self._session._client().tell("attended", [who], t_ns=t_ns, wake=True)
-
-
 class Calls(Session):
     """Drive, assert, look: the base of both."""
 
@@ -176,10 +139,21 @@ class Calls(Session):
             run.check("interlock", *interlocks)
             self._slot(run).tell("interlocks", interlocks)
 
-    def attend(self, who: str) -> Attendance:
-        """An operator attends, once the attendance that comes back is renewed, and for as long as it is (see there).
-        Where the setting attend.required is "on", motion needs somebody who attends; elsewhere it changes nothing."""
-        return Attendance(self, records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody")
+    def attend(self, who: str, proven_ns: int | None = None) -> None:
+        """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
+        was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
+        motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
+        unless somebody else attends; so does leave(), and this program's end. Raises NoService."""
+        name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
+        self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
+
+    def leave(self) -> None:
+        """The operator leaves, at once. Raises NoService."""
+        self._attended("", 0)
+
+    def _attended(self, who: str, t_ns: int) -> None:
+        with self._lock:
+            self._client().tell("attended", [who], t_ns=t_ns, wake=True)
 
     def say(self, sees: str, wrong: str = "") -> None:
         """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`

@@ -107,13 +107,6 @@ class Session:
                 self._leave(in_order=in_order)
                 self._run = None
 
-    def release(self) -> None:
-        """Give the client slot back until a call needs one again. If this program was driving, the wheels stop at
-        once."""
-        with self._lock:
-            self._check_open()
-            self._leave()
-
     def _leave(self, *, in_order: bool = True) -> None:
         connected, self._connected = self._connected, None
         if connected:

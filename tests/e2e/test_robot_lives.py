@@ -184,7 +184,7 @@ def test_a_request_that_waits_when_the_service_dies_is_told_at_once(trial: Trial
 # Closed.
 
 
-@pytest.mark.parametrize("call", [*CALLS, "release"])
+@pytest.mark.parametrize("call", CALLS)
 def test_closed_is_closed(trial: Trial, call: str) -> None:
     trial.enable()
     robot = Robot(trial.name)
@@ -192,7 +192,7 @@ def test_closed_is_closed(trial: Trial, call: str) -> None:
     robot.close()
     robot.close()
     with pytest.raises(FailstopError, match="is closed: make a new one"):
-        {**CALLS, "release": lambda robot: robot.release()}[call](robot)
+        CALLS[call](robot)
     with pytest.raises(FailstopError, match="is closed"):
         robot.__enter__()
     robot.estop("nothing keeps anybody from a stop")
@@ -272,16 +272,6 @@ def test_a_robot_that_nobody_refers_to_gives_its_slot_back(trial: Trial) -> None
     )
     assert zero.arrival_ns - dropped_ns < 250e6, "before the command timeout"
     wait_for("its slot to be free", lambda: [one.name for one in trial.robot.state.clients] == ["trial"])
-
-
-def test_release_gives_the_slot_back_until_it_is_needed(trial: Trial) -> None:
-    with Robot(trial.name, client="now and then") as robot:
-        robot.sensed()
-        wait_for("the client", lambda: len(robot.state.clients) == 1)
-        robot.release()
-        wait_for("no client", lambda: robot.state.clients == ())
-        robot.sensed()
-        wait_for("the client again", lambda: len(robot.state.clients) == 1)
 
 
 def child(action: Callable[[], None]) -> int:

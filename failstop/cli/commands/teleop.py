@@ -134,10 +134,9 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
 
 
 def _pause(terminal: Terminal, pilot: Pilot) -> None:
-    """Ctrl-Z: the robot stands while nobody is at the keys, and its slot is free for others."""
+    """Ctrl-Z: the robot stands while nobody is at the keys."""
     _disable(pilot.robot)
     pilot.hold.let_go()
-    pilot.robot.release()
     terminal.suspend()
     pilot.note = ("motion was disabled while this was stopped: e enables it", WARN)
 
