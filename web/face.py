@@ -12,6 +12,7 @@ from failstop.api import verdict, words
 from failstop.api.why import meaning
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
+from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -113,13 +114,13 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": "" if stop.written_s is None else words.took(stop.written_s),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": "" if stop.observed_s is None else _seen(stop),
+        "observed": "" if stop.observed_s is None else _seen(stop.observed_s),
     }
 
 
-def _seen(stop: Stop) -> str:
+def _seen(observed_s: float) -> str:
     """The third proof, short."""
-    return words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+    return wheels_seen(observed_s).replace("wheels still", "still").replace("less than", "<")
 
 
 def sentence(text: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import stat
 import termios
 import time
 
@@ -36,15 +35,6 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str]:
         return "", f"the stop pipe of {name!r} can't be watched: {error.strerror}"
     finally:
         os.close(pipe)
-
-
-def send(name: str, reason: str, who: str) -> str:
-    """Write a request and look no further; returns what is wrong."""
-    try:
-        send_stop(name, reason, who)
-    except FailstopError as error:
-        return str(error)
-    return ""
 
 
 def _watch(name: str, pipe: int) -> tuple[str, str]:
@@ -86,8 +76,6 @@ def port_of(name: str) -> str:
 
 def same(port: str, device: str) -> bool:
     """True when two paths are one port; by their names alone when it is not there."""
-    try:
-        found = os.stat(port), os.stat(device)
-    except OSError:
-        return os.path.realpath(port) == os.path.realpath(device)
-    return all(stat.S_ISCHR(node.st_mode) for node in found) and found[0].st_rdev == found[1].st_rdev
+    with contextlib.suppress(OSError):
+        return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
+    return os.path.realpath(port) == os.path.realpath(device)

@@ -70,7 +70,7 @@ class Robot(Calls):
     """
 
     connect = AsyncRobot
-    """The same for asyncio: `async with Robot.connect() as robot`, made as a Robot is. What takes time is awaited there."""
+    """The same for asyncio: `async with Robot.connect() as robot`. What takes time is awaited there."""
 
     def __enter__(self) -> Robot:
         self._check_open()

@@ -12,7 +12,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -147,7 +147,7 @@ def _proofs(stop: Stop, state: State, now_s: float) -> str:
         found.append(f"NOT acknowledged by the board{yet}")
     else:
         found.append(f"acknowledged by the board after {words.took(stop.acknowledged_s)}")
-    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else words.wheels_seen(stop))
+    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else wheels_seen(stop.observed_s))
     return ", ".join(found)
 
 

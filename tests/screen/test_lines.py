@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.api import host, verdict, words
+from failstop.api import host, verdict
 from failstop.api.errors import FailstopError
 from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
@@ -144,7 +144,7 @@ def test_a_service_that_has_gone_is_said_with_what_to_do(monkeypatch: pytest.Mon
     for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`failstop run`"):
         assert part in said
     assert "journalctl" not in said
-    monkeypatch.setattr(host, "unit", words.unit)
+    monkeypatch.setattr(host, "unit", lambda name: "failstop")
     said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
     assert "`journalctl -u failstop -e`" in said
     assert "`sudo systemctl start failstop`" in said

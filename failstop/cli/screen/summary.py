@@ -12,7 +12,7 @@ from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
 from failstop.supervisor.kinds import KINDS
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -116,7 +116,7 @@ def _proofs(stop: Stop) -> Line:
         heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
     if stop.observed_s is not None:
         # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        text = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        text = wheels_seen(stop.observed_s).replace("wheels still", "still").replace("less than", "<")
         seen = (text, OK if stop.observed_s else PLAIN)
     return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
 
