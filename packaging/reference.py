@@ -17,7 +17,7 @@ beside it comes from `failstop` itself: `from failstop import Robot`.
 SECTIONS = (
     ("Robot", "robot", ("Robot",)),
     ("asyncio", "robot", ("AsyncRobot",)),
-    ("What drive() answers", "calls", ("Driving", "Preempted", "Blocked")),
+    ("What drive() answers", "robot", ("Driving", "Preempted", "Blocked")),
     ("Why", "why", ("Why",)),
     ("State", "snapshot", ()),
     ("Arm", "arm", ("Arm",)),
@@ -25,7 +25,7 @@ SECTIONS = (
     ("Errors", "errors", ()),
 )
 """Title, module, and the classes that are shown of it; none named: all."""
-SHARED = {"Calls": "calls", "Session": "session"}
+SHARED = {"Calls": "robot", "Session": "session"}
 """What is shown with the first class that is made of it."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.api.snapshot import Battery, Imu, Odometry, Pad
+from failstop.api.snapshot import Imu, Odometry, Pad
 from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
@@ -36,8 +36,6 @@ DIAGNOSE_NS = 200_000_000
 HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
-BATTERY_NS = 5_000_000_000
-"""What the board said of its battery longer ago is not told any more."""
 SUPERVISOR = "supervisor"
 
 
@@ -73,7 +71,6 @@ class Outward:
         self._told: list[diagnostics.Status] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: Battery | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -161,8 +158,6 @@ class Outward:
             self._odometry(sample)
         elif isinstance(sample, Pad):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
-        elif isinstance(sample, Battery):
-            self._battery = sample
 
     def _odometry(self, sample: Odometry) -> None:
         ros_ns = sample.t_ns + self._offset_ns
@@ -244,9 +239,8 @@ class Outward:
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if slow and state and (sample := self._battery) and now_ns - sample.t_ns < BATTERY_NS:
-            stamp_ns = sample.t_ns + self._offset_ns
-            self._publish(contract.BATTERY, messages.battery(sample.battery_v, sample.plugged, stamp_ns))
+        if slow and state and state.battery_v and state.device.state == "open":
+            self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, ros_ns))
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return
         self._diagnose_ns = now_ns

@@ -1,16 +1,200 @@
 """Robot and AsyncRobot: drive and stop a robot from Python. What takes time waits in the one, and is awaited in the
-other.
+other; what takes none is the same for both.
+
+match robot.drive(0.2, 0.0, 0.0):
+    case Preempted(by=who): print(who, "drives")
+    case Blocked(block=Block.NO_SCAN): look_at_the_sensor()
 """
 
 from __future__ import annotations
 
+import dataclasses
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from math import isfinite
+from typing import TYPE_CHECKING, Any
 
-from failstop.api.calls import Calls
+from failstop.api.arm import Arm
+from failstop.api.client import send_stop
 from failstop.api.events import LOOK_S, Event, EventLog
-from failstop.api.session import Steps, T, Told, Word, sleep_through
-from failstop.api.snapshot import State
+from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
+from failstop.api.snapshot import Block, Sample, State, Velocity
+from failstop.policy.causes import Cause
+from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
+
+if TYPE_CHECKING:
+    from failstop.api.why import Why
+
+MOST_OF_A_NAME = 64
+"""Bytes of an operator's name; the rest is left out."""
+TAKEN_S = 0.01
+"""How long drive() waits for a gate that has not taken this command yet, or may decide otherwise for it; the gate needs
+0.3 ms on a machine that is idle."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Driving:
+    """This command moves the wheels."""
+
+    velocity: Velocity
+    """What the gate commands now: it gets to what was asked for along the ramp, within the limits."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Preempted:
+    """A source of higher priority drives; this command waits."""
+
+    by: str
+    """Who drives: name and pid."""
+    source: str
+    """As which source."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocked:
+    """Nothing moves."""
+
+    block: Block
+    """What holds the wheels. NO_COMMAND: the gate has not taken the command in time."""
+    why: str
+    """The same in words, with the stop's cause."""
+
+    def __bool__(self) -> bool:
+        return False
+
+
+Answer = Driving | Preempted | Blocked
+"""True in a condition only if this command moves the wheels."""
+
+
+def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
+    """The answer of a gate that has decided so; and whether it is settled: a command that the gate has not seen yet
+    changes it where the one of before may have been too old, or the sensor silent. Pure."""
+    block = Block.LATCHED if cause else Block.of(decided["blocked"])
+    if block in (Block.LATCHED, Block.DISABLED):
+        return Blocked(block, str(cause or block.value)), True
+    rows = {row["source"]: row for row in decided["sources"]}
+    if source not in rows:
+        return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet"), False
+    driver = next(row for row in rows.values() if row["state"] == "drives")
+    if driver["source"] != source:
+        return Preempted(driver["who"], driver["source"]), False
+    if block:
+        return Blocked(block, block.value), False
+    return Driving(Velocity(*decided["body_vel"])), True
+
+
+class Calls(Session):
+    """Drive, assert, look: the base of both."""
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
+        restart of the service nothing moves before somebody enables motion again.
+
+        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
+        It takes no time while the wheels turn, and 10 ms at most while they do not.
+
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
+        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
+        do not name, NoService when no service runs.
+        """
+        self.command(vx, vy, wz, manual=manual, source=source)
+        until_s = time.monotonic() + TAKEN_S
+        while True:
+            with self._lock:
+                decided, cause, *_ = self._current().decided()
+            answer, settled = judge(decided, source, cause)
+            if settled or time.monotonic() > until_s:
+                return answer
+            time.sleep(POLL_S)
+
+    def command(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
+        """As drive(), without its answer: it never waits. For a program that has much else to hear."""
+        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
+            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
+        with self._lock:
+            run = self._current()
+            run.check("source", source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+
+    def sensed(self) -> None:
+        """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
+        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService when no
+        service runs."""
+        with self._lock:
+            self._client().tell("sensed", [])
+
+    def hold(self, *interlocks: str) -> None:
+        """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+
+        Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
+        not is no longer asserted, and ends with its timeout. Raises Undeclared for one that the settings do not name,
+        and then asserts none; NoService when no service runs.
+        """
+        with self._lock:
+            run = self._current()
+            run.check("interlock", *interlocks)
+            self._slot(run).tell("interlocks", interlocks)
+
+    def attend(self, who: str, proven_ns: int | None = None) -> None:
+        """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
+        was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
+        motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
+        unless somebody else attends; so does leave(), and this program's end. Raises NoService."""
+        name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
+        self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
+
+    def leave(self) -> None:
+        """The operator leaves, at once. Raises NoService."""
+        self._attended("", 0)
+
+    def _attended(self, who: str, t_ns: int) -> None:
+        with self._lock:
+            self._client().tell("attended", [who], t_ns=t_ns, wake=True)
+
+    def say(self, sees: str, wrong: str = "") -> None:
+        """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
+        and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
+        every few seconds, as old words are shown with their age."""
+        with self._lock:
+            self._client().tell("said", sees, wrong)
+
+    def estop(self, reason: str = "") -> None:
+        """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
+        Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
+        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
+        N)`; of a reason of more than 180 bytes the rest is left out."""
+        send_stop(self.name, reason, self.client_name)
+
+    def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
+        return self._asking(records.LIMIT, about=("speed_limit", round(100 * share)), awaited=awaited)
+
+    def why(self) -> Why:
+        """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
+        that `failstop why` prints. Raises NoService, FailstopError."""
+        from failstop.api.why import explain  # nobody who drives needs its words
+
+        return explain(self.state, EventLog(self.name).read(), time.time())
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call, each sample once with its time: Imu, Pad, Odometry. The
+        first call begins it, and the first of a new run begins again. What one read brought has one time. The state has
+        the newest of each alone. Raises NoService, FailstopError."""
+        with self._lock:
+            return self._current().samples()
+
+    @property
+    def arm(self) -> Arm:
+        """The robot's arm. Its calls wait: in an event loop, `await asyncio.to_thread(robot.arm.pose, "drive")`. Raises
+        FailstopError where the settings name none."""
+        return Arm(self)
 
 
 class AsyncRobot(Calls):
@@ -60,9 +244,9 @@ class Robot(Calls):
     first use, which needs the group `failstop` (or the service's user).
 
     A service that was restarted is noticed by every call, which then means the new run; nothing is enabled by it.
-    While none runs every call raises NoService. With `reconnect=False` a Robot is of one run: once that has ended,
-    every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
-    A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
+    While none runs every call raises NoService. After close() every call but estop() raises FailstopError, whichever
+    thread makes it. A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes
+    one of its own.
 
     Several threads may use one Robot: it is one client, so the newest drive() of any of them counts. One that has a
     slot keeps a thread of its own, which only sleeps: by its end the gate knows of this program's death at once,
@@ -101,8 +285,8 @@ class Robot(Calls):
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """Wait until the state is so, and return it: a word (docs/python.md), or what a function of the state
-        says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
-        says what is the case and what to do, and ValueError for a word that there is not."""
+        says. A service that is not there is waited for too. Raises TimedOut, which says what is the case and what to
+        do, and ValueError for a word that there is not."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:

@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from failstop.api import verdict
 from failstop.api.client import Client, Run, gone, runtime_dir
-from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut
+from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.shm import records
@@ -61,7 +61,6 @@ class Session:
         name: str = DEFAULT_NAME,
         *,
         client: str | None = None,
-        reconnect: bool = True,
         answer_s: float = ANSWER_S,
         disable_on_exit: bool = True,
     ) -> None:
@@ -74,7 +73,6 @@ class Session:
         nobody from estop()."""
         self.name = name
         self.client_name = client or os.path.basename(sys.argv[0]) or "python"
-        self._reconnect = reconnect
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
@@ -120,16 +118,10 @@ class Session:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        before = self._run
-        if before and not before.over():
-            return before
-        self._leave()
-        found = StateReader(self.name)
-        if before and not self._reconnect:
-            became = "has ended" if found.incarnation == before.incarnation else "was restarted"
-            raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
-        self._run = found
-        return found
+        if self._run is None or self._run.over():
+            self._leave()
+            self._run = StateReader(self.name)
+        return self._run
 
     def _slot(self, run: Run) -> Client:
         connected = self._connected
@@ -253,8 +245,8 @@ class Session:
             late = time.monotonic() >= until_s
             try:
                 state = self.state
-            except FailstopError as error:
-                if late or self._closed or (isinstance(error, NoService) and not self._reconnect):
+            except FailstopError:
+                if late or self._closed:
                     raise
             else:
                 if is_so(state):

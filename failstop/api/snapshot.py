@@ -217,17 +217,6 @@ class Odometry(NamedTuple):
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
 
 
-class Battery(NamedTuple):
-    """One reading of the battery."""
-
-    t_ns: int
-    """CLOCK_MONOTONIC of the read that brought it, ns."""
-    battery_v: float
-    """V."""
-    plugged: Plugged
-    """Whether a charger is plugged in, judged from the voltage's steps."""
-
-
 class Pad(NamedTuple):
     """One frame of the gamepad."""
 
@@ -243,7 +232,7 @@ class Pad(NamedTuple):
     """What the gamepad moves."""
 
 
-Sample = Imu | Battery | Pad | Odometry
+Sample = Imu | Pad | Odometry
 """What `Robot.samples` gives."""
 
 

@@ -13,7 +13,7 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
 from failstop.api.errors import NoService
-from failstop.api.snapshot import ArmState, Battery, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
+from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
@@ -56,16 +56,12 @@ def _imu(t_ns: int, *values: float) -> Imu:
     return Imu(t_ns, values[:3], values[3:])
 
 
-def _battery(t_ns: int, millivolts: int, plugged: int) -> Battery:
-    return Battery(t_ns, millivolts / 1000, PLUGGED[plugged])
-
-
 def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
     return Pad(t_ns, buttons, hat, rest[:-1], PAD_MODES[rest[-1]])
 
 
-SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.BATTERY: _battery, box.PAD: _pad}
-"""What makes samples of the board's reports: what the arm's servos answer is told in State.arm."""
+SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.PAD: _pad}
+"""What makes samples of the board's reports; the others are told in State alone."""
 
 
 class StateReader(Run):
@@ -81,9 +77,6 @@ class StateReader(Run):
         self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._telemetry = views[layout.TELEMETRY]
         self._sampled: Odometry | None = None
-        self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
-        self._stopped: tuple[int, Cause | None] = (0, None)
-        """The newest epoch in which the port owner stopped by itself, and its first cause there."""
 
     def _value(self, record: str) -> Any:
         """The newest value of one of RECORDS; None before the first."""
@@ -197,9 +190,8 @@ class StateReader(Run):
         supervisor is dead: the part of read() that a driving program needs each time. Raises FailstopError.
 
         A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
-        owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and the gate's successor
-        starts latched. The same holds for a gate that says on what it said before the supervisor died or fell
-        silent."""
+        owner admits nothing of an older epoch, and the gate's successor starts latched. The same holds for a gate that
+        says on what it said before the supervisor died or fell silent."""
         dead = self.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         if (entry := self._latest["state"].read()) is None:
@@ -209,7 +201,7 @@ class StateReader(Run):
         own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
-        cause = cause or self._own_stop(epoch) or (causes.DIED(layout.SUPERVISOR) if dead else None)
+        cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else None)
         if not cause and decided["enabled"] and self.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:
@@ -222,15 +214,6 @@ class StateReader(Run):
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }
         return decided, cause, epoch, told_ns, dead
-
-    def _own_stop(self, epoch: int) -> Cause | None:
-        """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
-        The first cause wins."""
-        while entry := self._stops.next():
-            stopped_in, _, _, cause = records.STOPPED.unpack(entry[2])
-            if stopped_in > self._stopped[0]:
-                self._stopped = stopped_in, causes.read(cause)
-        return self._stopped[1] if self._stopped[0] >= epoch else None
 
     def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[snapshot.Client, ...]:
         said = {

@@ -46,10 +46,8 @@ def word(state: State) -> str:
     return STOPPED if state.blocked else STANDING
 
 
-def headline(state: State, blocked: str | None = None) -> str:
-    """What the wheels do and why, in a line; `blocked`: the same block in other words."""
-    if blocked and state.blocked:
-        return f"blocked: {blocked}"
+def headline(state: State) -> str:
+    """What the wheels do and why, in a line."""
     if state.cause:
         return f"stop latched: {state.cause}"
     if state.block:

@@ -7,9 +7,9 @@ import os
 
 import pytest
 
-from failstop import NoService, Robot
+from failstop import Robot
 from failstop.api.client import attach
-from failstop.api.snapshot import Battery, Imu, Odometry, Pad, Sample
+from failstop.api.snapshot import Imu, Odometry, Pad, Sample
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import box, layout
 
@@ -38,12 +38,9 @@ def test_every_imu_sample_comes_once_and_in_order(trial: Trial) -> None:
 
 
 def test_values_are_those_of_the_state(trial: Trial) -> None:
-    found = read_until(trial.robot, Battery, 1)
+    found = read_until(trial.robot, Imu, 1)
     imu = next(sample for sample in found if isinstance(sample, Imu))
     assert imu.acceleration_mps2[2] == pytest.approx(9.8, abs=0.8)
-    battery = next(sample for sample in found if isinstance(sample, Battery))
-    assert battery.battery_v == trial.robot.state.battery_v
-    assert battery.plugged == "unknown"
 
 
 def test_odometry_comes_at_50_hz(trial: Trial) -> None:
@@ -62,16 +59,13 @@ def test_gamepad_frames(trial: Trial) -> None:
     assert pad.mode == "locked"
 
 
-def test_a_service_that_was_started_anew_is_read_anew_or_told_of(trial: Trial) -> None:
-    with Robot(trial.name) as robot, Robot(trial.name, reconnect=False) as faithful:
+def test_a_service_that_was_started_anew_is_read_anew(trial: Trial) -> None:
+    with Robot(trial.name) as robot:
         read_until(robot, Imu, 1)
-        read_until(faithful, Imu, 1)
         trial.leave()
         trial.service.kill()
         trial.service.start()
         read_until(robot, Imu, 5)
-        with pytest.raises(NoService, match="was restarted"):
-            faithful.samples()
 
 
 def test_settings_are_those_of_this_run(name: str, tmp_path: os.PathLike[str]) -> None:

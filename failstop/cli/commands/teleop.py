@@ -95,7 +95,7 @@ def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     Run(arguments.name).check("source", arguments.source)
     terminal = Terminal(on=ASK, off=UNASK)
-    with Robot(arguments.name, client=CLIENT, reconnect=False) as robot:
+    with Robot(arguments.name, client=CLIENT) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         pilot = Pilot(robot, arguments.source, arguments.speed, arguments.turn)
         try:
@@ -116,7 +116,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
         try:
             state = pilot.robot.state
         except NoService:
-            raise NoService(f"no service named {name!r} is running, or it was restarted: begin again") from None
+            raise NoService(f"no service named {name!r} is running: begin again") from None
         if terminal.stopped:
             _pause(terminal, pilot)
             turned_s = 0.0  # what was typed meanwhile is late
