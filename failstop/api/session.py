@@ -34,8 +34,6 @@ stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
-CLOSING_S = 0.3
-"""How long the end of a session waits for motion to be disabled."""
 LOOK_S = 0.02
 """Time between two looks at the state."""
 POLL_S = 0.0003
@@ -98,7 +96,7 @@ class Session:
             if self._enabled and self._disable_on_exit and self._connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
-                    sleep_through(self._asking(records.DISABLE, answer_s=min(self._answer_s, CLOSING_S)))
+                    sleep_through(self._asking(records.DISABLE))
         finally:
             with self._lock:
                 self._closed = True
@@ -165,7 +163,6 @@ class Session:
         about: tuple[Any, ...] = (),
         *,
         asked_ns: int = 0,
-        answer_s: float | None = None,
         awaited: bool = False,
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
@@ -177,17 +174,16 @@ class Session:
         NoAnswer, NoService, FailstopError."""
         turn, said = (threading.get_ident(), object() if awaited else None), ""
         asked_ns = asked_ns or time.monotonic_ns()
-        limit_s = self._answer_s if answer_s is None else answer_s
         try:
             while not (sent := self._send(verb, turn, about, asked_ns)):
                 yield POLL_S
             client, run, number = sent
-            before, until_s = self._enabled, time.monotonic() + limit_s
+            before, until_s = self._enabled, time.monotonic() + self._answer_s
             if verb == records.ENABLE:
                 self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
-                    said, until_s = answer.text, time.monotonic() + limit_s
+                    said, until_s = answer.text, time.monotonic() + self._answer_s
                     self._pass(turn)
                     if told:
                         told(said)
@@ -196,8 +192,8 @@ class Session:
                     if run.over():
                         raise gone(self.name)
                 if time.monotonic() > until_s:
-                    text = f"the gate of {self.name!r} did not answer within {limit_s:g} s: see `failstop status`"
-                    raise NoAnswer(text)
+                    what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
+                    raise NoAnswer(f"{what}: see `failstop status`")
                 yield POLL_S
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled

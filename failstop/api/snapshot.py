@@ -369,12 +369,8 @@ class State:
         return next((source for source in self.sources if source.state == "drives"), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
-        plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
-        for absent in ("arm", "attended_by"):
-            if plain[absent] is None:
-                del plain[absent]
-        return plain | {
+        """Plain values, as in `failstop status --json`."""
+        return dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None)) | {
             "cause": self.cause and self.cause.as_map(),
             "imu": self.imu and self.imu._asdict(),
             "odometry": self.odometry and self.odometry._asdict(),

@@ -305,8 +305,10 @@ def test_the_arm_is_that_of_the_service_that_runs(tmp_path: Path) -> None:
         assert {name: joint.servo for name, joint in arm.joints.items()} == {"base": 2, "elbow": 1}
 
 
-def test_command_moves_the_wheels_and_answers_nothing(robot: Robot) -> None:
+def test_drive_waits_for_no_answer_where_it_is_told_to(robot: Robot) -> None:
     robot.enable()
-    wait_for("the wheels to turn", lambda: robot.command(0.1, 0.0, 0.0, manual=True) or robot.state.moving)
+    wait_for("earlier commands to be old", lambda: not robot.state.sources)
+    assert robot.drive(0.1, 0.0, 0.0, manual=True, wait_s=0.0) is not None
+    wait_for("the wheels to turn", lambda: bool(robot.drive(0.1, 0.0, 0.0, manual=True, wait_s=0.0)))
     with pytest.raises(ValueError, match="finite"):
-        robot.command(float("nan"), 0.0, 0.0)
+        robot.drive(float("nan"), 0.0, 0.0)
