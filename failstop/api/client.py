@@ -15,7 +15,6 @@ import msgpack
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
-from failstop.procs.gate.sources import PAD
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline, pid_namespace
@@ -176,16 +175,9 @@ class Run:
             if name not in declared:
                 if not self._rules:
                     raise starting(self.name)
-                raise Undeclared(_undeclared(kind, name[:LONGEST_SHOWN], declared, self.name))
-
-
-def _undeclared(kind: str, name: str, declared: list[str], service: str) -> str:
-    """What is wrong with a name that the settings do not declare."""
-    known = ", ".join(declared) or "none"
-    if (kind, name) == ("source", PAD):
-        return f"source {PAD!r} is the board's gamepad alone; a client's are {known}"
-    hint = f"add [{kind}s.NAME] and restart the service"
-    return f"no {kind} {name!r} in the settings of {service!r}, which declare: {known}; {hint}"
+                told = f"no {kind} {name[:LONGEST_SHOWN]!r} in the settings of {self.name!r}, which declare"
+                hint = f"add [{kind}s.NAME] and restart the service"
+                raise Undeclared(f"{told}: {', '.join(declared) or 'none'}; {hint}")
 
 
 class Client:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 from failstop.api import verdict, words
 from failstop.api.events import Event
@@ -30,10 +29,6 @@ class Why:
     """What to do, in order, commands in backquotes; empty while they move."""
     also: tuple[str, ...]
     """What else is wrong."""
-    block: Block | None
-    """The same as State.block."""
-    cause: Cause | None
-    """The same as State.cause."""
     since: float | None
     """Unix time, s, from which on it holds; None: not known."""
 
@@ -44,11 +39,6 @@ class Why:
         """The lines with their labels; `also` as many times as there is something."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop why --json`."""
-        cause = self.cause.as_map() if self.cause else None
-        return {**vars(self), "block": self.block and self.block.value, "cause": cause}
 
 
 HOLDS = {
@@ -77,8 +67,6 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         proof=_proof(state, now_s),
         do=tuple(words.named(step, state.name) for step in steps),
         also=tuple(words.named(text, state.name) for text in also),
-        block=state.block,
-        cause=state.cause,
         since=since,
     )
 
@@ -140,9 +128,8 @@ def _proofs(stop: Stop, state: State, now_s: float) -> str:
         later = "" if verdict.doubt(state) else " at first; the port is open now, and the board is told zero"
         return f"it could NOT be written{later}"
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
-    how = "written" if stop.sent else "handed to the kernel"
-    found = [f"{how} by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
-    found += [] if stop.sent else [NOT_SENT]
+    written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
+    found = [written if stop.sent else NOT_SENT]
     if stop.acknowledged_s is None:
         found.append(f"NOT acknowledged by the board{yet}")
     else:
@@ -157,15 +144,11 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
-        if process.state == "down":
-            found.append(f"{name} died too often (it {ends[name]}) and is {verdict.until(name)}")
-        elif process.state != "running":
-            after = f", after it {ends[name]}" if process.last_exit else ""
-            found.append(f"{name} is {process.state}{after}")
+        if process.state != "running":
+            how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
+            found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
-    elif state.waiting_for and not found and not verdict.doubt(state):
-        found.append(f"the service waits for {state.waiting_for}")
     if starved := words.starved(state.starved):
         found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_s > verdict.STALE_S:

@@ -34,7 +34,7 @@ def rules(name: str, tmp_path: Path) -> Iterator[Trial]:
     [
         ("telop", "no source 'telop' in the settings of .*, which declare: teleop, cmd_vel; add"),
         ("lidar", r"which declare: teleop, cmd_vel; add \[sources.NAME\] and restart the service"),
-        ("gamepad", "source 'gamepad' is the board's gamepad alone; a client's are teleop, cmd_vel"),
+        ("gamepad", "no source 'gamepad' in the settings of .*, which declare: teleop, cmd_vel; add"),
         ("", "no source ''"),
         ("teleop" + 5000 * "x", "no source 'teleopx{34}' in"),
         ("cmd_vel\0", r"no source 'cmd_vel\\x00' in"),
