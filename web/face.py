@@ -222,8 +222,8 @@ def _troubles(state: State) -> list[str]:
             found.append(f"The {name.replace('_', ' ')} is {process.state}.")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("The board has not answered yet, so nobody knows that it hears.")
-    if starved := words.starved(state.starved):
-        found.append(sentence(starved))
+    if state.starved:
+        found.append(sentence(str(state.starved)))
     if state.age_s > verdict.STALE_S:
         found.append(f"The gate has said nothing for {words.span(state.age_s)}: this may be old.")
     found += [f"{sentence(wrong)[:-1]} ({who})." for who, _, wrong in words.said(state) if wrong]

@@ -166,6 +166,10 @@ class Starved:
     process: str
     """Which process it was then."""
 
+    def __str__(self) -> str:
+        times = "once" if self.times == 1 else f"{self.times} times"
+        return f"the machine starved the service {times}, at worst {self.process} for {self.longest_s * 1e3:.0f} ms"
+
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:

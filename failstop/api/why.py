@@ -149,8 +149,8 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
             found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
-    if starved := words.starved(state.starved):
-        found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
+    if state.starved:
+        found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_s > verdict.STALE_S:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:

@@ -8,7 +8,7 @@ from failstop.shm.instance import option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
-    from failstop.api.snapshot import Starved, State
+    from failstop.api.snapshot import State
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
@@ -69,14 +69,6 @@ def took(seconds: float) -> str:
         return f"{seconds:.1f} s"
     milliseconds = seconds * 1e3
     return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
-
-
-def starved(found: Starved | None) -> str:
-    """How often the machine did not run a process past its deadline, as a clause; empty for never."""
-    if not found:
-        return ""
-    times = "once" if found.times == 1 else f"{found.times} times"
-    return f"the machine starved the service {times}, at worst {found.process} for {found.longest_s * 1e3:.0f} ms"
 
 
 def named(text: str, name: str) -> str:

@@ -177,8 +177,8 @@ def _remarks(state: State, ends: dict[str, str]) -> list[style.Span]:
             found.append((f"{name} was restarted {times}; it {ends[name]}", WARN))
     if state.age_s > verdict.STALE_S:
         found.append((f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL))
-    if starved := words.starved(state.starved):
-        found.append((f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
+    if state.starved:
+        found.append((f"{state.starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
     elif not all(process.realtime for process in running):
         found.append(("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM))
     return found
