@@ -44,11 +44,11 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
-    reader, taken, first_epoch = None, False, -1
+    reader, problem, taken, first_epoch = None, "", False, -1
     while time.monotonic() < until_s:
         unread = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), "little")
         taken = taken or not unread
-        with contextlib.suppress(Exception):  # whatever is wrong with its memory, the request is in the pipe
+        try:
             reader = reader or StateReader(name)
             state = reader.read()
             first_epoch = state.epoch if first_epoch < 0 else first_epoch
@@ -56,10 +56,12 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
                 doubt = verdict.doubt(state)
                 text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
                 return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
+        except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
+            problem = str(error)
         time.sleep(LOOK_S)
     if taken and not reader:
-        return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", ""
-    return "", f"the service {name!r} has not latched it within {LATCH_S:g} s"
+        return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
+    return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
 
 
 def port_of(name: str) -> str:

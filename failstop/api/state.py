@@ -12,7 +12,6 @@ import msgpack
 
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
-from failstop.api.errors import NoService
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -104,9 +103,7 @@ class StateReader(Run):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call, in order, and the newest odometry, if it is new. Raises
-        NoService when this run of the service is over."""
-        over = self.over()  # first: what it told last is still to be read then
+        """What the board reported since the last call, in order, and the newest odometry, if it is new."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -115,8 +112,6 @@ class StateReader(Run):
         if (odometry := self._timed("odometry", Odometry)) and odometry != self._sampled:
             self._sampled = odometry
             found.append(odometry)
-        if over and not found:
-            raise NoService(f"the service {self.name!r} has ended, or was restarted: read its samples again")
         return found
 
     @cached_property
