@@ -119,7 +119,6 @@ class Run:
         self.found = run(name)
         """What its segments are named after, and whose they are."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
-        self.incarnation = self.supervisor.incarnation
         self._beat = HeartbeatReader(self.supervisor)
         self._record = self.supervisor.latest_reader("rules")
         self._rules: dict[str, Any] = {}
@@ -156,9 +155,7 @@ class Run:
 
     def over(self) -> bool:
         """True when this run has ended. One system call at most while it goes on: cheap enough for every call."""
-        if self._life:
-            return self._life.wait(0)
-        return self.dead() or (self.silent(time.monotonic_ns()) and self._replaced())
+        return self.dead() or (not self._life and self.silent(time.monotonic_ns()) and self._replaced())
 
     def _replaced(self) -> bool:
         """True when no service of this name, or another run of it, is there."""
