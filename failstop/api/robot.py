@@ -147,7 +147,7 @@ class Calls(Session):
 
     def leave(self) -> None:
         """The operator leaves, at once. Raises NoService."""
-        self._attended("", 0)
+        self._attended("nobody", 0)
 
     def _attended(self, who: str, t_ns: int) -> None:
         with self._lock:
