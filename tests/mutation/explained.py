@@ -50,9 +50,6 @@ PROCS: tuple[Reason, ...] = (
         "procs/port_owner/main.py", r"\+.*slept_ns / 10+1\.0\)", "a billionth of a time that people read", same=False
     ),
     Reason("procs/port_owner/main.py", r"\+\s+return slept_ns > 1$", "a sleep is 0 or at least SLEPT_NS"),
-    Reason("procs/port_owner/main.py", r"\+\s+motion = None$", "both are false"),
-    Reason("procs/port_owner/main.py", r"\+\s+motion_(ns|epoch) = 1$", "it is read only with a frame, which sets it"),
-    Reason("procs/port_owner/main.py", r"\+.*self\._finder\.open\(now_ns\)\) (> 0|>= 1):", "no descriptor here is 0"),
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._moved_ns = 1$", "it is read only while moving, and motion sets it"
     ),
