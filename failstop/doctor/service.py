@@ -84,8 +84,8 @@ def bridge(look: Look) -> list[Finding]:
     owners = {system.owner(f"{SHM}/{name}") for name in system.names(SHM) if name.startswith(FAST_DDS)}
     if others := sorted(owners - {user, ""}):
         text = f"{where}, and Fast DDS of {', '.join(others)} is here: nodes of two users exchange no data"
-        advice = f"User={others[0]} under [Service]; or start it without a Fast DDS profile: then it takes UDP alone"
-        return warn(text, "sudo systemctl edit failstop-ros2", advice)
+        units = f"disable --now failstop-ros2@{user} && sudo systemctl enable --now failstop-ros2@{others[0]}"
+        return warn(text, f"sudo systemctl {units}", "or start it without a Fast DDS profile: it takes UDP alone then")
     return ok(where)
 
 

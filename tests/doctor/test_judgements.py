@@ -143,6 +143,7 @@ def test_other_services_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert text.endswith(" (there is left, right)")
 
 
+SWITCHED = "sudo systemctl disable --now failstop-ros2@bob && sudo systemctl enable --now failstop-ros2@anna"
 UNREADABLE = (None, "", "is of another version")
 
 
@@ -156,7 +157,7 @@ UNREADABLE = (None, "", "is of another version")
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
         ("rights", look(service=serving(processes=UNRIGHTED)), "sudo systemctl edit failstop", "LimitRTPRIO=40 and"),
         ("stop path", look(service=serving(last_stop=None)), "failstop stop", "`failstop reset`"),
-        ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), "sudo systemctl edit failstop-ros2", "User=anna"),
+        ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), SWITCHED, "UDP alone"),
     ],
 )
 def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:
