@@ -84,11 +84,6 @@ class Look:
         return self.service[0]
 
     @property
-    def problem(self) -> str:
-        """Why the running service can't be read; empty: it can, or there is none."""
-        return self.service[2]
-
-    @property
     def pid(self) -> str:
         """Of the running service, as a name in /proc; `self`, who would start it, where none runs."""
         return str(self.state.processes[layout.SUPERVISOR].pid) if self.state else "self"

@@ -103,7 +103,7 @@ def held(look: Look) -> list[Finding]:
 def grabbers(look: Look) -> list[Finding]:
     """No program that opens serial ports by itself is near."""
     found = []
-    names = {look.system.holder(pid).name for pid in look.system.pids()}
+    names = {look.system.read(f"/proc/{pid}/comm") for pid in look.system.names("/proc")}
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
     if "ModemManager" in names and not left_alone:
         text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"

@@ -1,8 +1,7 @@
-"""The check of the stop path: a burst by each way there is, and the board's answer to a ping behind it.
+"""The check of the stop path: a burst, and the board's answer to a ping behind it.
 
-Without a service the port is opened here, as supervisor, stopper and stop tool each do it. With one, nobody else may
-write, and its own last stop says whether the board has answered. What only a death brings about is the matter of
-`failstop prove`.
+Without a service the port is opened here, as supervisor and stop tool each do it. With one, nobody else may write, and
+its own last stop says whether the board has answered. What only a death brings about is the matter of `failstop prove`.
 """
 
 from __future__ import annotations
@@ -11,16 +10,14 @@ import contextlib
 import os
 import select
 import time
-from collections.abc import Callable
 
 from failstop import stopping
 from failstop.api.snapshot import State
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, release_exclusive
-from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
-from failstop.doctor.look import FAIL, Finding, Look, fail, ok, skip, warn
+from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.shm.instance import option
 from failstop.supervisor.port import OwnPort
 
@@ -58,14 +55,16 @@ class Tap:
         os.write(self.fd, BOARD.pings[index])
         return index, now_ns
 
-    def answer_ns(self, index: int, timeout_s: float) -> int | None:
-        """When the answer to that ping came; None: it did not. Raises OSError."""
+    def answered_ms(self, timeout_s: float) -> float | None:
+        """Ask the board; after how long it answered, which is behind all that was written before; None: it did not.
+        Raises OSError."""
+        index, asked_ns = self.ping()
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
             for now_ns, func, data in self.read():
                 if BOARD.pong(func, data) == index:
-                    return now_ns
+                    return (now_ns - asked_ns) / 1e6
         return None
 
 
@@ -74,7 +73,7 @@ def stop_path(look: Look) -> list[Finding]:
     if look.state:
         return of_service(look.name, look.state)
     node, (holders, _) = look.node, look.holders
-    if look.problem:
+    if look.service[-1]:
         why = "the running service can't be asked"
     elif node is None:
         why = "there is no port"
@@ -95,55 +94,33 @@ def of_service(name: str, state: State) -> list[Finding]:
     stop = state.last_stop
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
+    text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
     advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"
-    if stop:
-        return warn("the service's last stop: not acknowledged by the board", f"failstop stop{option(name)}", advice)
-    return skip("the service has stopped nothing yet", f"failstop stop{option(name)}", advice)
+    return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
 
 
-def judged(writer: str, written: bool, answered_ms: float | None, again: str) -> list[Finding]:
-    """One writer's burst. `answered_ms`: until the board's answer to a ping behind it; None: there was none. `again`:
-    the command that tests once more."""
-    if not written:
-        return fail(f"{writer}: the burst could not be written", "", "unplug the board and plug it in again")
+def by_hand(path: str, again: str) -> list[Finding]:
+    """Either way to the board, ended by one that is not answered. Nobody else may have the port open. `again`: the
+    command that tests once more."""
+    try:
+        with contextlib.closing(OwnPort.open_and_stop(path)) as own:
+            if not own.stopped:
+                raise PortError("io", f"{path} takes no bytes")
+            tap = Tap(own.fd)
+            found = judged("supervisor's opening", tap.answered_ms(ANSWER_S), again)
+            if found[0].level == OK:
+                # As ExecStopPost runs it, when the service has let the port go.
+                release_exclusive(own.fd)
+                stopping.write(path)
+                found += judged("stop tool", tap.answered_ms(ANSWER_S), again)
+            return found
+    except (OSError, PortError) as error:
+        return fail(f"no stop was written: {error}", again, "once that is seen to; wheels that turn: the POWER SWITCH")
+
+
+def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:
+    """One writer's burst, by the board's answer to a ping behind it."""
     if answered_ms is None:
         text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
         return fail(text, again, "is it the board? if so, cut its power and try again")
     return ok(f"{writer}: acknowledged by the board after {answered_ms:.1f} ms")
-
-
-def by_hand(path: str, again: str) -> list[Finding]:
-    """Every writer's way, ended by the first that is not answered. Nobody else may have the port open."""
-    found: list[Finding] = []
-    writer = "supervisor's opening"
-    try:
-        with contextlib.closing(OwnPort.open_and_stop(path)) as own:
-            tap = Tap(own.fd)
-            ways: dict[str, Callable[[], bool]] = {
-                writer: lambda: own.stopped,
-                "stopper's duplicate": lambda: on_duplicate(own),
-                "stop tool": lambda: _with_tool(own, path),
-            }
-            for writer, write in ways.items():
-                begun_ns = time.monotonic_ns()
-                written = write()
-                answer_ns = tap.answer_ns(tap.ping()[0], ANSWER_S)
-                found += judged(writer, written, None if answer_ns is None else (answer_ns - begun_ns) / 1e6, again)
-                if found[-1].level == FAIL:
-                    break
-    except (OSError, PortError) as error:
-        found += fail(f"{writer}: {error}", again, "once that is seen to; wheels that turn: the POWER SWITCH")
-    return found
-
-
-def on_duplicate(own: OwnPort) -> bool:
-    """The burst as the stopper writes it; False: it could not be written."""
-    with contextlib.closing(StopPort(os.dup(own.fd))) as duplicate:
-        return duplicate.burst()
-
-
-def _with_tool(own: OwnPort, path: str) -> bool:
-    # It opens the port as ExecStopPost does, when the service has let it go.
-    release_exclusive(own.fd)
-    stopping.write(path)
-    return True

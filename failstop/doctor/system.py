@@ -136,13 +136,9 @@ class System:
             os.access(path, os.R_OK | os.W_OK),
         )
 
-    def pids(self) -> Iterator[int]:
-        """Every process."""
-        return (int(name) for name in self.names("/proc") if name.isdigit())
-
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         """The paths of what each other process has open; None where that is hidden from this user."""
-        for pid in self.pids():
+        for pid in (int(name) for name in self.names("/proc") if name.isdigit()):
             found = set()
             try:
                 for name in os.listdir(self.path(f"/proc/{pid}/fd")) if pid != os.getpid() else ():

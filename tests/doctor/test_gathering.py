@@ -29,7 +29,7 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
     write(tmp_path, "/proc/13/comm", "bash\n")
     system = System(str(tmp_path))
     write(tmp_path, "/proc/14/cmdline", "python\0/x/supervisor/child.py\0name=left\0")
-    assert [system.holder(pid) for pid in system.pids()] == [
+    assert [system.holder(pid) for pid in (12, 13, 14)] == [
         Holder(12, "ModemManager", "ModemManager.service"),
         Holder(13, "bash"),
         Holder(14, "?", instance="left"),

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_path
-from failstop.supervisor.port import OwnPort
-from tests.support.ptys import new_pty
+from failstop.doctor.look import FAIL
+from tests.support.ptys import new_pty, open_fds
 
 
-def test_a_duplicate_that_writes_nothing_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burst_that_is_not_written_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with new_pty() as pty:
-        own = OwnPort(pty.slave)
-        assert stop_path.on_duplicate(own)
+        before = open_fds()
         monkeypatch.setattr(StopPort, "burst", lambda _: False)
-        assert not stop_path.on_duplicate(own)
+        [found] = stop_path.by_hand(os.ttyname(pty.slave), "failstop doctor")
+        assert open_fds() == before
+    assert (found.level, found.fix) == (FAIL, "failstop doctor")
+    assert found.text.startswith("no stop was written: /dev/pts/")
+    assert "POWER SWITCH" in found.advice
