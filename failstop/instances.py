@@ -154,8 +154,6 @@ def listening() -> list[str]:
     """The names of all services that take stop requests, as far as this user sees them."""
     found: set[str] = set()
     for base in instance.bases():
-        try:
+        with contextlib.suppress(OSError):
             found.update(filter(listens, os.listdir(base)))
-        except OSError:
-            continue
     return sorted(found)
