@@ -15,7 +15,6 @@ LATE_US = 5_000.0
 """A tick later than this shows in the stop times."""
 MICRO = 1e6
 PROCESSORS = "/sys/devices/system/cpu"
-LIMITS = "/etc/security/limits.d/failstop.conf"
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
 
 
@@ -43,11 +42,7 @@ def _grant(look: Look) -> tuple[str, str]:
     if look.unit.get("MainPID") == look.pid:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {words.unit(look.name)}", lines
-    if look.system.in_container():
-        return "", grant.CONTAINER
-    who = look.system.owner(f"/proc/{look.pid}")
-    fix = f"printf '{who} - rtprio 40\\n{who} - memlock unlimited\\n' | sudo tee {LIMITS}"
-    return fix, f"then log in again and start the service again; or, until you log out, {grant.SHELL}"
+    return "", grant.advice(realtime=False, managed=False)
 
 
 def early_news(look: Look) -> list[Finding]:

@@ -20,7 +20,6 @@ from pathlib import Path
 
 from failstop.policy.processes import BY_NAME
 from failstop.shm import futex
-from failstop.supervisor import grant
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
@@ -68,7 +67,6 @@ class Holder:
 class System:
     """Reads below `root`."""
 
-    in_container = staticmethod(grant.in_container)
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
 

@@ -37,7 +37,6 @@ FILES = {
 }
 KERNEL: dict[str, Any] = {
     "room": 1 << 30,
-    "in_container": False,
     "early_news": True,
     "ticks": TICKS,
 }

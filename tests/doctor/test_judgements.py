@@ -15,6 +15,7 @@ from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
 from failstop.policy.settings import Settings
+from failstop.supervisor import grant
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, UNIT, but, look, on, serving
 from tests.support.states import arm, stop
@@ -290,9 +291,9 @@ def test_ticks_in_numbers() -> None:
     assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
-def test_rights_are_granted_by_who_starts_the_service() -> None:
+def test_rights_are_granted_by_who_starts_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     for container, remedy in ((False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")):
-        given = look(service=NOBODY, realtime=False, in_container=container)
-        (found,) = [finding for name, finding in examine(given) if name == "rights"]
-        assert remedy in found.advice
-        assert found.fix.startswith("printf 'anna - rtprio 40") is not container
+        monkeypatch.setattr(grant, "in_container", lambda container=container: container)
+        for given in (look(service=NOBODY, realtime=False), look(service=serving(processes=UNRIGHTED), unit={})):
+            (found,) = [finding for name, finding in examine(given) if name == "rights"]
+            assert remedy in found.advice
