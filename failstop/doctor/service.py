@@ -93,7 +93,7 @@ def unit(look: Look) -> list[Finding]:
     """Its systemd unit."""
     name, found = words.unit(look.name), look.unit
     if not found:
-        text = f"systemctl shows this user no unit {name}; without one nobody starts the service at boot or after a death"
+        text = f"systemctl shows this user no unit {name}; without one nobody starts it at boot or after a death"
         advice = "install the Debian package, which brings it (docs/install.md); a container has its own manager for it"
         return warn(text, "", advice)
     active, result, restarts = (found.get(key, "") for key in ("ActiveState", "Result", "NRestarts"))
