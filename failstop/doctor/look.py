@@ -8,11 +8,12 @@ import shlex
 from functools import cached_property, partial
 
 from failstop import config, discovery
-from failstop.api import client, words
+from failstop.api import client
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.system import Holder, Node, System
+from failstop.instances import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, option
@@ -91,7 +92,7 @@ class Look:
     @cached_property
     def unit(self) -> dict[str, str]:
         """What systemd says of the service's unit; nothing: it has none, or does not run."""
-        said = self.system.said("systemctl", "show", words.unit(self.name), "--property", PROPERTIES)
+        said = self.system.said("systemctl", "show", unit_of(self.name), "--property", PROPERTIES)
         found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
         return found if found.get("LoadState") == "loaded" else {}
 

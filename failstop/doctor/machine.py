@@ -7,6 +7,7 @@ import os
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
+from failstop.instances import unit_of
 from failstop.shm import layout
 from failstop.supervisor import grant
 
@@ -41,7 +42,7 @@ def _grant(look: Look) -> tuple[str, str]:
     """The command that gives the service its rights, and what is to be done besides."""
     if look.unit.get("MainPID") == look.pid:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
-        return f"sudo systemctl edit {words.unit(look.name)}", lines
+        return f"sudo systemctl edit {unit_of(look.name)}", lines
     return "", grant.advice(realtime=False, managed=False)
 
 

@@ -8,6 +8,7 @@ from failstop import instances
 from failstop.api import host, words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.doctor.system import SHM
+from failstop.instances import unit_of
 from failstop.ros2 import transport
 from failstop.version import VERSION
 
@@ -36,7 +37,7 @@ def running(look: Look) -> list[Finding]:
     state, version, problem = look.service
     if problem:
         active = look.unit.get("ActiveState") == "active"
-        fix = f"sudo systemctl restart {words.unit(look.name)}" if active else ""
+        fix = f"sudo systemctl restart {unit_of(look.name)}" if active else ""
         return fail(problem, fix, "a new start of the service helps, and stops the wheels")
     if state is None:
         return _not_running(look)
@@ -91,7 +92,7 @@ def bridge(look: Look) -> list[Finding]:
 
 def unit(look: Look) -> list[Finding]:
     """Its systemd unit."""
-    name, found = words.unit(look.name), look.unit
+    name, found = unit_of(look.name), look.unit
     if not found:
         text = f"systemctl shows this user no unit {name}; without one nobody starts it at boot or after a death"
         advice = "install the Debian package, which brings it (docs/install.md); a container has its own manager for it"

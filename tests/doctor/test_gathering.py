@@ -50,7 +50,7 @@ def test_units_by_name() -> None:
 
 
 SYSTEMCTL = """#!/bin/sh
-test "$1 $2" = "show failstop@left" && echo LoadState=loaded && echo MainPID=12
+test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
 """
 TOLD = {"LoadState": "loaded", "MainPID": "12"}
 

@@ -123,7 +123,7 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("service", look(), f"{RUNS}), {WELL} disabled"),
         ("service", look(service=serving(enabled=True)), f"{RUNS}), {WELL} enabled"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
-        ("unit", look(), "failstop is active, started at boot"),
+        ("unit", look(), "failstop.service is active, started at boot"),
         ("RemoveIPC", look(), "RemoveIPC does not concern the service's user"),
         ("RemoveIPC", look(**BY_HAND, says={"busctl": "b false\n"}), "RemoveIPC is off"),
         ("stop path", look(), "the service's last stop: acknowledged by the board after 4.4 ms"),
@@ -154,9 +154,14 @@ UNREADABLE = (None, "", "is of another version")
         ("holders", look(holders=((Holder(7, "python3"),), 0)), "sudo kill 7", ""),
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
         ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root sees them"),
-        ("service", look(service=UNREADABLE), "sudo systemctl restart failstop", "stops the wheels"),
+        ("service", look(service=UNREADABLE), "sudo systemctl restart failstop.service", "stops the wheels"),
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
-        ("rights", look(service=serving(processes=UNRIGHTED)), "sudo systemctl edit failstop", "LimitRTPRIO=40 and"),
+        (
+            "rights",
+            look(service=serving(processes=UNRIGHTED)),
+            "sudo systemctl edit failstop.service",
+            "LimitRTPRIO=40 and",
+        ),
         ("stop path", look(service=serving(last_stop=None)), "failstop stop", "`failstop reset`"),
         ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), SWITCHED, "UDP alone"),
     ],
@@ -282,7 +287,11 @@ def test_who_is_let_into_which_group() -> None:
 
 def test_how_a_service_that_does_not_run_is_started() -> None:
     found = fixes(look(service=NOBODY, device=("/dev/ttyACM1", "--device")))["service"]
-    assert found in ("failstop run --device /dev/ttyACM1", "sudo systemctl start failstop"), "by what this machine has"
+    assert found in (
+        "failstop run --device /dev/ttyACM1",
+        "sudo systemctl start failstop",
+        "sudo systemctl start failstop.service",
+    ), "by what this machine has"
     assert "service" not in fixes(look(service=NOBODY, node=None)), "first the port"
 
 

@@ -43,7 +43,7 @@ def test_the_installed_service(scene: Scene) -> None:
     scene.start()
     wait_for("the board's answer", lambda: link(scene) == "alive")
     found = findings(scene)
-    assert f"{UNIT.removesuffix('.service')} is active" in found["unit"][0]["text"]
+    assert f"{UNIT} is active" in found["unit"][0]["text"]
     assert "user failstop" in found["service"][0]["text"]
     assert found["permission"][0]["text"] == "left to the service, whose port is open"
     assert (found["holders"][0]["level"], found["RemoveIPC"][0]["level"]) == ("ok", "ok")
@@ -73,4 +73,4 @@ def test_a_service_that_failed(scene: Scene) -> None:
     found = findings(scene)
     assert "gate.lease_s = 9.0" in found["settings"][0]["text"]
     assert found["settings"][0]["level"] == found["unit"][0]["level"] == "fail"
-    assert f"journalctl -xeu {UNIT.removesuffix('.service')}" in found["unit"][0]["fix"]
+    assert f"journalctl -xeu {UNIT}" in found["unit"][0]["fix"]
