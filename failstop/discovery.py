@@ -12,11 +12,6 @@ LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 
 
-def board_there() -> bool:
-    """A controller board is plugged in."""
-    return any(usb == BOARD_USB for _, _, usb in _ports())
-
-
 def usb_id(path: str) -> str:
     """vendor:product of a device in hexadecimal; empty: it is no serial port on USB."""
     return next((usb for device, _, usb in _ports() if device == path), "")
