@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 
 from failstop import discovery
 from failstop.discovery import BOARD_USB, LINK
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 
-RULE_FILE = os.path.join(os.path.dirname(discovery.__file__), "systemd", "failstop.udev")
-RULE = (
-    f"sudo cp {shlex.quote(RULE_FILE)} /etc/udev/rules.d/90-failstop.rules"
-    " && sudo udevadm control --reload && sudo udevadm trigger",
-    "this rule for udev sees to it (the Debian package brings it); then plug the board in again",
-)
+RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 UNKNOWN = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
