@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 
-from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.instances import unit_of
@@ -23,7 +22,7 @@ def rights(look: Look) -> list[Finding]:
     """Real-time priority and locked memory: of the running service, else of a process of this user."""
     told = ""
     if look.state:
-        starved = words.starved(look.state.starved)
+        starved = look.state.starved
         poor = [name for name, row in look.state.processes.items() if not (row.realtime and row.memory_locked)]
         if not poor:
             well = "every process of the service has real-time priority, and its memory is locked"

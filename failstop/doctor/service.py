@@ -5,11 +5,12 @@ from __future__ import annotations
 import shlex
 
 from failstop import instances
-from failstop.api import host, words
+from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.doctor.system import SHM
 from failstop.instances import unit_of
 from failstop.ros2 import transport
+from failstop.shm.instance import option
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
@@ -59,7 +60,10 @@ def _not_running(look: Look) -> list[Finding]:
         text += f" (there is {', '.join(others)})"
     if look.node is None:
         return warn(text, "", "first see to the port")
-    return warn(text, host.start(look.name, look.device[0]).strip("`"))
+    if look.unit:
+        return warn(text, f"sudo systemctl start {unit_of(look.name)}")
+    config = f" --config {shlex.quote(look.settings[0])}" if look.settings[0] else ""
+    return warn(text, f"failstop run{option(look.name)}{config} --device {shlex.quote(look.device[0])}")
 
 
 def clients(look: Look) -> list[Finding]:

@@ -282,13 +282,12 @@ def test_who_is_let_into_which_group() -> None:
 
 
 def test_how_a_service_that_does_not_run_is_started() -> None:
-    found = fixes(look(service=NOBODY, device=("/dev/ttyACM1", "--device")))["service"]
-    assert found in (
-        "failstop run --device /dev/ttyACM1",
-        "sudo systemctl start failstop",
-        "sudo systemctl start failstop.service",
-    ), "by what this machine has"
-    assert "service" not in fixes(look(service=NOBODY, node=None)), "first the port"
+    assert fixes(look(service=NOBODY))["service"] == "sudo systemctl start failstop.service"
+    assert fixes(look(service=NOBODY, unit={}))["service"] == "failstop run --device /dev/ttyACM0"
+    device = ("/dev/my board", "/etc/x.toml")
+    named = look("left", service=NOBODY, unit={}, device=device, settings=("/etc/x.toml", Settings(), ""))
+    assert fixes(named)["service"] == "failstop run --name left --config /etc/x.toml --device '/dev/my board'"
+    assert "service" not in fixes(look(service=NOBODY, unit={}, node=None)), "first the port"
 
 
 def test_ticks_in_numbers() -> None:
