@@ -79,6 +79,7 @@ docs: $(VENV)/.installed
 	$(BIN)/python -m failstop.lab.pages man > systemd/failstop.1
 	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
 	$(BIN)/python packaging/reference.py > docs/python-reference.md
+	$(BIN)/python packaging/commands.py > docs/commands.md
 	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
 	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md
