@@ -130,7 +130,11 @@ class Session:
     def python(self, code: str) -> str:
         """Run a program; what it printed."""
         result = subprocess.run(
-            [sys.executable, "-c", self._of_this(code)], capture_output=True, text=True, timeout=COMMAND_S, env=self._environment
+            [sys.executable, "-c", self._of_this(code)],
+            capture_output=True,
+            text=True,
+            timeout=COMMAND_S,
+            env=self._environment,
         )
         assert result.returncode == 0, result.stderr
         return self._shown(result.stdout)
