@@ -12,8 +12,8 @@ from failstop.lab.pages import man
 
 HEAD = """# Commands
 
-Generated from the parsers (`make docs`); `failstop COMMAND --help` and `man failstop` say the same on the robot. `demo`, `sim`, `chaos`
-and `prove` come with the package `failstop-lab`, as in every checkout.
+Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same. `demo`,
+`sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
 """
 
 
