@@ -12,8 +12,8 @@ from failstop.lab.pages import man
 
 HEAD = """# Commands
 
-Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same. `demo`,
-`sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
+Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same.
+`demo`, `sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
 """
 
 
