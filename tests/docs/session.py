@@ -92,7 +92,7 @@ class Session:
         return self._shown(text), int(code)
 
     def stay(self, command: str) -> None:
-        """Start a command in a terminal of its own, and wait until the board or the service is there, or the program has
+        """Start a command in a terminal of its own; wait until the board or the service is there, or the program has
         said something."""
         output = self._directory / f"terminal-{len(self._terminals)}"
         with output.open("wb") as file:
