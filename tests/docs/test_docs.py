@@ -137,7 +137,7 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
         path, _, anchor = target.partition("#")
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), target
-        assert page.name == "README.md" or (ROOT / "docs") in file.parents, f"{target} is not on the site"
+        assert page == ROOT / "README.md" or ROOT / "docs" in file.parents, f"{target} is not on the site"
         if anchor:
             heads = re.findall(r"^#+ (.*)$", file.read_text(), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}, target
