@@ -41,6 +41,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy packaging/deb/*.py
 
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
@@ -73,13 +74,12 @@ vm-arm64: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm.arm64 $(TESTS)
 
 # What is made from tables of the code: tests compare each with its table.
-docs: $(VENV)/.installed
+docs: $(VENV)/.dev
 	$(BIN)/failstop config --example > examples/failstop.toml
 	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
-	$(BIN)/python -m failstop.lab.pages man > systemd/failstop.1
 	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
 	$(BIN)/python packaging/reference.py > docs/python-reference.md
-	$(BIN)/python packaging/commands.py > docs/commands.md
+	$(BIN)/python packaging/deb/commands.py > docs/commands.md
 	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
 	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md
@@ -107,8 +107,9 @@ web: $(VENV)/.dev
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium
 	$(BIN)/pytest --numprocesses 0 tests/web
 
+# What a robot is installed by (docs/install.md).
 deb: $(VENV)/.installed
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[fleet,web]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python packaging/deb/build.py
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.

@@ -47,9 +47,7 @@ def test_a_command_that_has_nobody_to_talk_to_still_answers_by_its_code() -> Non
     assert run_without((1, 2), "-m", "failstop", "status", "--name", "nobody-runs-this") == 3
 
 
-@pytest.mark.parametrize(
-    "words", ["--help", "--version", "config", "config --example", "drive --help", "completion bash"]
-)
+@pytest.mark.parametrize("words", ["--help", "--version", "config", "config --example", "drive --help"])
 @pytest.mark.parametrize("buffered", [True, False])
 def test_output_that_nothing_takes_is_told_in_one_line(words: str, buffered: bool) -> None:
     environ = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from failstop.cli import main as cli
-from tests.support.commands import script
+from tests.support.deb import commands
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "commands.md"
 
 
 def test_the_page_is_that_of_the_parsers() -> None:
-    assert PAGE.read_text() == script(ROOT / "packaging" / "commands.py").page(), "renew it: make docs"
+    assert PAGE.read_text() == commands.page(), "renew it: make docs"
 
 
 def test_every_command_is_on_it_with_examples() -> None:

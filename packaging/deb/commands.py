@@ -1,4 +1,4 @@
-"""The page of all commands, from their parsers: `python packaging/commands.py > docs/commands.md`."""
+"""The page of all commands, from their parsers: `python packaging/deb/commands.py > docs/commands.md`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import argparse
 import sys
 from collections.abc import Iterable, Iterator
 
+import completion
+import man
+
 from failstop.cli import main as cli
-from failstop.cli.commands import completion
-from failstop.lab.pages import man
 
 HEAD = """# Commands
 
