@@ -3,6 +3,7 @@ does not obey, the stop is written to the port itself. Needs nothing running."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from argparse import ArgumentParser, Namespace
@@ -109,6 +110,7 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
     from failstop.api import ask
+    from failstop.api.client import send_stop
     from failstop.shm import records
 
     for name in names:
@@ -124,7 +126,8 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
             return True
         port.known = port.known or ask.port_of(name)
     for name in unseen:
-        ask.send(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
+        with contextlib.suppress(FailstopError):
+            send_stop(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
     port.asked = names + unseen
     return False
 

@@ -95,7 +95,7 @@ def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     Run(arguments.name).check("source", arguments.source)
     terminal = Terminal(on=ASK, off=UNASK)
-    with Robot(arguments.name, client=CLIENT, reconnect=False) as robot:
+    with Robot(arguments.name, client=CLIENT) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         pilot = Pilot(robot, arguments.source, arguments.speed, arguments.turn)
         try:
@@ -116,7 +116,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
         try:
             state = pilot.robot.state
         except NoService:
-            raise NoService(f"no service named {name!r} is running, or it was restarted: begin again") from None
+            raise NoService(f"no service named {name!r} is running: begin again") from None
         if terminal.stopped:
             _pause(terminal, pilot)
             turned_s = 0.0  # what was typed meanwhile is late
@@ -134,10 +134,9 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
 
 
 def _pause(terminal: Terminal, pilot: Pilot) -> None:
-    """Ctrl-Z: the robot stands while nobody is at the keys, and its slot is free for others."""
+    """Ctrl-Z: the robot stands while nobody is at the keys."""
     _disable(pilot.robot)
     pilot.hold.let_go()
-    pilot.robot.release()
     terminal.suspend()
     pilot.note = ("motion was disabled while this was stopped: e enables it", WARN)
 
@@ -316,6 +315,6 @@ class Pilot:
         """What the arm does, and the chosen joint: where it is, or was sent."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
-        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
+        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"
         closed = f"; {arm.closed}" if arm.closed else ""
         return [row("arm", f"{summary.arm_headline(arm)}{closed}"), row("joint", f"{self.joint + 1} {name}: {where}")]

@@ -118,7 +118,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
         what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
-    why = Why(what, proof, tuple(steps), tuple(also), None, None, ended_s)
+    why = Why(what, proof, tuple(steps), tuple(also), ended_s)
     return why, [event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))]
 
 

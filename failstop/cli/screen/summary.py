@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from failstop.api import verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, Process, State, Stop
-from failstop.api.verdict import Earlier
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
 from failstop.supervisor.kinds import KINDS
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -38,7 +37,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     oldest first."""
     rows = wheels(state)
     rows += _drivers(state, verdict.left_off(events), now_s)
-    rows += last_stop(state, now_s, verdict.earlier(events))
+    rows += last_stop(state, now_s, verdict.before(events))
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
     if state.arm:
         rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
@@ -47,7 +46,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
     for who, sees, wrong in words.said(state):
         rows += [row("says", f"{who}: {sees}"), *([row("wrong", f"{who}: {wrong}", WARN)] if wrong else [])]
-    remarks = _remarks(state, verdict.exits(events))
+    remarks = _remarks(state, verdict.ends(state, events))
     below = [part for remark in remarks for part in style.wrap([remark], columns, 0)]
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
@@ -93,20 +92,16 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     if not rows:
         rows.append(row("driver", "nobody commands"))
         if left_off and state.blocked == blocks.NO_COMMAND:
-            when = f" ({words.ago(left_off.t, now_s)})"
-            rows[0] += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
+            rows[0] += [("; ", PLAIN), (left_off.text, WARN), (f" ({words.ago(left_off.t, now_s)})", DIM)]
     return rows
 
 
-def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> list[Line]:
-    """The last stop and its three proofs. `earlier`: the run before this one, if it was not ended in order."""
+def last_stop(state: State, now_s: float, before: str = "") -> list[Line]:
+    """The last stop and its three proofs. `before`: what ended the run before this one, if that was not in order."""
     stop = state.last_stop
     if stop is None:
         rows = [row("last stop", "none since the service was started")]
-        if earlier:
-            rows.append([*row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
-            rows.append(row("", "") + commands(earlier.show(state.name)))
-        return rows
+        return [*rows, row("before it", "") + commands(words.named(before, state.name))] if before else rows
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], row("", "") + _proofs(stop)]
 
@@ -121,7 +116,7 @@ def _proofs(stop: Stop) -> Line:
         heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
     if stop.observed_s is not None:
         # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        text = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        text = wheels_seen(stop.observed_s).replace("wheels still", "still").replace("less than", "<")
         seen = (text, OK if stop.observed_s else PLAIN)
     return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
 
@@ -170,27 +165,22 @@ def _rights(process: Process) -> style.Span:
     return " ".join(granted) or "none", PLAIN if len(granted) == 2 else WARN
 
 
-def _remarks(state: State, hung: dict[str, str]) -> list[style.Span]:
-    """What is wrong beside the wheels. `hung`: how processes that hung have ended."""
+def _remarks(state: State, ends: dict[str, str]) -> list[style.Span]:
+    """What is wrong beside the wheels. `ends`: how the processes before these have ended."""
     found = []
     running = [process for process in state.processes.values() if process.pid]
     for name, process in state.processes.items():
-        how = verdict.last_exit(state, name, hung)
         if process.state == "down":
-            found.append((f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL))
+            found.append((f"{name} died too often and is {verdict.until(name)}; it {ends[name]}", FAIL))
         elif process.last_exit:
             times = "once" if process.restarts == 1 else f"{process.restarts} times"
-            found.append((f"{name} was restarted {times}; it {how}", WARN))
+            found.append((f"{name} was restarted {times}; it {ends[name]}", WARN))
     if state.age_s > verdict.STALE_S:
         found.append((f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL))
-    if starved := words.starved(state.starved):
-        found.append((f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
+    if state.starved:
+        found.append((f"{state.starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
     elif not all(process.realtime for process in running):
         found.append(("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM))
-    if not all(process.early_news for process in running):
-        found.append(
-            ("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)
-        )
     return found
 
 
