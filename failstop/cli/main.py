@@ -31,8 +31,8 @@ GROUPS = {
         "why": ("cli.commands.status", "what holds the wheels, since when, and what to do, in plain words"),
         "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
         "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
-        "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
-        "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
+        "metrics": ("fleet.metrics_command", "the state as Prometheus reads it, once or over HTTP"),
+        "fleet": ("fleet.command", "all robots of a broker: see them, stop them, publish this one"),
     },
     "check": {
         "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
@@ -44,8 +44,8 @@ GROUPS = {
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
         "sim": ("lab.commands.sim", "a simulated board on a pty"),
-        "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
-        "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+        "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
+        "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
         "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
         "uninstall": ("cli.commands.install", "stop the service and take away what install put there"),
         "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
