@@ -53,7 +53,7 @@ def test_only_changed_lines_are_written(watch: Typist, trial: Trial) -> None:
     assert len(written) / 2.0 < 6000, "bytes a second, for a slow connection"
 
 
-@pytest.mark.parametrize("how", ["q", "Q", signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("how", ["q", "Q", signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
 def test_the_terminal_is_given_back(watch: Typist, how: str | signal.Signals) -> None:
     if isinstance(how, str):
         watch.type(how.encode())

@@ -102,10 +102,7 @@ def main(arguments: Namespace) -> int:
                 robot.estop("space")
             if b"q" in keys:
                 return 0
-            if terminal.stopped:
-                attendance.give_up()
-                terminal.suspend()
-            elif now_s is not None:
+            if now_s is not None:
                 terminal.draw(_lines(robot, attendance.who, terminal.columns))
                 if terminal.takes():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))

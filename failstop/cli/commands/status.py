@@ -113,9 +113,7 @@ def _watch(name: str) -> int:
         for typed, now_s in terminal.turns(PERIOD_S):
             if b"q" in typed.lower():
                 return 0
-            if terminal.stopped:
-                terminal.suspend()
-            elif now_s is not None:
+            if now_s is not None:
                 state, unix_s = follower.read(now_s), time.time()
                 if state is None:
                     terminal.draw(live.gone(follower.note, unix_s, terminal.columns))
