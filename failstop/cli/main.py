@@ -27,7 +27,6 @@ GROUPS = {
     },
     "look": {
         "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-        "watch": ("cli.commands.status", "the same as status --watch"),
         "why": ("cli.commands.status", "what holds the wheels, since when, and what to do, in plain words"),
         "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
         "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
@@ -53,9 +52,11 @@ GROUPS = {
 }
 """What `failstop --help` shows together: each command with its module and what it is for."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
-HIDDEN = frozenset(("watch", "estop", "chaos"))
-"""What it leaves out: second names, and what is for those who change failstop."""
+HIDDEN = frozenset(("estop", "chaos"))
+"""What it leaves out: a second name, and what is for those who change failstop."""
 
+LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of standard output: nobody reads it, its disk is full, its terminal has gone."""
 EXAMPLES = "examples:"
 """The first line below a command's options."""
 DESCRIPTION = """The layer that makes a robot stop.
@@ -77,16 +78,17 @@ def _usage() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
-    standard.watch()
     code = 0
     try:
         code = _main(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
-    except standard.Lost as lost:
+    except OSError as error:
+        if error.errno not in LOST:
+            raise
         standard.let_go()
         code = code or 1
-        if lost.errno != errno.EPIPE:
-            standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+        if error.errno != errno.EPIPE:
+            standard.say(f"standard output takes no more ({error.strerror}): what is missing there was not written")
     return code
 
 
@@ -102,17 +104,9 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        standard.say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}; `failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
-
-
-def _meant(word: str) -> str:
-    """The command that looks most like a mistyped one."""
-    from difflib import get_close_matches
-
-    found = get_close_matches(word, COMMANDS, 1)
-    return f" (did you mean `failstop {found[0]}`?)" if found else ""
 
 
 def here(name: str) -> bool:

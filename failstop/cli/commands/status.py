@@ -1,4 +1,4 @@
-"""`failstop status`, one screen, live as `failstop watch`; `failstop why`, what holds the wheels in a few lines."""
+"""`failstop status`, one screen, live as `failstop status -w`; `failstop why`, what holds the wheels in a few lines."""
 
 from __future__ import annotations
 
@@ -28,10 +28,6 @@ failstop status                        # one screen
 failstop status -w                     # live; q or Ctrl-C ends it
 ssh -t robot failstop status -w        # from elsewhere
 failstop status --json | jq .blocked   # for programs
-""",
-    "watch": """\
-failstop watch                        # q or Ctrl-C ends it
-ssh -t robot failstop watch           # from elsewhere
 """,
     "why": """\
 failstop why                           # what holds the wheels, since when

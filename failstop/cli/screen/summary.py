@@ -1,4 +1,4 @@
-"""Summary: the state in one screen, for `failstop status` and as the body of `failstop watch`; an event in a line."""
+"""Summary: the state in one screen, for `failstop status` and live; an event in a line."""
 
 from __future__ import annotations
 
