@@ -40,8 +40,6 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 }
 
 REPEAT_S = 0.05
-RESTARTED_S = 1.0
-POLL_S = 0.01
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -100,19 +98,11 @@ def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> s
         robot.drive(*asked, manual=True)
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
         if reason := _blocked(robot):
-            raise Refused(_settled(robot) or reason)
+            raise Refused(reason)
         reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
     return f"drove for {seconds:g} s{held}; the wheels stop"
-
-
-def _settled(robot: Robot) -> str:
-    """What blocks when the process that died is there again, which is quick: nobody needs to be told to wait for it."""
-    until_s = time.monotonic() + RESTARTED_S
-    while robot.state.waiting_for and time.monotonic() < until_s:
-        time.sleep(POLL_S)
-    return _blocked(robot)
 
 
 def _blocked(robot: Robot) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time
 from argparse import ArgumentParser, Namespace
+from functools import cached_property
 from math import inf
 
 from failstop import config, instances, stopping
@@ -16,6 +17,10 @@ from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
 from failstop.shm import instance
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
@@ -29,18 +34,12 @@ STALLED_S = 1.0
 REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
 
-EXAMPLES = {
-    "stop": """\
+EXAMPLES = """\
 failstop stop
 failstop stop hand near wheel
 failstop stop --device /dev/ttyACM1 --wait 60
 failstop stop --config /etc/failstop/failstop.toml
-""",
-    "estop": """\
-failstop estop
-failstop estop hand near wheel
-""",
-}
+"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -109,7 +108,6 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
     from failstop.api import ask
-    from failstop.shm import records
 
     for name in names:
         done, problem = ask.stop(name, reason, who)
@@ -118,8 +116,6 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
         if problem:
             standard.say(problem if done else f"{problem}: writing to the port itself")
         if done:
-            if len(reason.encode("utf-8", "replace")) > records.ASKED_BYTES:
-                standard.say(f"the reason is cut to {records.ASKED_BYTES} bytes")
             port.complain()
             return True
         port.known = port.known or ask.port_of(name)
@@ -155,11 +151,10 @@ class Port:
         }
         self._name = arguments.name
         self._config = arguments.config
-        self._table: dict[str, object] | None = None
-        self._unread = ""
-        self._problems: dict[str, str] = {}
-        """What is wrong with the values of the file that were asked for."""
-        self._said: set[str] = set()
+        self._problems: list[str] = []
+        """What is wrong with the file, and not told yet."""
+        self._unknown = False
+        """The file may have named a port: it can't be read, or its port is none."""
         self.known = ""
         """What a service that runs says of its port."""
         self.asked: list[str] = []
@@ -167,33 +162,30 @@ class Port:
 
     def wanted(self) -> str:
         """The port that the user has named, by an option or by a file; empty: none."""
-        return str(self._given.get(DEVICE) or (self._of_file(DEVICE) if self._config else None) or "")
+        return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def device(self) -> str:
         """The port to write to."""
-        return self.wanted() or self.known or str(self._of_file(DEVICE) or DEFAULTS[DEVICE])
+        return self.wanted() or self.known or str(self._file.get(DEVICE, DEFAULTS[DEVICE]))
 
-    def _file(self) -> dict[str, object]:
-        """What the file sets, unchecked; nothing where there is none, or it can't be read."""
-        if self._table is None:
-            self._table = {}
-            path = self._config or config.installed(self._name)
-            try:
-                self._table = config.read(path) if self._config or os.path.exists(path) else {}
-            except SettingError as error:
-                self._unread = str(error)
-        return self._table
-
-    def _of_file(self, key: str) -> float | str | None:
-        """A value, if the file has it and it is allowed."""
+    @cached_property
+    def _file(self) -> dict[str, Any]:
+        """What the file sets, of these two what is allowed; nothing where there is none, or it can't be read."""
+        path = self._config or config.installed(self._name)
+        table: dict[str, Any] = {}
         try:
-            if key in (table := self._file()):
-                return BY_KEY[key].check(table[key])
+            table = config.read(path) if self._config or os.path.exists(path) else {}
         except SettingError as error:
-            self._problems[key] = str(error)
-        if self._unread:
-            self._problems[key] = self._unread
-        return None
+            self._problems.append(str(error))
+            self._unknown = True
+        for key in (key for key in DEFAULTS if key in table):
+            try:
+                table[key] = BY_KEY[key].check(table[key])
+            except SettingError as error:
+                self._problems.append(str(error))
+                self._unknown |= key == DEVICE
+                del table[key]
+        return table
 
     def stop(self, most_s: float = inf) -> float:
         """Write the stop, trying for `most_s` seconds at most; returns after how many. Raises FailstopError."""
@@ -201,18 +193,17 @@ class Port:
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
                 standard.say(self._explained(error))
-            found = self._given.get(WAIT)
-            found = self._of_file(WAIT) if found is None else found
+            found = {**DEFAULTS, **self._file, **self._given}[WAIT]
             self.complain()
             least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
-            return min(float(DEFAULTS[WAIT] if found is None else found), most_s, least_s)
+            return min(float(found), most_s, least_s)
 
         try:
             after_s = stopping.stop(self.device(), wait_s, standard.say)
             self.complain()
             # The servos of the arm, if there are any: which ones is in a file, and the wheels come first.
-            joints = [key for key in self._file() if key.startswith("joints.") and key.endswith(".servo")]
-            found = [value for key in joints if type(value := self._file()[key]) is int and 0 < value <= HIGHEST_ID]
+            joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
+            found = [value for key in joints if type(value := self._file[key]) is int and 0 < value <= HIGHEST_ID]
             if servos := sorted({*found})[:MOST_OF_A_FAMILY]:
                 stopping.write(self.device(), tuple(servos))
         except PortError as error:
@@ -222,16 +213,14 @@ class Port:
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
-        for problem in self._problems.values():
-            if problem not in self._said:
-                self._said.add(problem)
-                standard.say(f"{problem}; going on without it")
+        while self._problems:
+            standard.say(f"{self._problems.pop(0)}; going on without it")
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
-        if self.wanted() or self.known or self._of_file(DEVICE):
+        if self.wanted() or self.known or DEVICE in self._file:
             return False
-        if DEVICE not in self._problems and self._name == instance.DEFAULT_NAME:
+        if not self._unknown and self._name == instance.DEFAULT_NAME:
             return False
         standard.say(f"it went to {self.device()}, the default: is this the board? Name it with --device")
         return True
