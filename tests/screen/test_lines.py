@@ -200,22 +200,9 @@ def test_since_an_age(text: str, age_s: float) -> None:
     assert events.since(text, NOW_S) == NOW_S - age_s
 
 
-def test_since_a_time() -> None:
-    form = "%Y-%m-%d %H:%M:%S"
-    noon_s = time.mktime(time.strptime("2025-06-01 12:00:00", form))
-    for text, when in (
-        ("11:30", "2025-06-01 11:30:00"),
-        ("11:30:15", "2025-06-01 11:30:15"),
-        ("14:03", "2025-05-31 14:03:00"),
-        ("2025-05-01", "2025-05-01 00:00:00"),
-        ("2025-05-01 14:03", "2025-05-01 14:03:00"),
-    ):
-        assert events.since(text, noon_s) == time.mktime(time.strptime(when, form)), text
-
-
-@pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "٣m"])
+@pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "14:03", "٣m"])
 def test_since_nonsense(text: str) -> None:
-    with pytest.raises(FailstopError, match="allowed are"):
+    with pytest.raises(FailstopError, match="allowed is"):
         events.since(text, NOW_S)
 
 

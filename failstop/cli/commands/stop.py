@@ -234,17 +234,11 @@ class Port:
 
         device = self.device()
         holders, _ = System().holders(device)
-        services = dict.fromkeys(holder.instance for holder in holders if holder.instance)
-        others = [f"{holder.name} (pid {holder.pid})" for holder in holders if not holder.instance]
-        who = ", ".join([f"the service {name!r}" for name in services] or others or ["another process"])
-        remedies = ["use the POWER SWITCH"]
-        if os.geteuid():
-            remedies.append(f"`sudo failstop stop --device {device}` writes all the same")
-        remedies += [f"`failstop stop --name {name}` asks it" for name in services if name not in self.asked]
-        if others and not services:
-            remedies.append(f"`{' && '.join(dict.fromkeys(holder.end() for holder in holders))}` ends it")
-        also = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
-        return f"{device} is held exclusively by {who}{also}: {', or '.join(remedies)}"
+        who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
+        asked = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
+        sudo = f", or `sudo failstop stop --device {device}`, which writes all the same" if os.geteuid() else ""
+        by = ", ".join(who) or "another process"
+        return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{sudo}"
 
 
 def _end_service() -> bool:

@@ -30,7 +30,7 @@ MOST_BYTES = 4096
 
 
 class Terminal:
-    """A context manager. Signals only set fields here and end a wait(); whoever waits acts on them."""
+    """A context manager. Signals only set fields here; whoever waits acts on them when its wait is over."""
 
     def __init__(self) -> None:
         """Raises FailstopError when standard output is no terminal."""
@@ -41,14 +41,11 @@ class Terminal:
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
-        self._pipe = (-1, -1)
         self.ended = 0
         """The signal that asks to end; 0: none does."""
         self.columns = self.rows = 0
 
     def __enter__(self) -> Terminal:
-        self._pipe = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
-        signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
         for number in (*ENDS, signal.SIGCONT, signal.SIGWINCH):
             self._handlers[number] = signal.signal(number, self._note)
         with contextlib.suppress(termios.error):
@@ -63,11 +60,8 @@ class Terminal:
         if self._saved is not None:
             with contextlib.suppress(termios.error):  # the terminal may have gone
                 termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
-        signal.set_wakeup_fd(-1)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        for fd in self._pipe:
-            os.close(fd)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         if number in ENDS:
@@ -107,13 +101,8 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """What was typed; empty when nothing was until the time is over or a signal came."""
-        fds = [self._pipe[0], *([IN] if self._keyboard else [])]
-        ready = select.select(fds, (), (), max(0.0, timeout_s))[0]
-        if self._pipe[0] in ready:
-            with contextlib.suppress(BlockingIOError):
-                os.read(self._pipe[0], MOST_BYTES)
-        if IN not in ready:
+        """What was typed; empty when nothing was until the time is over."""
+        if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
             typed = os.read(IN, MOST_BYTES)
