@@ -11,11 +11,10 @@ from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState
 from failstop.api.words import span
-from failstop.cli import style
+from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.commands.requests import REPEAT_S, say
 from failstop.cli.screen import summary
-from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
 failstop arm                           # where each joint is, what is wrong
@@ -58,7 +57,7 @@ def main(arguments: Namespace) -> int:
         }
         try:
             if verb in verbs:
-                print(fitted(verbs[verb](), 1, 2))
+                standard.tell(verbs[verb]())
                 return 0
             if verb == "read":
                 arm.read()

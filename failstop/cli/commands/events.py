@@ -9,7 +9,6 @@ import time
 from argparse import ArgumentParser, Namespace
 from contextlib import suppress
 
-from failstop.api import host
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
@@ -61,8 +60,7 @@ def main(arguments: Namespace) -> int:
     except NoService as error:
         # What a service told that has died and was not started again.
         show(left[1] if (left := follow.left(name)) else [])
-        journal = host.journal(name)
-        raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
+        raise follow.refusal(name, error) from None
     while arguments.follow:
         try:
             for event in log.follow(AGAIN_S):

@@ -17,7 +17,6 @@ from failstop.cli.commands import add_name
 from failstop.cli.screen.follow import left
 from failstop.cli.style import show, width
 from failstop.incidents import files, report
-from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.shm.instance import option
 
@@ -51,7 +50,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     for name, action in (("plot", plot), ("export", export)):
         where = f"the file to write, or a folder (default: ID{SUFFIXES[name]} in this folder)"
         action.add_argument("-o", "--output", metavar="FILE", help=where, default="")
-        action.add_argument("-f", "--force", action="store_true", help="write over a file that is there already")
     plot.add_argument("--seconds", type=float, default=5.0, metavar="S", help="from S before the cause (default: 5)")
     for action in (listing, told, plot, export):
         add_name(action)
@@ -90,13 +88,11 @@ def _show(arguments: Namespace) -> int:
 
 
 def _write(arguments: Namespace) -> int:
-    """A picture or an export; nothing is written over what is there."""
+    """A picture or an export."""
     incident = Incident.read(_meant(arguments))
     path: str = arguments.output
     if not path or os.path.isdir(path):
         path = os.path.join(path, incident.id + SUFFIXES[arguments.action])
-    if os.path.exists(path) and not arguments.force:
-        raise IncidentError(f"{path} is there already: -f writes over it, -o FILE another")
     if arguments.action == "plot":
         from failstop.incidents import plot
 
