@@ -68,7 +68,7 @@ def test_what_the_screen_says() -> None:
         assert part in said
     said = shown(summary.lines(STATES["process down"], NOW_S, 120))
     assert "gate           -  down" in said
-    assert "gate died too often and is down for a minute; it was killed by SIGKILL" in said
+    assert "gate died too often (it was killed by SIGKILL) and is down for a minute" in said
     assert "said nothing for 9.0 s" in said
     said = shown(summary.lines(STATES["waiting for the port"], NOW_S, 120))
     assert "wheels    MAY TURN" in said

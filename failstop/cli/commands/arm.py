@@ -94,7 +94,8 @@ def _values(words: list[str]) -> dict[str, float]:
 def _lines(arm: ArmState) -> list[style.Line]:
     """All of the arm, its joints in a table."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
-    head += [("wrong", text) for text in summary.arm_wrong(arm)]
+    head += [("wrong", text) for text in arm.wrong]
+    head += [("refused", arm.refused)] if arm.refused else []
     rows = [("joint", " servo", " angle", " pulses", " commanded", " read", "torque")]
     for name, joint in arm.joints.items():
         angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from failstop.api import verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, Process, State, Stop
-from failstop.api.verdict import Earlier
+from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
@@ -22,9 +22,9 @@ BATTERY_LOW_V = 10.5
 LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
 LINKS = {
-    "alive": ("alive: the board answers", OK),
-    "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
-    "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
+    "alive": ("alive", OK),
+    "unproven": ("unproven", WARN),
+    "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
 }
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
@@ -38,17 +38,14 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     oldest first."""
     rows = wheels(state)
     rows += _drivers(state, verdict.left_off(events), now_s)
-    rows += last_stop(state, now_s, verdict.earlier(events))
+    rows += last_stop(state, now_s)
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
     if state.arm:
-        rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
+        rows.append(row("arm", arm_headline(state.arm)))
     rows += [device(state), battery(state), _sensors(state)]
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
-    for who, sees, wrong in words.said(state):
-        rows += [row("says", f"{who}: {sees}"), *([row("wrong", f"{who}: {wrong}", WARN)] if wrong else [])]
-    remarks = _remarks(state, verdict.exits(events))
-    below = [part for remark in remarks for part in style.wrap([remark], columns, 0)]
+    below = wrapped(_remarks(state, events, now_s), columns, 0)
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
 
@@ -74,8 +71,6 @@ def wheels(state: State) -> list[Line]:
     rows = [headline(state)]
     if step := verdict.next_step(state):
         rows.append(row("next", "") + commands(step))
-    if state.waiting_for and not state.blocked:
-        rows.append(row("waits for", state.waiting_for, WARN))
     return rows
 
 
@@ -98,15 +93,11 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     return rows
 
 
-def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> list[Line]:
-    """The last stop and its three proofs. `earlier`: the run before this one, if it was not ended in order."""
+def last_stop(state: State, now_s: float) -> list[Line]:
+    """The last stop and its three proofs."""
     stop = state.last_stop
     if stop is None:
-        rows = [row("last stop", "none since the service was started")]
-        if earlier:
-            rows.append([*row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
-            rows.append(row("", "") + commands(earlier.show(state.name)))
-        return rows
+        return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], row("", "") + _proofs(stop)]
 
@@ -170,27 +161,21 @@ def _rights(process: Process) -> style.Span:
     return " ".join(granted) or "none", PLAIN if len(granted) == 2 else WARN
 
 
-def _remarks(state: State, hung: dict[str, str]) -> list[style.Span]:
-    """What is wrong beside the wheels. `hung`: how processes that hung have ended."""
-    found = []
-    running = [process for process in state.processes.values() if process.pid]
+def _remarks(state: State, events: Sequence[Event], now_s: float) -> list[Line]:
+    """What is wrong beside the wheels: as `failstop why` has it, and what the process table says without words."""
+    found: list[Line] = [[(text, WARN)] for text in explain(state, events, now_s).also]
+    hung = verdict.exits(events)
     for name, process in state.processes.items():
-        how = verdict.last_exit(state, name, hung)
-        if process.state == "down":
-            found.append((f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL))
-        elif process.last_exit:
+        if process.state == "running" and process.last_exit:
             times = "once" if process.restarts == 1 else f"{process.restarts} times"
-            found.append((f"{name} was restarted {times}; it {how}", WARN))
-    if state.age_s > verdict.STALE_S:
-        found.append((f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL))
-    if starved := words.starved(state.starved):
-        found.append((f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
-    elif not all(process.realtime for process in running):
-        found.append(("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM))
+            found.append([(f"{name} was restarted {times}; it {verdict.last_exit(state, name, hung)}", WARN)])
+    running = [process for process in state.processes.values() if process.pid]
+    if not state.starved and not all(process.realtime for process in running):
+        text = "without real-time rights stops come later on a busy machine; `failstop doctor` says more"
+        found.append([(text, DIM)])
     if not all(process.early_news for process in running):
-        found.append(
-            ("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)
-        )
+        text = "this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more"
+        found.append([(text, WARN)])
     return found
 
 
@@ -209,8 +194,3 @@ def arm_headline(arm: ArmState) -> str:
         return "released: its torque is off"
     pose = f", in the {arm.pose} pose" if arm.pose else ""
     return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
-
-
-def arm_wrong(arm: ArmState) -> list[str]:
-    """What is wrong with it, and what was refused last."""
-    return [*arm.wrong, *([f"the last goal was refused: {arm.refused}"] if arm.refused else [])]
