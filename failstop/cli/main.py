@@ -82,13 +82,11 @@ def main(argv: list[str] | None = None) -> int:
     try:
         code = _main(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
-    except OSError as error:
-        if error.errno not in LOST:
-            raise
-        standard.let_go()
-        code = code or 1
-        if error.errno != errno.EPIPE:
-            standard.say(f"standard output takes no more ({error.strerror}): what is missing there was not written")
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        failed = _told(error)
+        return code or failed
     return code
 
 
@@ -149,25 +147,37 @@ def examples(module: ModuleType, name: str) -> list[str]:
 def _run(name: str, words: list[str]) -> int:
     import argparse
 
+    parser, module = load(name)
     try:
-        parser, module = load(name)
-        try:
-            arguments = parser.parse_args(words, argparse.Namespace(command=name))
-        except SystemExit as end:
-            # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
-            return 1 if end.code else 0
-        code: int = module.main(arguments)
-    except KeyboardInterrupt:
-        return 130
-    except Exception as error:
-        if lacking := _lack(error):
-            standard.say(lacking)
-            return 1
-        if not _expected(error):
-            raise
+        arguments = parser.parse_args(words, argparse.Namespace(command=name))
+    except SystemExit as end:
+        # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+        return 1 if end.code else 0
+    code: int = module.main(arguments)
+    return code
+
+
+def _told(error: Exception) -> int:
+    """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
+    again."""
+    from failstop.api.errors import FailstopError
+    from failstop.board.port import PortError
+    from failstop.policy.settings import SettingError
+    from failstop.shm.instance import InstanceError
+    from failstop.shm.segment import AttachError
+
+    if lacking := _lack(error):
+        standard.say(lacking)
+    elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError)):
         standard.say(str(error))
         return getattr(error, "exit_code", 1)
-    return code
+    elif isinstance(error, OSError) and error.errno in LOST:
+        standard.let_go()
+        if error.errno != errno.EPIPE:
+            standard.say(f"standard output takes no more ({error.strerror}): what is missing there was not written")
+    else:
+        raise error
+    return 1
 
 
 def _lack(error: BaseException | None) -> str:
@@ -182,14 +192,3 @@ def _lack(error: BaseException | None) -> str:
             return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
         error = error.__cause__ or error.__context__
     return ""
-
-
-def _expected(error: Exception) -> bool:
-    """Errors with a message made for people; anything else is a defect and shows its traceback."""
-    from failstop.api.errors import FailstopError
-    from failstop.board.port import PortError
-    from failstop.policy.settings import SettingError
-    from failstop.shm.instance import InstanceError
-    from failstop.shm.segment import AttachError
-
-    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))

@@ -102,41 +102,33 @@ def _every_service(reason: str, who: str) -> int:
 
 
 def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
-    """Ask a service that runs; True when a stop is out."""
-    names, unseen = _services(wanted, port.wanted())
-    if not names and not unseen:
+    """Ask the services that have the port that is named, whatever they are called; where none is named, the one of this
+    name. True when a stop is out."""
+    device = port.wanted()
+    names = instances.listening() if device else [wanted] if instances.listens(wanted) else []
+    if not names:
         return False
-    # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
+    # For a service alone: the stop tool, where nothing runs, need not wait for all that this imports.
     from failstop.api import ask
 
     for name in names:
-        done, problem = ask.stop(name, reason, who)
-        if done:
-            standard.tell(done)
-        if problem:
-            standard.say(problem if done else f"{problem}: writing to the port itself")
-        if done:
-            port.complain()
-            return True
-        port.known = port.known or ask.port_of(name)
-    for name in unseen:
-        ask.send(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
-    port.asked = names + unseen
+        its = ask.port_of(name) if device else ""
+        if device and not its and name == wanted:
+            ask.send(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
+        elif device and not (its and ask.same(its, device)):
+            continue
+        else:
+            done, problem = ask.stop(name, reason, who)
+            if done:
+                standard.tell(done)
+            if problem:
+                standard.say(problem if done else f"{problem}: writing to the port itself")
+            if done:
+                port.complain()
+                return True
+            port.known = port.known or ask.port_of(name)
+        port.asked.append(name)
     return False
-
-
-def _services(name: str, device: str) -> tuple[list[str], list[str]]:
-    """Which services to ask: those that have the port that is wanted, whatever they are called; without one, the one of
-    this name. And the one of this name when its port can't be read."""
-    if not device:
-        return [name] if instances.listens(name) else [], []
-    if not (names := instances.listening()):
-        return [], []
-    from failstop.api import ask
-
-    ports = {found: ask.port_of(found) for found in names}
-    unseen = [name] if ports.get(name) == "" else []
-    return [found for found, port in ports.items() if port and ask.same(port, device)], unseen
 
 
 class Port:

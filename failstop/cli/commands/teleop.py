@@ -44,13 +44,13 @@ STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
 TURNS = {"[": -1, "]": 1}
 """These turn the chosen joint of the arm, which a digit chooses, while they are held."""
-KEYS = (
-    ("w s", "\u2191 \u2193", "forward, backward", "space", "STOP, latched"),
-    ("a d", "\u2190 \u2192", "turn left, right", "e", "enable motion"),
-    ("j l", "", "slide left, right", "r", "reset a latched stop"),
-    ("+ -", "", "faster, slower", "q", "stop, disable, leave"),
-)
-"""Two columns of keys: letters, arrows, what they do; another key, what it does."""
+KEYS = """\
+w s  \u2191 \u2193    forward, backward     space  STOP, latched
+a d  \u2190 \u2192    turn left, right      e      enable motion
+j l         slide left, right     r      reset a latched stop
++ -         faster, slower        q      stop, disable, leave
+"""
+JOINTS = "[ ]         turn the chosen joint {digits:<7}choose a joint of the arm"
 HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
 
 
@@ -239,14 +239,11 @@ class Pilot:
         """The screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
-        keys = list(KEYS)
+        keys = KEYS.splitlines()
         if state.arm:
-            digits = f"1 - {len(state.arm.joints)}"
-            keys.append(("[ ]", "", "turn the chosen joint", digits, "choose a joint of the arm"))
+            keys.append(JOINTS.format(digits=f"1 - {len(state.arm.joints)}"))
         head: list[Line] = [[("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)], []]
-        for letters, arrows, moves, other, does in keys:
-            left = [(f"{letters}  {arrows:<5}", STRONG), (f"{moves:<22}", PLAIN)]
-            head.append([*left, (f"{other:<7}", STRONG), (does, FAIL if other == "space" else PLAIN)])
+        head += [[(text, PLAIN)] for text in keys]
         body = [
             row("keys", *(("held", OK) if self.hold.active else ("none held", PLAIN))),
             row("speed", f"{self.percent} %: {speed_mps:.2f} m/s, {turn_radps:.2f} rad/s"),

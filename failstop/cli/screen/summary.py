@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from failstop.api import verdict, words
 from failstop.api.events import Event
-from failstop.api.snapshot import ArmState, Process, State, Stop
+from failstop.api.snapshot import ArmState, State, Stop
 from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
@@ -149,16 +149,12 @@ def processes(state: State) -> list[Line]:
         row: Line = [(name, PLAIN), (f" {process.pid or '-'}", PLAIN)]
         row += [(process.state, PROCESSES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
         row.append((f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN))
-        row += [(f" {process.restarts}", WARN if process.restarts else PLAIN), _rights(process)]
+        granted = ["realtime"] * process.realtime + ["locked"] * process.memory_locked
+        rights = " ".join(granted) or "none" if process.pid else "-"
+        row.append((f" {process.restarts}", WARN if process.restarts else PLAIN))
+        row.append((rights, PLAIN if len(granted) == 2 or not process.pid else WARN))
         rows.append(row)
     return style.table(rows)
-
-
-def _rights(process: Process) -> style.Span:
-    if not process.pid:
-        return "-", PLAIN
-    granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
-    return " ".join(granted) or "none", PLAIN if len(granted) == 2 else WARN
 
 
 def _remarks(state: State, events: Sequence[Event], now_s: float) -> list[Line]:
