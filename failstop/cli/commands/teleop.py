@@ -242,9 +242,11 @@ class Pilot:
         keys = KEYS.splitlines()
         if state.arm:
             keys.append(JOINTS.format(digits=f"1 - {len(state.arm.joints)}"))
-        head: list[Line] = [[("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)], []]
-        head += [[(text, PLAIN)] for text in keys]
-        body = [
+        rows: list[Line] = [
+            [("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)],
+            [],
+            *([(text, PLAIN)] for text in keys),
+            [],
             row("keys", *(("held", OK) if self.hold.active else ("none held", PLAIN))),
             row("speed", f"{self.percent} %: {speed_mps:.2f} m/s, {turn_radps:.2f} rad/s"),
             row("command", "none" if command is None else words.velocity(*command) or "zero"),
@@ -252,10 +254,11 @@ class Pilot:
             *(self._arm(state.arm) if state.arm else []),
             summary.battery(state),
             summary.device(state),
+            [],
+            [self.note],
+            [(HOW, DIM)],
         ]
-        foot: list[Line] = [[], [self.note], [(HOW, DIM)]]
-        above, below = (summary.wrapped(rows, columns, 0) for rows in ([*head, []], foot))
-        return [*above, *summary.wrapped(body, columns), *below]
+        return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
         """What the arm does, and the chosen joint: where it is, or was sent."""
