@@ -19,6 +19,7 @@ def test_words_of_a_client_reach_people(trial: Trial) -> None:
             " ".join(failstop(*words, "--name", trial.name).stdout.split())
             for words in (("status",), ("why",), ("doctor", "--quick"))
         )
+        assert "says eyes: looks ahead" in status
         assert "eyes says: nobody feeds the lidar" in status
         assert "also eyes says: nobody feeds the lidar" in why
         assert "eyes says: nobody feeds the lidar" in doctor

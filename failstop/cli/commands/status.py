@@ -41,7 +41,6 @@ LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
 """Values a sparkline can show; a wider terminal leaves a gap."""
-MOST_EVENTS = 12
 SLOW_S = 0.5
 """Ages and the process table are drawn again this often: digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
@@ -189,6 +188,6 @@ class Live:
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
     """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
-    count = max(0, min(room - 2, len(events), MOST_EVENTS))
+    count = max(0, min(room - 2, len(events)))
     shown = [replace(it, text=it.text.partition("; next: ")[0]) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

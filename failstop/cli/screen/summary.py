@@ -36,6 +36,7 @@ KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
     """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
     oldest first."""
+    also = explain(state, events, now_s).also
     rows = wheels(state)
     rows += _drivers(state, verdict.left_off(events), now_s)
     rows += last_stop(state, now_s)
@@ -45,7 +46,9 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows += [device(state), battery(state), _sensors(state)]
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
-    below = wrapped(_remarks(state, events, now_s), columns, 0)
+    said = ((who, sees) for who, sees, _ in words.said(state) if f"{who} says: {sees}" not in also)
+    rows += [row("says", f"{who}: {sees}") for who, sees in said]
+    below = wrapped([*([(text, WARN)] for text in also), *_remarks(state, events)], columns, 0)
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
 
@@ -157,9 +160,9 @@ def processes(state: State) -> list[Line]:
     return style.table(rows)
 
 
-def _remarks(state: State, events: Sequence[Event], now_s: float) -> list[Line]:
-    """What is wrong beside the wheels: as `failstop why` has it, and what the process table says without words."""
-    found: list[Line] = [[(text, WARN)] for text in explain(state, events, now_s).also]
+def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
+    """What the process table says, in words."""
+    found: list[Line] = []
     hung = verdict.exits(events)
     for name, process in state.processes.items():
         if process.state == "running" and process.last_exit:
