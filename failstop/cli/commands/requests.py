@@ -38,6 +38,8 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 }
 
 REPEAT_S = 0.05
+RESTARTED_S = 0.5
+"""A process that died is there again by then, and nobody needs to be told to wait for it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -94,7 +96,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> s
         robot.drive(*asked, manual=True)
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
         if reason := _blocked(robot):
-            raise Refused(reason)
+            time.sleep(RESTARTED_S)
+            raise Refused(_blocked(robot) or reason)
         reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
