@@ -65,17 +65,14 @@ def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[st
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []
-    shown = ("", "")
     for name, finding in found:
-        title = name if (name, finding.level) != shown else ""
         role = SHOWN[finding.level][0]
-        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{title:<{width + GAP}}", PLAIN)]
+        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{name:<{width + GAP}}", PLAIN)]
         lines += style.wrap([*head, (finding.text, PLAIN)], columns, indent)
         if finding.fix:
             lines.append(_command(finding.fix, columns, indent))
         if finding.advice:
             lines += style.wrap([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
-        shown = (name, finding.level)
     counts = [(sum(finding.level == level for _, finding in found), words) for level, (_, words) in SHOWN.items()]
     return [*lines, [], [(", ".join(f"{count} {words}" for count, words in counts if count), PLAIN)]]
 
