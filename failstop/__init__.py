@@ -20,11 +20,10 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.calls import Answer, Blocked, Driving, Preempted
     from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
     from failstop.api.events import Event
-    from failstop.api.robot import AsyncRobot, Robot
-    from failstop.api.snapshot import Block, Process, State, Stop, Velocity
+    from failstop.api.robot import Answer, AsyncRobot, Blocked, Driving, Preempted, Robot
+    from failstop.api.snapshot import Block, Imu, Odometry, Pad, Process, State, Stop, Velocity
     from failstop.api.why import Why
 
 __all__ = [
@@ -35,8 +34,11 @@ __all__ = [
     "Driving",
     "Event",
     "FailstopError",
+    "Imu",
     "NoAnswer",
     "NoService",
+    "Odometry",
+    "Pad",
     "Preempted",
     "Process",
     "Refused",
@@ -50,7 +52,7 @@ __all__ = [
     "__version__",
 ]
 
-_HOMES = ("errors", "snapshot", "events", "robot", "calls", "why")
+_HOMES = ("errors", "snapshot", "events", "robot", "why")
 """Where they are, those first that the others import."""
 
 

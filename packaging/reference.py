@@ -17,16 +17,15 @@ beside it comes from `failstop` itself: `from failstop import Robot`.
 SECTIONS = (
     ("Robot", "robot", ("Robot",)),
     ("asyncio", "robot", ("AsyncRobot",)),
-    ("What drive() answers", "calls", ("Driving", "Preempted", "Blocked")),
+    ("What drive() answers", "robot", ("Driving", "Preempted", "Blocked")),
     ("Why", "why", ("Why",)),
     ("State", "snapshot", ()),
     ("Arm", "arm", ("Arm",)),
     ("Events", "events", ("Event",)),
-    ("Samples (failstop.api.samples)", "samples", ("ImuSample", "BatterySample", "PadSample", "OdometrySample")),
     ("Errors", "errors", ()),
 )
 """Title, module, and the classes that are shown of it; none named: all."""
-SHARED = {"Calls": "calls", "Session": "session"}
+SHARED = {"Calls": "robot", "Session": "session"}
 """What is shown with the first class that is made of it."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
 

@@ -48,7 +48,9 @@ def _stop_layer(state: State) -> Status:
     if state.age_s > verdict.STALE_S:
         level = STALE
     step = verdict.next_step(state)
-    message = f"{word}: {verdict.headline(state, report.blocked(state))}" + (f"; next: {step}" if step else "")
+    blocked = report.blocked(state)
+    what = f"blocked: {blocked}" if blocked else verdict.headline(state)
+    message = f"{word}: {what}" + (f"; next: {step}" if step else "")
     return _status(
         "stop layer",
         level,

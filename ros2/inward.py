@@ -189,7 +189,7 @@ class Inward:
             if not self._commanders.passes(now_ns - waited_ns):
                 return
         try:
-            self._link.call(lambda robot: robot.command(*velocity))
+            self._link.call(lambda robot: robot.drive(*velocity, wait_s=0.0))
         except FailstopError as error:
             self._complain("service", f"cmd_vel moves nothing: {error}")
 

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from math import cos, nan, sin
 from typing import Any
 
-from failstop.api.samples import ImuSample, OdometrySample, PadSample
-from failstop.api.snapshot import ArmState
+from failstop.api.snapshot import ArmState, Imu, Odometry, Pad
 
 Fields = dict[str, Any]
 Values = tuple[Sequence[float], ...]
@@ -50,7 +49,7 @@ def imu_constant(frame: str, rate_variance: float) -> Fields:
 IMU_PLACES = ("header.stamp", "angular_velocity", "linear_acceleration")
 
 
-def imu(sample: ImuSample, ros_ns: int) -> Values:
+def imu(sample: Imu, ros_ns: int) -> Values:
     """sensor_msgs/Imu."""
     return _stamped(ros_ns), sample.rate_radps, sample.acceleration_mps2
 
@@ -80,7 +79,7 @@ def odometry_constant(frame: str, child: str) -> Fields:
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 
-def odometry_covariances(sample: OdometrySample) -> Fields:
+def odometry_covariances(sample: Odometry) -> Fields:
     """Of pose and twist; they change with the service's settings alone."""
     pose, twist = [0.0] * 36, [0.0] * 36
     for at in (X, Y, YAW):
@@ -93,12 +92,12 @@ def odometry_covariances(sample: OdometrySample) -> Fields:
 ODOMETRY_PLACES = ("header.stamp", "pose.pose", "twist.twist")
 
 
-def _pose(sample: OdometrySample) -> Sequence[float]:
+def _pose(sample: Odometry) -> Sequence[float]:
     """x, y, z and a quaternion."""
     return (sample.x_m, sample.y_m, 0.0, 0.0, 0.0, sin(sample.th_rad / 2), cos(sample.th_rad / 2))
 
 
-def odometry(sample: OdometrySample, ros_ns: int) -> Values:
+def odometry(sample: Odometry, ros_ns: int) -> Values:
     """nav_msgs/Odometry."""
     return _stamped(ros_ns), _pose(sample), (sample.vx_mps, sample.vy_mps, 0.0, 0.0, 0.0, sample.wz_radps)
 
@@ -111,7 +110,7 @@ def transform_constant(frame: str, child: str) -> Fields:
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 
-def transform(sample: OdometrySample, ros_ns: int) -> Values:
+def transform(sample: Odometry, ros_ns: int) -> Values:
     """tf2_msgs/TFMessage of the pose."""
     return _stamped(ros_ns), _pose(sample)
 
@@ -121,7 +120,7 @@ GAMEPAD_CONSTANT: Fields = {"axes": [0.0] * 5, "buttons": [0] * BUTTONS}
 """Of lasting length."""
 
 
-def gamepad(sample: PadSample, ros_ns: int) -> Values:
+def gamepad(sample: Pad, ros_ns: int) -> Values:
     """sensor_msgs/Joy."""
     axes = (*(axis / FULL_AXIS for axis in sample.axes), float(sample.hat))
     return _stamped(ros_ns), axes, [sample.buttons >> bit & 1 for bit in range(BUTTONS)]

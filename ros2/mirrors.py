@@ -10,12 +10,12 @@ import os
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from failstop.api.samples import ImuSample
+from failstop.api.snapshot import Imu
 
 Value = bool | int | float | str | list[float]
 Settings = Mapping[str, float | str]
 
-GYRO_NOISE_RADPS = round(float(ImuSample._field_defaults["rate_variance"]) ** 0.5, 9)
+GYRO_NOISE_RADPS = round(float(Imu._field_defaults["rate_variance"]) ** 0.5, 9)
 FIXED = "it is a fact of the robot, not a setting"
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample
+from failstop.api.snapshot import Imu, Odometry, Pad
 from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
@@ -36,8 +36,6 @@ DIAGNOSE_NS = 200_000_000
 HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
-BATTERY_NS = 5_000_000_000
-"""What the board said of its battery longer ago is not told any more."""
 SUPERVISOR = "supervisor"
 
 
@@ -73,7 +71,6 @@ class Outward:
         self._told: list[diagnostics.Status] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: BatterySample | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -87,7 +84,7 @@ class Outward:
         self._messages[topic.name] = kind()
 
     def _constants(self) -> None:
-        variance = ImuSample._field_defaults["rate_variance"]
+        variance = Imu._field_defaults["rate_variance"]
         self._keep(contract.IMU, messages.imu_constant(self._imu_frame, variance), messages.IMU_PLACES)
         self._keep(contract.ODOMETRY, messages.odometry_constant(*self._frames), messages.ODOMETRY_PLACES)
         self._keep(contract.GAMEPAD, messages.GAMEPAD_CONSTANT, messages.GAMEPAD_PLACES)
@@ -151,20 +148,18 @@ class Outward:
             self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
 
     def _sample(self, sample: object) -> None:
-        if isinstance(sample, ImuSample):
+        if isinstance(sample, Imu):
             # What the port had in one piece has one time, and a filter divides by the time between two samples.
             # A clock that was set back is followed.
             ros_ns = sample.t_ns + self._offset_ns
             self._imu_ns = ros_ns if self._imu_ns - ros_ns > CLOCK_NS else max(ros_ns, self._imu_ns + LEAST_NS)
             self._send(contract.IMU, messages.imu(sample, self._imu_ns))
-        elif isinstance(sample, OdometrySample):
+        elif isinstance(sample, Odometry):
             self._odometry(sample)
-        elif isinstance(sample, PadSample):
+        elif isinstance(sample, Pad):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
-        elif isinstance(sample, BatterySample):
-            self._battery = sample
 
-    def _odometry(self, sample: OdometrySample) -> None:
+    def _odometry(self, sample: Odometry) -> None:
         ros_ns = sample.t_ns + self._offset_ns
         deviations = (sample.pose_variance, sample.twist_std_mps, sample.twist_std_radps)
         if deviations != self._deviations:
@@ -244,9 +239,8 @@ class Outward:
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if slow and state and (sample := self._battery) and now_ns - sample.t_ns < BATTERY_NS:
-            stamp_ns = sample.t_ns + self._offset_ns
-            self._publish(contract.BATTERY, messages.battery(sample.battery_v, sample.plugged, stamp_ns))
+        if slow and state and state.battery_v and state.device.state == "open":
+            self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, ros_ns))
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return
         self._diagnose_ns = now_ns

@@ -10,7 +10,6 @@ from failstop.web.lease import Lease
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.calls import Attendance
     from failstop.web.handlers import Live
 
 
@@ -20,7 +19,6 @@ class Attending:
     def __init__(self, name: str) -> None:
         self._name = name
         self._robot: Robot | None = None
-        self._told: Attendance | None = None
         self._leases: dict[Live, tuple[str, Lease]] = {}
 
     def of(self, viewer: Live) -> Lease | None:
@@ -42,9 +40,7 @@ class Attending:
         try:
             if self._robot is None:
                 self._robot = Robot(self._name, client="failstop web")
-            if self._told is None or self._told.who != who:
-                self._told = self._robot.attend(who)
-            self._told.renew(lease.proven_ns)
+            self._robot.attend(who, lease.proven_ns)
         except FailstopError as error:
             self._close()
             return str(error)
@@ -56,15 +52,13 @@ class Attending:
         if found is None:
             return
         if not any(lease.proven_ns for _, lease in self._leases.values()):
-            self._close(found[0])
+            self._close()
 
-    def _close(self, who: str = "") -> None:
-        told, self._told = self._told, None
+    def _close(self) -> None:
         robot, self._robot = self._robot, None
         if robot:
             with contextlib.suppress(FailstopError):
-                if told:
-                    told.give_up(who)
+                robot.leave()
             robot.close()
 
     def close(self) -> None:

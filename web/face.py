@@ -12,6 +12,7 @@ from failstop.api import verdict, words
 from failstop.api.why import meaning
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
+from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -113,13 +114,13 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": "" if stop.written_s is None else words.took(stop.written_s),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": "" if stop.observed_s is None else _seen(stop),
+        "observed": "" if stop.observed_s is None else _seen(stop.observed_s),
     }
 
 
-def _seen(stop: Stop) -> str:
+def _seen(observed_s: float) -> str:
     """The third proof, short."""
-    return words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+    return wheels_seen(observed_s).replace("wheels still", "still").replace("less than", "<")
 
 
 def sentence(text: str) -> str:
@@ -156,7 +157,8 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
     if state.cause and state.last_stop and state.last_stop.cause == state.cause:
         return state.last_stop.t
     if state.blocked == blocks.DISABLED:
-        return next((event.t for event in reversed(events) if event.kind in verdict.SINCE), None)
+        change = verdict.newest(events, verdict.CHANGES)
+        return change.t if change else None
     return None
 
 
@@ -220,8 +222,8 @@ def _troubles(state: State) -> list[str]:
             found.append(f"The {name.replace('_', ' ')} is {process.state}.")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("The board has not answered yet, so nobody knows that it hears.")
-    if starved := words.starved(state.starved):
-        found.append(sentence(starved))
+    if state.starved:
+        found.append(sentence(str(state.starved)))
     if state.age_s > verdict.STALE_S:
         found.append(f"The gate has said nothing for {words.span(state.age_s)}: this may be old.")
     found += [f"{sentence(wrong)[:-1]} ({who})." for who, _, wrong in words.said(state) if wrong]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import stat
 import termios
 import time
 
@@ -38,15 +37,6 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str]:
         os.close(pipe)
 
 
-def send(name: str, reason: str, who: str) -> str:
-    """Write a request and look no further; returns what is wrong."""
-    try:
-        send_stop(name, reason, who)
-    except FailstopError as error:
-        return str(error)
-    return ""
-
-
 def _watch(name: str, pipe: int) -> tuple[str, str]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
     others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
@@ -54,25 +44,23 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
-    reader, problem = None, ""
-    try:
-        reader = StateReader(name)
-    except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
-        problem = str(error)
-    taken, first_epoch = False, -1
+    reader, problem, taken, first_epoch = None, "", False, -1
     while time.monotonic() < until_s:
         unread = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), "little")
         taken = taken or not unread
-        if taken and not reader:
-            return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
-        with contextlib.suppress(Exception):  # likewise, and it may be better the next time
-            if reader and (state := reader.read()):
-                first_epoch = state.epoch if first_epoch < 0 else first_epoch
-                if state.estop and (taken or state.epoch > first_epoch):
-                    doubt = verdict.doubt(state)
-                    text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
-                    return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
+        try:
+            reader = reader or StateReader(name)
+            state = reader.read()
+            first_epoch = state.epoch if first_epoch < 0 else first_epoch
+            if state.estop and (taken or state.epoch > first_epoch):
+                doubt = verdict.doubt(state)
+                text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
+                return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
+        except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
+            problem = str(error)
         time.sleep(LOOK_S)
+    if taken and not reader:
+        return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
     return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
 
 
@@ -86,8 +74,6 @@ def port_of(name: str) -> str:
 
 def same(port: str, device: str) -> bool:
     """True when two paths are one port; by their names alone when it is not there."""
-    try:
-        found = os.stat(port), os.stat(device)
-    except OSError:
-        return os.path.realpath(port) == os.path.realpath(device)
-    return all(stat.S_ISCHR(node.st_mode) for node in found) and found[0].st_rdev == found[1].st_rdev
+    with contextlib.suppress(OSError):
+        return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
+    return os.path.realpath(port) == os.path.realpath(device)

@@ -15,7 +15,6 @@ import msgpack
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
-from failstop.procs.gate.sources import PAD
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline, pid_namespace
@@ -120,7 +119,6 @@ class Run:
         self.found = run(name)
         """What its segments are named after, and whose they are."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
-        self.incarnation = self.supervisor.incarnation
         self._beat = HeartbeatReader(self.supervisor)
         self._record = self.supervisor.latest_reader("rules")
         self._rules: dict[str, Any] = {}
@@ -157,9 +155,7 @@ class Run:
 
     def over(self) -> bool:
         """True when this run has ended. One system call at most while it goes on: cheap enough for every call."""
-        if self._life:
-            return self._life.wait(0)
-        return self.dead() or (self.silent(time.monotonic_ns()) and self._replaced())
+        return self.dead() or (not self._life and self.silent(time.monotonic_ns()) and self._replaced())
 
     def _replaced(self) -> bool:
         """True when no service of this name, or another run of it, is there."""
@@ -176,21 +172,9 @@ class Run:
             if name not in declared:
                 if not self._rules:
                     raise starting(self.name)
-                raise Undeclared(_undeclared(kind, name[:LONGEST_SHOWN], declared, self.name))
-
-
-def _undeclared(kind: str, name: str, declared: list[str], service: str) -> str:
-    """What is wrong with a name that the settings do not declare, with the one that may have been meant."""
-    known = ", ".join(declared) or "none"
-    if (kind, name) == ("source", PAD):
-        return f"source {PAD!r} is the board's gamepad alone; a client's are {known}"
-    nearest: list[str] = []
-    with contextlib.suppress(ImportError):  # a program that has given its rights up may be unable to read its library
-        from difflib import get_close_matches  # for a mistake only: it costs more than this file
-
-        nearest = get_close_matches(name, declared, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"add [{kind}s.NAME] and restart the service"
-    return f"no {kind} {name!r} in the settings of {service!r}, which declare: {known}; {hint}"
+                told = f"no {kind} {name[:LONGEST_SHOWN]!r} in the settings of {self.name!r}, which declare"
+                hint = f"add [{kind}s.NAME] and restart the service"
+                raise Undeclared(f"{told}: {', '.join(declared) or 'none'}; {hint}")
 
 
 class Client:

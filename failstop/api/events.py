@@ -6,27 +6,18 @@ for event in EventLog("failstop").read():
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import dataclasses
-import os
-import select
-import struct
+import time
 from collections.abc import Iterator
 
 import msgpack
 
 from failstop.api.client import Run, runtime_dir
-from failstop.api.errors import FailstopError, NoService
-from failstop.shm import instance
+from failstop.api.errors import NoService
 from failstop.shm.instance import DEFAULT_NAME
 
-POLL_S = 0.05
-LOOK_EVERY_S = 0.25
-"""How often a log without news looks whether its service is still there."""
-_MODIFY, _ATTRIB, _MOVE_SELF, _DELETE_SELF, _DONT_FOLLOW = 0x2, 0x4, 0x800, 0x400, 0x02000000
-_EVENTS = _MODIFY | _ATTRIB | _MOVE_SELF | _DELETE_SELF | _DONT_FOLLOW
-_MOST_BYTES = 65536
+LOOK_S = 0.02
+"""Time between two looks for the next event."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,17 +63,14 @@ class EventLog:
             raise NoService(f"the service {self.name!r} has ended, or was restarted: read its events again")
         return found
 
-    def follow(self, every_s: float = POLL_S) -> Iterator[Event | None]:
-        """Every event, those that are there first, each as it is told; None when there is none for a while (`every_s`),
-        so that the caller can do something else. Raises NoService when the service has ended."""
-        with contextlib.closing(News(self.name)) as news:
-            while True:
-                news.look()
-                found = self.read()
-                yield from found
-                if not found:
-                    news.wait(every_s)
-                    yield None
+    def follow(self) -> Iterator[Event]:
+        """Every event, those that are there first, each as it is told, without end. Raises NoService when the service
+        has ended."""
+        while True:
+            found = self.read()
+            yield from found
+            if not found:
+                time.sleep(LOOK_S)
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:
@@ -92,50 +80,3 @@ def unpack(seq: int, payload: bytes) -> Event | None:
         return Event(seq, found["t"], found["ns"], found["kind"], found["level"], found["text"], found["fields"])
     except (ValueError, KeyError, TypeError, msgpack.exceptions.UnpackException):
         return None
-
-
-class News:
-    """A wake-up for whoever reads the service's state and events, without a right to anything of it: a descriptor that
-    is readable when there may be news. Not for several threads at once.
-
-    The supervisor writes one byte of the file that names its run once more; inotify tells whoever watches that file,
-    and tells them too when a run ends or another one takes the name. What watching costs the writer is bounded by the
-    kernel: a user has 128 watches of one file at most (fs.inotify.max_user_instances). A wake-up that is lost costs a
-    look later.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._libc = ctypes.CDLL(None)
-        self.fd: int = self._libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
-        """-1 where this user may have no more of them: then there are no wake-ups, and looking is all there is."""
-        self.watched = False
-        """There is a run, whose news wake."""
-
-    def look(self) -> None:
-        """Before a look at what there may be news of: whatever is told after this wakes whoever waits."""
-        if self.fd < 0:
-            return
-        with contextlib.suppress(BlockingIOError):
-            # Anything but a change of its bytes means that the file is another one, or none.
-            told = struct.iter_unpack("iIII", os.read(self.fd, _MOST_BYTES))
-            self.watched &= all(mask == _MODIFY for _, mask, _, _ in told)
-        if not self.watched:
-            paths = (os.fsencode(instance.run_path(path)) for path in instance.places(self._name))
-            self.watched = any(self._libc.inotify_add_watch(self.fd, path, _EVENTS) >= 0 for path in paths)
-
-    def wait(self, timeout_s: float) -> None:
-        """Sleep until there may be news."""
-        poll = select.poll()
-        if self.fd >= 0:
-            poll.register(self.fd, select.POLLIN)
-        poll.poll(max(0.0, timeout_s) * 1e3)
-
-    def close(self) -> None:
-        """Give the descriptor back."""
-        fd, self.fd = self.fd, -1
-        if fd >= 0:
-            os.close(fd)
-
-
-__all__ = ["Event", "EventLog", "FailstopError", "NoService"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from failstop.api import words
+from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
 from failstop.shm import instance, root
 
@@ -17,9 +17,10 @@ DEVICE = str(BY_KEY["device.path"].default)
 
 def unit(name: str) -> str:
     """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
-    file = "failstop.service" if name == instance.DEFAULT_NAME else "failstop@.service"
+    found = unit_of(name)
+    file = found.replace(f"@{name}.", "@.")
     there = any(os.path.exists(root.at(f"{folder}/{file}")) for folder in FOLDERS)
-    return words.unit(name) if there and os.path.isdir(root.at(BOOTED)) else ""
+    return found.removesuffix(".service") if there and os.path.isdir(root.at(BOOTED)) else ""
 
 
 def start(name: str, device: str | None = None) -> str:

@@ -1,87 +1,196 @@
 """Robot and AsyncRobot: drive and stop a robot from Python. What takes time waits in the one, and is awaited in the
-other.
+other; what takes none is the same for both.
+
+match robot.drive(0.2, 0.0, 0.0):
+    case Preempted(by=who): print(who, "drives")
+    case Blocked(block=Block.NO_SCAN): look_at_the_sensor()
 """
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from math import isfinite
+from typing import TYPE_CHECKING, Any
 
-from failstop.api.calls import Calls
-from failstop.api.events import LOOK_EVERY_S, Event, EventLog, News
-from failstop.api.session import ANSWER_S, Steps, T, Told, Word, sleep_through
-from failstop.api.snapshot import State
+from failstop.api.arm import Arm
+from failstop.api.client import send_stop
+from failstop.api.events import LOOK_S, Event, EventLog
+from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
+from failstop.api.snapshot import Block, Sample, State, Velocity
+from failstop.policy.causes import Cause
+from failstop.procs.gate.sources import DEFAULT
 from failstop.shm import records
-from failstop.shm.instance import DEFAULT_NAME
+
+if TYPE_CHECKING:
+    from failstop.api.why import Why
+
+MOST_OF_A_NAME = 64
+"""Bytes of an operator's name; the rest is left out."""
 
 
-class Robot(Calls):
-    """A connection to the running service of that name; a context manager.
+@dataclasses.dataclass(frozen=True)
+class Driving:
+    """This command moves the wheels."""
 
-    Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
-    first use, which needs the group `failstop` (or the service's user).
+    velocity: Velocity
+    """What the gate commands now: it gets to what was asked for along the ramp, within the limits."""
 
-    A service that was restarted is noticed by every call, which then means the new run; nothing is enabled by it.
-    While none runs every call raises NoService. With `reconnect=False` a Robot is of one run: once that has ended,
-    every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
-    A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
 
-    Several threads may use one Robot: it is one client, so the newest drive() of any of them counts. One that has a
-    slot keeps a thread of its own, which only sleeps: by its end the gate knows of this program's death at once,
-    however long the kernel takes its memory down.
-    """
+@dataclasses.dataclass(frozen=True)
+class Preempted:
+    """A source of higher priority drives; this command waits."""
 
-    def __enter__(self) -> Robot:
-        self._check_open()
-        return self
+    by: str
+    """Who drives: name and pid."""
+    source: str
+    """As which source."""
 
-    def __exit__(self, *raised: object) -> None:
-        self._close(in_order=not isinstance(raised[1], Exception))
+    def __bool__(self) -> bool:
+        return False
 
-    @classmethod
-    def connect(
-        cls,
-        name: str = DEFAULT_NAME,
-        *,
-        client: str | None = None,
-        reconnect: bool = True,
-        answer_s: float = ANSWER_S,
-        disable_on_exit: bool = True,
-    ) -> AsyncRobot:
-        """The same for asyncio: `async with Robot.connect() as robot`. What takes time there is awaited."""
-        return AsyncRobot(name, client=client, reconnect=reconnect, answer_s=answer_s, disable_on_exit=disable_on_exit)
 
-    def enable(self, told: Told = None) -> str:
-        """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
-        before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
-        how far it is. It can be given up by arm.hold(), disable(), or a stop."""
-        return sleep_through(self._asking(records.ENABLE, told))
+@dataclasses.dataclass(frozen=True)
+class Blocked:
+    """Nothing moves."""
 
-    def disable(self) -> str:
-        """Disable motion: the wheels stop at once."""
-        return sleep_through(self._asking(records.DISABLE))
+    block: Block
+    """What holds the wheels. NO_COMMAND: the gate has not taken the command in time."""
+    why: str
+    """The same in words, with the stop's cause."""
 
-    def reset(self) -> str:
-        """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
-        Refused."""
-        return sleep_through(self._asking(records.RESET))
+    def __bool__(self) -> bool:
+        return False
 
-    def limit_speed(self, share: float) -> str:
-        """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.
-        It counts at once, by the ramps. Raises Refused, ValueError."""
-        return sleep_through(self._limiting(share))
 
-    def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """Wait until the state is so, and return it: a word (docs/python.md), or what a function of the state
-        says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
-        says what is the case and what to do, and ValueError for a word that there is not."""
-        return sleep_through(self._reaching(what, timeout_s))
+Answer = Driving | Preempted | Blocked
+"""True in a condition only if this command moves the wheels."""
 
-    def events(self, *, past: bool = False) -> Iterator[Event]:
-        """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
-        one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
-        service has ended."""
-        return (event for event in EventLog(self.name, past=past).follow(LOOK_EVERY_S) if event)
+
+def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
+    """The answer of a gate that has decided so; and whether it is settled: a command that the gate has not seen yet
+    changes it where the one of before may have been too old, or the sensor silent. Pure."""
+    block = Block.LATCHED if cause else Block.of(decided["blocked"])
+    if block in (Block.LATCHED, Block.DISABLED):
+        return Blocked(block, str(cause or block.value)), True
+    rows = {row["source"]: row for row in decided["sources"]}
+    if source not in rows:
+        return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet"), False
+    driver = next(row for row in rows.values() if row["state"] == "drives")
+    if driver["source"] != source:
+        return Preempted(driver["who"], driver["source"]), False
+    if block:
+        return Blocked(block, block.value), False
+    return Driving(Velocity(*decided["body_vel"])), True
+
+
+class Calls(Session):
+    """Drive, assert, look: the base of both."""
+
+    def drive(
+        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
+    ) -> Answer:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
+        restart of the service nothing moves before somebody enables motion again.
+
+        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
+        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
+        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
+
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
+        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
+        do not name, NoService when no service runs.
+        """
+        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
+            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
+        with self._lock:
+            run = self._current()
+            run.check("source", source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+        until_s = time.monotonic() + wait_s
+        while True:
+            with self._lock:
+                decided, cause, *_ = self._current().decided()
+            answer, settled = judge(decided, source, cause)
+            if settled or time.monotonic() >= until_s:
+                return answer
+            time.sleep(POLL_S)
+
+    def sensed(self) -> None:
+        """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
+        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService when no
+        service runs."""
+        with self._lock:
+            self._client().tell("sensed", [])
+
+    def hold(self, *interlocks: str) -> None:
+        """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+
+        Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
+        not is no longer asserted, and ends with its timeout. Raises Undeclared for one that the settings do not name,
+        and then asserts none; NoService when no service runs.
+        """
+        with self._lock:
+            run = self._current()
+            run.check("interlock", *interlocks)
+            self._slot(run).tell("interlocks", interlocks)
+
+    def attend(self, who: str, proven_ns: int | None = None) -> None:
+        """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
+        was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
+        motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
+        unless somebody else attends; so does leave(), and this program's end. Raises NoService."""
+        name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
+        self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
+
+    def leave(self) -> None:
+        """The operator leaves, at once. Raises NoService."""
+        self._attended("nobody", 0)
+
+    def _attended(self, who: str, t_ns: int) -> None:
+        with self._lock:
+            self._client().tell("attended", [who], t_ns=t_ns, wake=True)
+
+    def say(self, sees: str, wrong: str = "") -> None:
+        """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
+        and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
+        every few seconds, as old words are shown with their age."""
+        with self._lock:
+            self._client().tell("said", sees, wrong)
+
+    def estop(self, reason: str = "") -> None:
+        """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
+        Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
+        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
+        N)`; of a reason of more than 180 bytes the rest is left out."""
+        send_stop(self.name, reason, self.client_name)
+
+    def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
+        return self._asking(records.LIMIT, about=("speed_limit", round(100 * share)), awaited=awaited)
+
+    def why(self) -> Why:
+        """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
+        that `failstop why` prints. Raises NoService, FailstopError."""
+        from failstop.api.why import explain  # nobody who drives needs its words
+
+        return explain(self.state, EventLog(self.name).read(), time.time())
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call, each sample once with its time: Imu, Pad, Odometry. The
+        first call begins it, and the first of a new run begins again. What one read brought has one time. The state has
+        the newest of each alone. Raises NoService, FailstopError."""
+        with self._lock:
+            return self._current().samples()
+
+    @property
+    def arm(self) -> Arm:
+        """The robot's arm. Its calls wait: in an event loop, `await asyncio.to_thread(robot.arm.pose, "drive")`. Raises
+        FailstopError where the settings name none."""
+        return Arm(self)
 
 
 class AsyncRobot(Calls):
@@ -124,12 +233,72 @@ class AsyncRobot(Calls):
         return _follow(EventLog(self.name, past=past))
 
 
+class Robot(Calls):
+    """A connection to the running service of that name; a context manager.
+
+    Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
+    first use, which needs the group `failstop` (or the service's user).
+
+    A service that was restarted is noticed by every call, which then means the new run; nothing is enabled by it.
+    While none runs every call raises NoService. After close() every call but estop() raises FailstopError, whichever
+    thread makes it. A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes
+    one of its own.
+
+    Several threads may use one Robot: it is one client, so the newest drive() of any of them counts. One that has a
+    slot keeps a thread of its own, which only sleeps: by its end the gate knows of this program's death at once,
+    however long the kernel takes its memory down.
+    """
+
+    connect = AsyncRobot
+    """The same for asyncio: `async with Robot.connect() as robot`. What takes time is awaited there."""
+
+    def __enter__(self) -> Robot:
+        self._check_open()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._close(in_order=not isinstance(raised[1], Exception))
+
+    def enable(self, told: Told = None) -> str:
+        """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
+        before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
+        how far it is. It can be given up by arm.hold(), disable(), or a stop."""
+        return sleep_through(self._asking(records.ENABLE, told))
+
+    def disable(self) -> str:
+        """Disable motion: the wheels stop at once."""
+        return sleep_through(self._asking(records.DISABLE))
+
+    def reset(self) -> str:
+        """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
+        Refused."""
+        return sleep_through(self._asking(records.RESET))
+
+    def limit_speed(self, share: float) -> str:
+        """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.
+        It counts at once, by the ramps. Raises Refused, ValueError."""
+        return sleep_through(self._limiting(share))
+
+    def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
+        """Wait until the state is so, and return it: a word (docs/python.md), or what a function of the state
+        says. A service that is not there is waited for too. Raises TimedOut, which says what is the case and what to
+        do, and ValueError for a word that there is not."""
+        return sleep_through(self._reaching(what, timeout_s))
+
+    def events(self, *, past: bool = False) -> Iterator[Event]:
+        """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
+        one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
+        service has ended."""
+        return EventLog(self.name, past=past).follow()
+
+
 async def _through(steps: Steps[T]) -> T:
     """Take the steps, as session.sleep_through() does; the event loop goes on in between."""
+    import asyncio  # takes as long as all else here
+
     try:
         while True:
-            news, for_s = next(steps)
-            await _sleep(news, for_s)
+            await asyncio.sleep(next(steps))
     except StopIteration as done:
         found: T = done.value
         return found
@@ -138,29 +307,11 @@ async def _through(steps: Steps[T]) -> T:
 
 
 async def _follow(log: EventLog) -> AsyncIterator[Event]:
-    with contextlib.closing(News(log.name)) as news:
-        while True:
-            news.look()
-            found = log.read()
-            for event in found:
-                yield event
-            if not found:
-                await _sleep(news, LOOK_EVERY_S)
+    import asyncio
 
-
-async def _sleep(news: News | None, for_s: float) -> None:
-    """Until there may be news, if it is for that; the event loop goes on."""
-    import asyncio  # takes as long as all else here
-
-    if news is None or news.fd < 0:
-        await asyncio.sleep(for_s)
-        return
-    loop = asyncio.get_running_loop()
-    told = asyncio.Event()
-    loop.add_reader(news.fd, told.set)
-    try:
-        await asyncio.wait_for(told.wait(), for_s)
-    except asyncio.TimeoutError:
-        pass
-    finally:
-        loop.remove_reader(news.fd)
+    while True:
+        found = log.read()
+        for event in found:
+            yield event
+        if not found:
+            await asyncio.sleep(LOOK_S)

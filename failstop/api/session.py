@@ -17,16 +17,15 @@ from typing import Any, Literal, TypeVar, get_args
 
 from failstop.api import verdict
 from failstop.api.client import Client, Run, gone, runtime_dir
-from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut
-from failstop.api.events import News
+from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 
 T = TypeVar("T")
-Steps = Generator[tuple[News | None, float], None, T]
-"""Each step: what wakes early, if anything does, and for how long to sleep, s."""
+Steps = Generator[float, None, T]
+"""Each step: for how long to sleep, s."""
 Told = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """What `Robot.wait_for` takes: ready (motion could be enabled or reset), enabled, disabled, latched (a stop is), clear
@@ -35,10 +34,8 @@ stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
-CLOSING_S = 0.3
-"""How long the end of a session waits for motion to be disabled."""
 LOOK_S = 0.02
-"""Time between two looks without news: what is told to people wakes who waits, and a velocity is no such thing."""
+"""Time between two looks at the state."""
 POLL_S = 0.0003
 
 _CHECKS: dict[str, Callable[[State], bool]] = {
@@ -62,7 +59,6 @@ class Session:
         name: str = DEFAULT_NAME,
         *,
         client: str | None = None,
-        reconnect: bool = True,
         answer_s: float = ANSWER_S,
         disable_on_exit: bool = True,
     ) -> None:
@@ -75,7 +71,6 @@ class Session:
         nobody from estop()."""
         self.name = name
         self.client_name = client or os.path.basename(sys.argv[0]) or "python"
-        self._reconnect = reconnect
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
@@ -101,29 +96,12 @@ class Session:
             if self._enabled and self._disable_on_exit and self._connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
-                    sleep_through(self._asking(records.DISABLE, answer_s=min(self._answer_s, CLOSING_S)))
+                    sleep_through(self._asking(records.DISABLE))
         finally:
             with self._lock:
                 self._closed = True
                 self._leave(in_order=in_order)
                 self._run = None
-
-    @property
-    def closed(self) -> bool:
-        """After close(), or when `with` was left."""
-        return self._closed
-
-    @property
-    def reconnects(self) -> bool:
-        """It goes over to the next run of the service (`reconnect`)."""
-        return self._reconnect
-
-    def release(self) -> None:
-        """Give the client slot back until a call needs one again. If this program was driving, the wheels stop at
-        once."""
-        with self._lock:
-            self._check_open()
-            self._leave()
 
     def _leave(self, *, in_order: bool = True) -> None:
         connected, self._connected = self._connected, None
@@ -138,16 +116,10 @@ class Session:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        before = self._run
-        if before and not before.over():
-            return before
-        self._leave()
-        found = StateReader(self.name)
-        if before and not self._reconnect:
-            became = "has ended" if found.incarnation == before.incarnation else "was restarted"
-            raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
-        self._run = found
-        return found
+        if self._run is None or self._run.over():
+            self._leave()
+            self._run = StateReader(self.name)
+        return self._run
 
     def _slot(self, run: Run) -> Client:
         connected = self._connected
@@ -191,7 +163,6 @@ class Session:
         about: tuple[Any, ...] = (),
         *,
         asked_ns: int = 0,
-        answer_s: float | None = None,
         awaited: bool = False,
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
@@ -203,17 +174,16 @@ class Session:
         NoAnswer, NoService, FailstopError."""
         turn, said = (threading.get_ident(), object() if awaited else None), ""
         asked_ns = asked_ns or time.monotonic_ns()
-        limit_s = self._answer_s if answer_s is None else answer_s
         try:
             while not (sent := self._send(verb, turn, about, asked_ns)):
-                yield None, POLL_S
+                yield POLL_S
             client, run, number = sent
-            before, until_s = self._enabled, time.monotonic() + limit_s
+            before, until_s = self._enabled, time.monotonic() + self._answer_s
             if verb == records.ENABLE:
                 self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
-                    said, until_s = answer.text, time.monotonic() + limit_s
+                    said, until_s = answer.text, time.monotonic() + self._answer_s
                     self._pass(turn)
                     if told:
                         told(said)
@@ -222,9 +192,9 @@ class Session:
                     if run.over():
                         raise gone(self.name)
                 if time.monotonic() > until_s:
-                    text = f"the gate of {self.name!r} did not answer within {limit_s:g} s: see `failstop status`"
-                    raise NoAnswer(text)
-                yield None, POLL_S
+                    what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
+                    raise NoAnswer(f"{what}: see `failstop status`")
+                yield POLL_S
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled
                 raise Refused(answer.text, answer.cause)
@@ -267,34 +237,28 @@ class Session:
         name = getattr(what, "__name__", "that") if callable(what) else what
         limit_s = inf if timeout_s is None else timeout_s
         until_s = time.monotonic() + limit_s
-        with contextlib.closing(News(self.name)) as news:
-            while True:
-                news.look()
-                late = time.monotonic() >= until_s
-                try:
-                    state = self.state
-                except FailstopError as error:
-                    if late or self._closed or (isinstance(error, NoService) and not self._reconnect):
-                        raise
-                else:
-                    if is_so(state):
-                        return state
-                    if late:
-                        step = verdict.next_step(state)
-                        told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
-                        raise TimedOut(told + (f"; next: {step}" if step else ""))
-                yield news, min(LOOK_S, max(0.0, until_s - time.monotonic()))
+        while True:
+            late = time.monotonic() >= until_s
+            try:
+                state = self.state
+            except FailstopError:
+                if late or self._closed:
+                    raise
+            else:
+                if is_so(state):
+                    return state
+                if late:
+                    step = verdict.next_step(state)
+                    told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
+                    raise TimedOut(told + (f"; next: {step}" if step else ""))
+            yield min(LOOK_S, max(0.0, until_s - time.monotonic()))
 
 
 def sleep_through(steps: Steps[T]) -> T:
     """Take the steps, asleep in between; returns what they come to, and raises what they raise."""
     try:
         while True:
-            news, for_s = next(steps)
-            if news:
-                news.wait(for_s)
-            else:
-                time.sleep(for_s)
+            time.sleep(next(steps))
     except StopIteration as done:
         found: T = done.value
         return found

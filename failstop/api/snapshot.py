@@ -106,8 +106,6 @@ class Process:
     """It has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
     """Its memory can't be swapped out."""
-    early_news: bool = True
-    """The kernel tells it of a death before it takes the dead process's memory down."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,17 +166,9 @@ class Starved:
     process: str
     """Which process it was then."""
 
-
-@dataclasses.dataclass(frozen=True)
-class Imu:
-    """The newest sample of the IMU: x forward, y left, z up."""
-
-    acceleration_mps2: tuple[float, float, float]
-    """m/s2."""
-    rate_radps: tuple[float, float, float]
-    """rad/s, less the bias."""
-    rate_variance: float = RATE_VARIANCE
-    """Of each axis of the rate, (rad/s)2."""
+    def __str__(self) -> str:
+        times = "once" if self.times == 1 else f"{self.times} times"
+        return f"the machine starved the service {times}, at worst {self.process} for {self.longest_s * 1e3:.0f} ms"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,10 +183,24 @@ class GyroBias:
     """The robot stood still long enough at the start."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Odometry:
+class Imu(NamedTuple):
+    """One sample of the IMU: x forward, y left, z up."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    acceleration_mps2: tuple[float, ...]
+    """m/s2."""
+    rate_radps: tuple[float, ...]
+    """rad/s, less the bias."""
+    rate_variance: float = RATE_VARIANCE
+    """Of each axis of the rate, (rad/s)2."""
+
+
+class Odometry(NamedTuple):
     """Pose since the start and velocity, both integrated from what was commanded."""
 
+    t_ns: int
+    """CLOCK_MONOTONIC of when it was so, ns."""
     x_m: float
     """m, forward at the start."""
     y_m: float
@@ -217,6 +221,25 @@ class Odometry:
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
 
 
+class Pad(NamedTuple):
+    """One frame of the gamepad."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    buttons: int
+    """A bit a button."""
+    hat: int
+    """As the board gives it."""
+    axes: tuple[int, ...]
+    """lx, ly, rx, ry, -128 to 127."""
+    mode: PadMode
+    """What the gamepad moves."""
+
+
+Sample = Imu | Pad | Odometry
+"""What `Robot.samples` gives."""
+
+
 @dataclasses.dataclass(frozen=True)
 class JointState:
     """One joint of the arm."""
@@ -231,18 +254,18 @@ class JointState:
     """Since it was read, s."""
     commanded_rad: float | None
     """Where it was sent, rad; None while it is not known where it is."""
-    commanded_pulses: float | None
-    """The same in the servo's pulses."""
     torque: bool
     """It holds."""
     temperature_c: int | None
     """Of the servo, degrees Celsius."""
     supply_v: float | None
     """Of the servo, V."""
-    at_rad: float | None = None
-    """Where it is as far as is known, rad; None: it is not."""
-    at_by: str = ""
-    """How that is known: `read`, or `sent` (while it moves no servo is asked)."""
+
+    @property
+    def at_rad(self) -> float | None:
+        """Where it is as far as is known, rad: where it was sent, since while it moves no servo is asked, or else where
+        it was read to be."""
+        return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
 @dataclasses.dataclass(frozen=True)
@@ -271,8 +294,6 @@ class ArmState:
     """drive, tuck, or empty."""
     auto_tuck_s: float | None
     """Until it tucks itself, s; None: it does not."""
-    tucks: bool
-    """It is about to tuck itself."""
     pad_joint: str | None
     """The joint that the gamepad turns."""
     joints: dict[str, JointState]
@@ -352,12 +373,10 @@ class State:
         return next((source for source in self.sources if source.state == "drives"), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
-        plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
-        for absent in ("arm", "attended_by"):
-            if plain[absent] is None:
-                del plain[absent]
-        return plain | {
+        """Plain values, as in `failstop status --json`."""
+        return dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None)) | {
             "cause": self.cause and self.cause.as_map(),
+            "imu": self.imu and self.imu._asdict(),
+            "odometry": self.odometry and self.odometry._asdict(),
             "last_stop": self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()},
         }

@@ -12,15 +12,14 @@ import msgpack
 
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
-from failstop.api.errors import NoService
-from failstop.api.samples import Sample, SampleReader
-from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
+from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.shm import blocks, heartbeat, layout, records
+from failstop.shm import blocks, box, heartbeat, layout, records
+from failstop.shm.cell import RingReader
 
 T = TypeVar("T")
 
@@ -48,6 +47,21 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 }
 """What a snapshot is made of: whose each record is, and what reads it."""
 
+PLUGGED = cast("tuple[snapshot.Plugged, ...]", records.PLUGGED)
+PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
+
+
+def _imu(t_ns: int, *values: float) -> Imu:
+    return Imu(t_ns, values[:3], values[3:])
+
+
+def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
+    return Pad(t_ns, buttons, hat, rest[:-1], PAD_MODES[rest[-1]])
+
+
+SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.PAD: _pad}
+"""What makes samples of the board's reports; the others are told in State alone."""
+
 
 class StateReader(Run):
     """A run of a service of which snapshots are read; reads only, and needs no client slot."""
@@ -60,14 +74,18 @@ class StateReader(Run):
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = self.supervisor.word("epoch")
         self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
-        self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
-        self._stopped: tuple[int, Cause | None] = (0, None)
-        """The newest epoch in which the port owner stopped by itself, and its first cause there."""
+        self._telemetry = views[layout.TELEMETRY]
+        self._sampled: Odometry | None = None
 
     def _value(self, record: str) -> Any:
         """The newest value of one of RECORDS; None before the first."""
         entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
+
+    def _timed(self, record: str, make: Callable[..., T]) -> T | None:
+        """The same with its time, as the type of it."""
+        entry = self._latest[record].read()
+        return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
     def _begun(self, record: str) -> Any:
         """The same of one that each service that runs has. Raises FailstopError before that."""
@@ -81,15 +99,19 @@ class StateReader(Run):
         return found
 
     @cached_property
-    def _samples(self) -> SampleReader:
-        return SampleReader(attach(self.name, layout.TELEMETRY, self.found))
+    def _box(self) -> RingReader:
+        return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call. Raises NoService when this run of the service is over."""
-        over = self.over()  # first: what it told last is still to be read then
-        found = self._samples.read()
-        if over and not found:
-            raise NoService(f"the service {self.name!r} has ended, or was restarted: read its samples again")
+        """What the board reported since the last call, in order, and the newest odometry, if it is new."""
+        found = []
+        while entry := self._box.next():
+            kind, values = box.unpack_board(entry[2])
+            if make := SAMPLES.get(kind):
+                found.append(make(entry[1], *values))
+        if (odometry := self._timed("odometry", Odometry)) and odometry != self._sampled:
+            self._sampled = odometry
+            found.append(odometry)
         return found
 
     @cached_property
@@ -109,7 +131,7 @@ class StateReader(Run):
         known: dict[str, Any] = self._begun("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
-        imu, bias, odometry, pad = map(self._value, ("imu", "bias", "odometry", "pad"))
+        bias, pad = self._value("bias"), self._value("pad")
         starved, attended = known["starved"], decided.get("attended")
         return State(
             name=self.name,
@@ -128,12 +150,12 @@ class StateReader(Run):
             sources=tuple(snapshot.Source(**row) for row in decided["sources"]),
             scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
-            imu=imu and snapshot.Imu(imu[:3], imu[3:]),
+            imu=self._timed("imu", _imu),
             gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
-            odometry=odometry and snapshot.Odometry(*odometry),
-            pad_mode=pad and cast("snapshot.PadMode", records.PAD_MODES[pad[6]]),
+            odometry=self._timed("odometry", Odometry),
+            pad_mode=pad and PAD_MODES[pad[6]],
             battery_v=millivolts / 1000 or None,
-            plugged=cast("snapshot.Plugged", records.PLUGGED[plugged]),
+            plugged=PLUGGED[plugged],
             speed_limit=decided["limit"] / 100,
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
@@ -145,34 +167,26 @@ class StateReader(Run):
             return None
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
-            at = measured if commanded is None else commanded
-            angle_rad, commanded_rad, at_rad = (
-                None if pulses is None else round(self.joints[name].rad(pulses), 4)
-                for pulses in (measured, commanded, at)
-            )
+            rad = self.joints[name].rad
             joints[name] = JointState(
                 servo=servo,
-                angle_rad=angle_rad,
+                angle_rad=None if measured is None else round(rad(measured), 4),
                 pulses=measured,
                 age_s=None if measured is None else _age_s(now_ns, measured_ns),
-                commanded_rad=commanded_rad,
-                commanded_pulses=commanded,
+                commanded_rad=None if commanded is None else round(rad(commanded), 4),
                 torque=torque,
                 temperature_c=temperature_c or None,
                 supply_v=supply_mv / 1000 or None,
-                at_rad=at_rad,
-                at_by="" if at is None else "read" if at == measured else "sent",
             )
-        return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
+        return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
         supervisor is dead: the part of read() that a driving program needs each time. Raises FailstopError.
 
         A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
-        owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and the gate's successor
-        starts latched. The same holds for a gate that says on what it said before the supervisor died or fell
-        silent."""
+        owner admits nothing of an older epoch, and the gate's successor starts latched. The same holds for a gate that
+        says on what it said before the supervisor died or fell silent."""
         dead = self.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         if (entry := self._latest["state"].read()) is None:
@@ -182,7 +196,7 @@ class StateReader(Run):
         own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
-        cause = cause or self._own_stop(epoch) or (causes.DIED(layout.SUPERVISOR) if dead else None)
+        cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else None)
         if not cause and decided["enabled"] and self.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:
@@ -195,15 +209,6 @@ class StateReader(Run):
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }
         return decided, cause, epoch, told_ns, dead
-
-    def _own_stop(self, epoch: int) -> Cause | None:
-        """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
-        The first cause wins."""
-        while entry := self._stops.next():
-            stopped_in, _, _, cause = records.STOPPED.unpack(entry[2])
-            if stopped_in > self._stopped[0]:
-                self._stopped = stopped_in, causes.read(cause)
-        return self._stopped[1] if self._stopped[0] >= epoch else None
 
     def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[snapshot.Client, ...]:
         said = {
@@ -238,7 +243,6 @@ class StateReader(Run):
                 worst_s=round(beat.worst_ns.get() / 1e9, 4),
                 realtime=bool(granted & heartbeat.REALTIME),
                 memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
-                early_news=bool(granted & heartbeat.EARLY_NEWS),
             )
         return found
 

@@ -3,8 +3,7 @@ that its state does not. Pure; events are given oldest first."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Sequence
 
 from failstop.api import host, words
 from failstop.api.events import Event
@@ -20,9 +19,11 @@ MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-LEFT_OFF = {"driver_silent": "fell silent while it drove", "driver_gone": "ended while it drove"}
-"""Kinds that tell of a driver that left the wheels turning, and what it did."""
-SINCE = frozenset((*LEFT_OFF, "driver_ended", "enabled", "disabled", "reset", "stop", "stop_again"))
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
+"""Kinds of events that change whether motion is enabled."""
+LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
+"""Those that tell of a driver that left the wheels turning."""
+SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
 def doubt(state: State) -> str:
@@ -45,10 +46,8 @@ def word(state: State) -> str:
     return STOPPED if state.blocked else STANDING
 
 
-def headline(state: State, blocked: str | None = None) -> str:
-    """What the wheels do and why, in a line; `blocked`: the same block in other words."""
-    if blocked and state.blocked:
-        return f"blocked: {blocked}"
+def headline(state: State) -> str:
+    """What the wheels do and why, in a line."""
     if state.cause:
         return f"stop latched: {state.cause}"
     if state.block:
@@ -102,60 +101,32 @@ def next_step(state: State) -> str:
 # What events tell.
 
 
-class Earlier(NamedTuple):
-    """The run before this one, which was not ended in order."""
-
-    t: float
-    """When: Unix time, s."""
-    how: str
-    incident: str
-    """The incident that was saved of it."""
-
-    def show(self, name: str) -> str:
-        """The command that tells its story."""
-        return words.named(f"`failstop incident show {self.incident}`", name)
-
-
-def exits(events: Sequence[Event]) -> dict[str, str]:
-    """How each process that hung ended last: what its exit status does not say is that the supervisor killed it."""
-    silent_ms: dict[tuple[object, object], object] = {}
-    found: dict[str, str] = {}
-    for event in events:
-        process, pid = event.fields.get("process"), event.fields.get("pid")
-        if event.kind == "fenced":
-            silent_ms[process, pid] = event.fields.get("silent_ms")
-        elif event.kind == "died":
-            found.pop(str(process), None)
-            if (process, pid) in silent_ms:
-                found[str(process)] = _hung(silent_ms[process, pid])
-    return found
-
-
-def _hung(silent_ms: object) -> str:
-    known = f" (silent for {silent_ms:.0f} ms)" if isinstance(silent_ms, (int, float)) and silent_ms else ""
-    return f"hung{known}, and was killed by the supervisor"
-
-
-def last_exit(state: State, name: str, hung: dict[str, str]) -> str:
-    """How the predecessor of a process ended, as a clause: "hung (...)", "was killed by SIGKILL"."""
-    how = state.processes[name].last_exit or "was lost"
-    return hung.get(name) or (f"was {how}" if how.startswith("killed") else how)
+def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
+    """The last event that is of one of these kinds."""
+    return next((event for event in reversed(events) if event.kind in kinds), None)
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
     """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
-    last = next((event for event in reversed(events) if event.kind in SINCE), None)
+    last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
 
-def leaving(event: Event) -> str:
-    """Who left off, and how, as a clause."""
-    return f"{event.fields.get('who', 'somebody')} {LEFT_OFF[event.kind]}"
+def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
+    """How the predecessor of each process ended, as a clause. What its exit status does not say is that it hung, and
+    that the supervisor killed it for that."""
+    fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
+    died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
+    found = {}
+    for name, process in state.processes.items():
+        how = process.last_exit or "was lost"
+        found[name] = f"was {how}" if how.startswith("killed") else how
+        if died.get(name) in fenced:
+            found[name] = "hung, and was killed by the supervisor"
+    return found
 
 
-def earlier(events: Sequence[Event]) -> Earlier | None:
-    """The run before this one, if it was not ended in order and is not long ago: the first events are still there."""
-    if not events or events[0].seq != 1:
-        return None
-    found = (event.fields for event in events if event.kind == "incident" and event.fields.get("run") == "before")
-    return next((Earlier(float(it["at"]), str(it["reason"]), str(it["id"])) for it in found), None)
+def before(events: Sequence[Event]) -> str:
+    """What ended the run before this one, if that was not in order, and the command that tells its story; or empty."""
+    told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
+    return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 from failstop.api import verdict, words
 from failstop.api.events import Event
@@ -12,12 +11,10 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
-CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
-"""Events that change whether motion is enabled."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,10 +29,6 @@ class Why:
     """What to do, in order, commands in backquotes; empty while they move."""
     also: tuple[str, ...]
     """What else is wrong."""
-    block: Block | None
-    """The same as State.block."""
-    cause: Cause | None
-    """The same as State.cause."""
     since: float | None
     """Unix time, s, from which on it holds; None: not known."""
 
@@ -46,11 +39,6 @@ class Why:
         """The lines with their labels; `also` as many times as there is something."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop why --json`."""
-        cause = self.cause.as_map() if self.cause else None
-        return {**vars(self), "block": self.block and self.block.value, "cause": cause}
 
 
 HOLDS = {
@@ -72,17 +60,13 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
     elif state.cause:
         steps.insert(0, meaning(state.cause)[1])
-    before = verdict.earlier(events)
-    if before and not state.last_stop and state.block is Block.DISABLED:
-        when, story = words.ago(before.t, now_s), before.show(state.name)
-        also.append(f"the run before this one: {before.how} ({when}); its story: {story}")
+    if (before := verdict.before(events)) and not state.last_stop and state.block is Block.DISABLED:
+        also.append(f"the run before this one: {before}")
     return Why(
         what=": ".join(filter(None, (what, began))),
         proof=_proof(state, now_s),
         do=tuple(words.named(step, state.name) for step in steps),
         also=tuple(words.named(text, state.name) for text in also),
-        block=state.block,
-        cause=state.cause,
         since=since,
     )
 
@@ -119,14 +103,11 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
         never = "it has not delivered once in this run"
         return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
-        change = next((event for event in reversed(events) if event.kind in CHANGES), None)
+        change = verdict.newest(events, verdict.CHANGES)
         return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven on since: that is not told of each time.
-        text = f"{verdict.leaving(event)} ({words.ago(event.t, now_s)})"
-        if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
-            text += "; it is still connected, so it hangs, waits, or commands too seldom"
-        return None, text
+        return None, f"{event.text} ({words.ago(event.t, now_s)})"
     return None, ""
 
 
@@ -147,14 +128,13 @@ def _proofs(stop: Stop, state: State, now_s: float) -> str:
         later = "" if verdict.doubt(state) else " at first; the port is open now, and the board is told zero"
         return f"it could NOT be written{later}"
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
-    how = "written" if stop.sent else "handed to the kernel"
-    found = [f"{how} by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
-    found += [] if stop.sent else [NOT_SENT]
+    written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
+    found = [written if stop.sent else NOT_SENT]
     if stop.acknowledged_s is None:
         found.append(f"NOT acknowledged by the board{yet}")
     else:
         found.append(f"acknowledged by the board after {words.took(stop.acknowledged_s)}")
-    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else words.wheels_seen(stop))
+    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else wheels_seen(stop.observed_s))
     return ", ".join(found)
 
 
@@ -162,20 +142,15 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
     where the wheels wait for its kind."""
     found = []
-    hung = verdict.exits(events)
+    ends = verdict.ends(state, events)
     for name, process in state.processes.items():
-        if process.state == "down":
-            how = verdict.last_exit(state, name, hung)
-            found.append(f"{name} died too often (it {how}) and is {verdict.until(name)}")
-        elif process.state != "running":
-            after = f", after it {verdict.last_exit(state, name, hung)}" if process.last_exit else ""
-            found.append(f"{name} is {process.state}{after}")
+        if process.state != "running":
+            how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
+            found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
-    elif state.waiting_for and not found and not verdict.doubt(state):
-        found.append(f"the service waits for {state.waiting_for}")
-    if starved := words.starved(state.starved):
-        found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
+    if state.starved:
+        found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_s > verdict.STALE_S:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:

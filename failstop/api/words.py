@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 
-from failstop.shm.instance import DEFAULT_NAME, option
-from failstop.supervisor import stops
+from failstop.shm.instance import option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
-    from failstop.api.snapshot import Starved, State, Stop
+    from failstop.api.snapshot import State
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
@@ -70,25 +69,6 @@ def took(seconds: float) -> str:
         return f"{seconds:.1f} s"
     milliseconds = seconds * 1e3
     return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
-
-
-def wheels_seen(stop: Stop) -> str:
-    """The third proof, to the resolution there is: the IMU's verdict."""
-    assert stop.observed_s is not None
-    return stops.wheels_seen(stop.observed_s)
-
-
-def starved(found: Starved | None) -> str:
-    """How often the machine did not run a process past its deadline, as a clause; empty for never."""
-    if not found:
-        return ""
-    times = "once" if found.times == 1 else f"{found.times} times"
-    return f"the machine starved the service {times}, at worst {found.process} for {found.longest_s * 1e3:.0f} ms"
-
-
-def unit(name: str) -> str:
-    """The systemd unit of a service of this name."""
-    return "failstop" if name == DEFAULT_NAME else f"failstop@{name}"
 
 
 def named(text: str, name: str) -> str:

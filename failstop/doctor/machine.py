@@ -6,7 +6,6 @@ import os
 import re
 import resource
 
-from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.shm import layout, segment
@@ -37,7 +36,7 @@ def realtime(look: Look) -> list[Finding]:
     system = look.system
     if look.state:
         without = [name for name, row in look.state.processes.items() if not row.realtime]
-        starved = words.starved(look.state.starved)
+        starved = look.state.starved
         if without:
             told = f"{starved}; " if starved else ""
             text = f"{told}the service runs without real-time priority ({', '.join(without)})"

@@ -10,7 +10,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple, TypeVar
 
 from failstop.api.events import Event, unpack
-from failstop.api.samples import ImuSample
+from failstop.api.snapshot import Imu
 from failstop.board import framing, servos
 from failstop.board.interface import BOARD
 from failstop.incidents import files, memory
@@ -148,7 +148,7 @@ class Incident:
         self.writes = sorted(writes, key=lambda write: write.ns)
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
-        self.imu = [ImuSample(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
+        self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
         self.battery = [(ns, values[0], values[1]) for ns, (kind, values) in board if kind == box.BATTERY]
         """(when, millivolts, charger: an index of records.PLUGGED)."""
         servo = [(ns, values) for ns, (kind, values) in board if kind == box.SERVO]

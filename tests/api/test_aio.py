@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import select
 import threading
 import time
 
 import pytest
 
 from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
-from failstop.api.events import News
 from failstop.lab.trial import Trial
 
 
@@ -98,47 +96,3 @@ def test_the_loop_goes_on_while_one_waits(trial: Trial) -> None:
         return turns
 
     assert asyncio.run(waits()) > 1000
-
-
-# What wakes them.
-
-
-def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
-    found = News(trial.name)
-    try:
-        found.look()
-        assert found.watched
-        assert _woken(found, 0.0) is False, "nothing happens"
-        trial.robot.enable()
-        assert _woken(found, 5.0)
-        found.look()
-        assert found.watched
-        assert trial.service.end() == 0
-        while found.watched:
-            assert _woken(found, 5.0), "its file has gone"
-            found.look()
-        trial.leave()
-        trial.service.start()
-        found.look()
-        assert found.watched, "the next one's"
-        trial.robot.enable()
-        assert _woken(found, 5.0)
-    finally:
-        found.close()
-
-
-def _woken(found: News, timeout_s: float) -> bool:
-    return bool(select.select((found.fd,), (), (), timeout_s)[0])
-
-
-def test_without_wake_ups_there_is_looking(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where a user has no more of inotify's descriptors."""
-    monkeypatch.setattr(News, "look", lambda self: self.close())
-    trial.robot.estop("unheard")
-    assert trial.robot.wait_for("latched", 5.0).cause
-
-    async def waits() -> None:
-        async with Robot.connect(trial.name) as robot:
-            await robot.wait_for("latched", 5.0)
-
-    asyncio.run(waits())

@@ -176,7 +176,7 @@ def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
         segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
-        assert trial.robot._current().incarnation != incarnation
+        assert trial.robot._current().supervisor.incarnation != incarnation
         trial.enable()
         trial.drive(0.1)
         assert trial.moving()

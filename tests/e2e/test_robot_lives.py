@@ -151,20 +151,6 @@ def test_after_the_supervisor_s_death_no_call_is_silent(trial: Trial, call: str)
             CALLS[call](robot)
 
 
-@pytest.mark.parametrize("call", CALLS)
-def test_who_does_not_want_another_run_is_told_of_it(trial: Trial, call: str) -> None:
-    with Robot(trial.name, reconnect=False) as robot:
-        robot.sensed()
-        trial.service.end()
-        with pytest.raises(NoService, match="is running"):
-            CALLS[call](robot)
-        trial.service.start()
-        for _ in range(2):
-            with pytest.raises(NoService, match="was restarted since this Robot was made"):
-                CALLS[call](robot)
-        assert trial.robot.state.clients == ()
-
-
 def test_a_request_that_waits_when_the_service_dies_is_told_at_once(trial: Trial) -> None:
     """Long before the gate would have to have answered."""
     with Robot(trial.name) as robot:
@@ -184,7 +170,7 @@ def test_a_request_that_waits_when_the_service_dies_is_told_at_once(trial: Trial
 # Closed.
 
 
-@pytest.mark.parametrize("call", [*CALLS, "release"])
+@pytest.mark.parametrize("call", CALLS)
 def test_closed_is_closed(trial: Trial, call: str) -> None:
     trial.enable()
     robot = Robot(trial.name)
@@ -192,7 +178,7 @@ def test_closed_is_closed(trial: Trial, call: str) -> None:
     robot.close()
     robot.close()
     with pytest.raises(FailstopError, match="is closed: make a new one"):
-        {**CALLS, "release": lambda robot: robot.release()}[call](robot)
+        CALLS[call](robot)
     with pytest.raises(FailstopError, match="is closed"):
         robot.__enter__()
     robot.estop("nothing keeps anybody from a stop")
@@ -272,16 +258,6 @@ def test_a_robot_that_nobody_refers_to_gives_its_slot_back(trial: Trial) -> None
     )
     assert zero.arrival_ns - dropped_ns < 250e6, "before the command timeout"
     wait_for("its slot to be free", lambda: [one.name for one in trial.robot.state.clients] == ["trial"])
-
-
-def test_release_gives_the_slot_back_until_it_is_needed(trial: Trial) -> None:
-    with Robot(trial.name, client="now and then") as robot:
-        robot.sensed()
-        wait_for("the client", lambda: len(robot.state.clients) == 1)
-        robot.release()
-        wait_for("no client", lambda: robot.state.clients == ())
-        robot.sensed()
-        wait_for("the client again", lambda: len(robot.state.clients) == 1)
 
 
 def child(action: Callable[[], None]) -> int:
@@ -384,7 +360,7 @@ def test_where_the_supervisor_s_pid_is_no_help_its_lease_tells(trial: Trial, mon
     stopped(state, "the supervisor is silent", "supervisor ", "gate ")
 
 
-def test_the_port_owner_s_own_stop_is_told_before_anybody_answers_it(trial: Trial) -> None:
+def test_a_stop_that_nobody_answers_is_told_once_the_supervisor_s_lease_has_run_out(trial: Trial) -> None:
     """Supervisor and gate hang: the one can raise no epoch, and the record of the other says that it drives."""
     pids = trial.service.pids()
     trial.enable()
@@ -393,7 +369,8 @@ def test_the_port_owner_s_own_stop_is_told_before_anybody_answers_it(trial: Tria
     try:
         for process in ("gate", "supervisor"):
             os.kill(pids[process], signal.SIGSTOP)
-        wait_for("its word", lambda: stops.next() is not None)
+        wait_for("the port owner's word", lambda: stops.next() is not None)
+        wait_for("the lease to run out", lambda: trial.robot.state.cause is not None, 0.1)
         stopped(trial.robot.state, "gate hangs: ", "supervisor hangs: ")
     finally:
         for process in ("supervisor", "gate"):

@@ -59,7 +59,7 @@ def test_what_is_not_known_is_not_told(service: Trial) -> None:
     wait_for("the battery", lambda: service.robot.state.battery_v is not None)
     wait_for("a sample", lambda: service.robot.state.imu is not None)
     found = service.robot.state.as_dict()
-    assert set(found["imu"]) == {"acceleration_mps2", "rate_radps", "rate_variance"}
+    assert set(found["imu"]) == {"t_ns", "acceleration_mps2", "rate_radps", "rate_variance"}
     assert {key for key in found if "battery" in key or "percent" in key} == {"battery_v"}
     assert found["plugged"] == "unknown", "until a step is seen"
 

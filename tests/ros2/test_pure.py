@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.api.errors import FailstopError
-from failstop.api.samples import ImuSample, OdometrySample, PadSample
-from failstop.api.snapshot import Device, GyroBias
+from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
@@ -58,7 +57,7 @@ def test_two_places_for_one_setting_are_told_of(given: dict[str, object], line: 
 
 
 def test_imu_values() -> None:
-    values = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
+    values = messages.imu(Imu(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
     assert dict(zip(messages.IMU_PLACES, values, strict=True)) == {
         "header.stamp": (3, 7),
         "angular_velocity": (0.1, 0.2, 0.3),
@@ -67,7 +66,7 @@ def test_imu_values() -> None:
 
 
 def test_odometry_and_transform_agree() -> None:
-    sample = OdometrySample(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
+    sample = Odometry(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
     stamp, pose, twist = messages.odometry(sample, S)
     assert messages.transform(sample, S) == (stamp, pose)
     assert stamp == (1, 0)
@@ -83,7 +82,7 @@ def test_battery_fields(plugged: str, status: int) -> None:
 
 
 def test_gamepad_values() -> None:
-    _, axes, buttons = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
+    _, axes, buttons = messages.gamepad(Pad(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
     assert axes == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
     assert buttons == [1] + [0] * 14 + [1]
 

@@ -12,7 +12,6 @@ import time
 
 import pytest
 
-from failstop.api.words import unit
 from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.typist import Typist
@@ -140,7 +139,6 @@ def test_events_without_a_service() -> None:
     assert (done.returncode, done.stdout) == (3, "")
     assert "journalctl" not in done.stderr, "no unit, no journal"
     assert done.stderr.count("\n") == 1
-    assert (unit("failstop"), unit("left-arm")) == ("failstop", "failstop@left-arm")
 
 
 def test_events_follow_over_a_restart() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.api import host, words
+from failstop.api import host
 from failstop.api.errors import NoService
 from failstop.cli.screen import follow
 from failstop.cli.screen.follow import CHECK_S, Follower
@@ -72,7 +72,7 @@ def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatc
     error = NoService("none")
     monkeypatch.setattr(host, "unit", lambda _name: "")
     assert follow.refusal("nobody-here", error) is error
-    monkeypatch.setattr(host, "unit", words.unit)
+    monkeypatch.setattr(host, "unit", lambda name: f"failstop@{name}")
     told = str(follow.refusal("nobody-here", error))
     assert "start it with `sudo systemctl start failstop@nobody-here`" in told
     assert "`journalctl -u failstop@nobody-here -e`" in told
@@ -88,7 +88,7 @@ def test_a_unit_counts_where_systemd_runs_and_has_it(
     (units / ("failstop.service" if name == "failstop" else "failstop@.service")).touch()
     assert host.unit(name) == "", "systemd does not run"
     (tmp_path / "run/systemd/system").mkdir(parents=True)
-    assert host.unit(name) == words.unit(name)
+    assert host.unit(name) == ("failstop" if name == "failstop" else "failstop@left-arm")
     assert host.unit("failstop" if name != "failstop" else "left-arm") == "", "that one is not installed"
 
 

@@ -18,8 +18,14 @@ NAV = {"who": "nav (pid 42)", "source": "cmd_vel", "silent_ms": 301.0}
 BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0,) * 4, sources=())
 
 
+TEXTS = {
+    "driver_silent": "nav (pid 42) fell silent while it drove: last command 301 ms ago, the wheels are stopped",
+    "driver_gone": "nav (pid 42) has gone while it drove: the wheels are stopped",
+}
+
+
 def told(kind: str, fields: Mapping[str, Any] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
-    return Event(seq, t, 1, kind, "warning", f"{kind} happened", dict(fields or {}))
+    return Event(seq, t, 1, kind, "warning", TEXTS.get(kind, f"{kind} happened"), dict(fields or {}))
 
 
 def shown(state_: object, events: list[Event]) -> str:
@@ -33,11 +39,11 @@ def why(state_: object, events: list[Event]) -> str:
 def test_a_process_that_was_fenced_hung() -> None:
     dead = state(processes={"gate": process(restarts=1, last_exit="killed by SIGKILL")})
     fenced = [told("fenced", FENCED), told("died", DIED)]
-    said = "gate was restarted once; it hung (silent for 60 ms), and was killed by the supervisor"
+    said = "gate was restarted once; it hung, and was killed by the supervisor"
     assert said in shown(dead, fenced)
     down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL")})
-    assert "it hung (silent for 60 ms), and was killed by the supervisor" in " ".join(shown(down, fenced).split())
-    assert "it hung (silent for 60 ms), and was killed by the supervisor" in why(down, fenced)
+    assert "it hung, and was killed by the supervisor" in " ".join(shown(down, fenced).split())
+    assert "it hung, and was killed by the supervisor" in why(down, fenced)
 
 
 def test_a_death_after_that_one_is_a_death() -> None:
@@ -51,18 +57,17 @@ def test_a_death_after_that_one_is_a_death() -> None:
 
 def test_who_fell_silent_is_named_while_nobody_commands() -> None:
     events = [told("enabled", t=NOW_S - 9), told("driver_silent", NAV)]
-    assert "nobody commands; nav (pid 42) fell silent while it drove (" in shown(BLOCKED, events)
+    assert "nobody commands; nav (pid 42) fell silent while it drove: last command 301 ms" in shown(BLOCKED, events)
     assert ", 3.0 s ago)" in shown(BLOCKED, events)
     assert "its timeout: nav (pid 42) fell silent while it drove" in why(BLOCKED, events)
-    assert "it is still connected" in why(BLOCKED, events)
+    assert why(BLOCKED, events).splitlines()[0].endswith(", 3.0 s ago)")
 
 
 def test_who_ended_while_it_drove_is_named() -> None:
     events = [told("driver_gone", NAV)]
     found = driving(blocked="cmd timeout", sources=(), clients=())
-    assert "nav (pid 42) ended while it drove" in shown(found, events)
-    assert "nav (pid 42) ended while it drove" in why(found, events)
-    assert "connected" not in why(found, events)
+    assert "nav (pid 42) has gone while it drove" in shown(found, events)
+    assert "nav (pid 42) has gone while it drove" in why(found, events)
 
 
 def test_a_driver_of_before_is_no_news() -> None:
@@ -82,9 +87,8 @@ def test_the_run_before_this_one_is_told_of_with_its_incident() -> None:
     saved, identity = _incident("before")
     events = [told("ready", t=NOW_S - 8), saved]
     said = " ".join(shown(state(), events).split())
-    assert "the run before this one: supervisor died (" in said
-    assert f"`failstop incident show {identity}`" in said
-    assert f"its story: `failstop incident show {identity} --name left`" in why(state(name="left"), events)
+    assert f"the run before this one: supervisor died (`failstop incident show {identity}`)" in said
+    assert f"(`failstop incident show {identity} --name left`)" in why(state(name="left"), events)
     assert "supervisor died" in why(state(), events)
     assert identity not in why(BLOCKED, events), "somebody has enabled motion since"
 
@@ -92,8 +96,6 @@ def test_the_run_before_this_one_is_told_of_with_its_incident() -> None:
 def test_an_incident_of_this_run_is_none_of_before() -> None:
     own, _ = _incident("this", "gate died")
     begun = told("ready", t=NOW_S - 8)
-    assert verdict.earlier([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) is None
-    saved, _ = _incident("before")
-    assert verdict.earlier([told("ready", t=NOW_S - 8, seq=300), saved]) is None, "the first events are gone"
-    assert verdict.earlier([begun, told("incident", {"reason": "no room"})]) is None
-    assert verdict.earlier([]) is None
+    assert verdict.before([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) == ""
+    assert verdict.before([begun, told("incident", {"reason": "no room"})]) == ""
+    assert verdict.before([]) == ""

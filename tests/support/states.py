@@ -63,8 +63,8 @@ def latched(cause: Cause = KEY, **changed: Any) -> State:
 
 def arm(*joints: str, **changed: Any) -> ArmState:
     """An arm that stands, with these joints."""
-    rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, 500.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
-    base = ArmState("", "", False, "", "", "", False, (), (), "", None, False, None, rows)
+    rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
+    base = ArmState("", "", False, "", "", "", False, (), (), "", None, None, rows)
     return dataclasses.replace(base, **changed)
 
 

@@ -103,28 +103,27 @@ def test_nobody_attends_and_nothing_is_enabled(trial: Trial) -> None:
 
 
 def test_a_program_attends_and_leaves(trial: Trial) -> None:
-    with driven(trial), trial.robot.attend("Anna") as attendance:
-        attendance.renew()
+    with driven(trial):
+        trial.robot.attend("Anna")
         enabled(trial)
         for _ in range(10):
-            attendance.renew()
+            trial.robot.attend("Anna")
             time.sleep(0.05)
         assert trial.moving()
         assert trial.robot.state.attended_by == ("Anna",)
         trial.board.events()
         left_ns = time.monotonic_ns()
-        attendance.give_up()
+        trial.robot.leave()
         assert stopped(trial, left_ns, "operator gone: Anna, left") < LATE_S + 0.02
 
 
 def test_a_program_that_stops_renewing(trial: Trial) -> None:
     with driven(trial), Robot(trial.name) as other:
-        attendance = other.attend("Anna")
-        attendance.renew()
+        other.attend("Anna")
         enabled(trial)
-        wait_for("motion", lambda: attendance.renew() or trial.moving())
+        wait_for("motion", lambda: other.attend("Anna") or trial.moving())
         trial.board.events()
-        attendance.renew()
+        other.attend("Anna")
         last_ns = time.monotonic_ns()
         took_s = stopped(trial, last_ns, "operator gone: Anna, was not heard for")
         assert LEASE_S - 0.005 < took_s < LEASE_S + LATE_S
@@ -136,9 +135,8 @@ def test_a_client_that_is_killed_has_left(trial: Trial) -> None:
     pid = os.fork()
     if pid == 0:
         with Robot(trial.name, client="short") as robot:
-            attendance = robot.attend("Bert")
             while True:
-                attendance.renew()
+                robot.attend("Bert")
                 os.write(writing, b".")
                 time.sleep(0.05)
     os.read(reading, 1)

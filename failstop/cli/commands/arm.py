@@ -100,7 +100,7 @@ def _lines(arm: ArmState) -> list[style.Line]:
     for name, joint in arm.joints.items():
         angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"
         measured = "-" if joint.pulses is None else f"{joint.pulses}"
-        commanded = "-" if joint.commanded_pulses is None else f"{joint.commanded_pulses:.1f}"
+        commanded = "-" if joint.commanded_rad is None else f"{joint.commanded_rad:+.3f}"
         age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
         heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
         torque = f"{'on' if joint.torque else 'off'}{heat}"

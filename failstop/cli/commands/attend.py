@@ -89,21 +89,18 @@ def main(arguments: Namespace) -> int:
         )
     questions = Questions()
     user = arguments.who or os.environ.get("SUDO_USER") or os.environ.get("USER") or os.getuid()
-    with (
-        Robot(arguments.name, client="failstop attend") as robot,
-        robot.attend(f"{user} (terminal)") as attendance,
-        Terminal() as terminal,
-    ):
+    who = f"{user} (terminal)"
+    with Robot(arguments.name, client="failstop attend") as robot, Terminal() as terminal:
         for typed, now_s in terminal.turns(PERIOD_S):
             keys = questions.typed(typed).lower()
             if questions.proven_ns:
-                attendance.renew(questions.proven_ns)
+                robot.attend(who, questions.proven_ns)
             if b" " in keys:
                 robot.estop("space")
             if b"q" in keys:
                 return 0
             if now_s is not None:
-                terminal.draw(_lines(robot, attendance.who, terminal.columns))
+                terminal.draw(_lines(robot, who, terminal.columns))
                 if terminal.takes():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
     return 128 + terminal.ended

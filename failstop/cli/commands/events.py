@@ -25,7 +25,7 @@ failstop events --json | jq -r .text   # for programs
 """
 
 AGAIN_S = 0.5
-"""How often it looks where no news wakes it."""
+"""How often it looks for a service that is not there."""
 UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -63,8 +63,8 @@ def main(arguments: Namespace) -> int:
         raise follow.refusal(name, error) from None
     while arguments.follow:
         try:
-            for event in log.follow(AGAIN_S):
-                show([event] if event else [])
+            for event in log.follow():
+                show([event])
         except NoService as error:
             print(fitted(f"{PREFIX}{error}; waiting for it", 2), file=sys.stderr, flush=True)
             log = _again(name)

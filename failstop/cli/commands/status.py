@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from argparse import ArgumentParser, Namespace
@@ -89,7 +90,7 @@ def _why(name: str, *, as_json: bool) -> int:
             raise follow.refusal(name, error) from None
         found, code = left[0], error.exit_code
     if as_json:
-        print(json.dumps(found.as_dict(), indent=2))
+        print(json.dumps(dataclasses.asdict(found), indent=2))
     else:
         rows = [[(f"{label:<{LABEL}}", style.DIM), *summary.commands(text)] for label, text in found.rows()]
         style.show(summary.wrapped(rows, min(style.width(), MOST_COLUMNS), LABEL))

@@ -3,6 +3,7 @@ does not obey, the stop is written to the port itself. Needs nothing running."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from argparse import ArgumentParser, Namespace
@@ -110,11 +111,13 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that this imports.
     from failstop.api import ask
+    from failstop.api.client import send_stop
 
     for name in names:
         its = ask.port_of(name) if device else ""
         if device and not its and name == wanted:
-            ask.send(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
+            with contextlib.suppress(FailstopError):
+                send_stop(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
         elif device and not (its and ask.same(its, device)):
             continue
         else:

@@ -64,7 +64,7 @@ def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     Run(arguments.name).check("source", arguments.source)
     terminal = Terminal()
-    with Robot(arguments.name, client=CLIENT, reconnect=False) as robot:
+    with Robot(arguments.name, client=CLIENT) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
         pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps, wz_radps))
@@ -86,7 +86,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
         try:
             state = pilot.robot.state
         except NoService:
-            raise NoService(f"no service named {name!r} is running, or it was restarted: begin again") from None
+            raise NoService(f"no service named {name!r} is running: begin again") from None
         now_s = time.monotonic()
         late = now_s - turned_s > LATE_S
         # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too.
@@ -264,6 +264,6 @@ class Pilot:
         """What the arm does, and the chosen joint: where it is, or was sent."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
-        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
+        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"
         closed = f"; {arm.closed}" if arm.closed else ""
         return [row("arm", f"{summary.arm_headline(arm)}{closed}"), row("joint", f"{self.joint + 1} {name}: {where}")]

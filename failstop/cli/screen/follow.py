@@ -115,7 +115,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
     also = ("its black box is in memory, and is saved as an incident when it is started again",)
-    return Why(what, proof, tuple(steps), also, None, None, ended_s), [
+    return Why(what, proof, tuple(steps), also, ended_s), [
         event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
     ]
 

@@ -13,7 +13,7 @@ from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
 from failstop.supervisor.kinds import KINDS
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -91,8 +91,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     if not rows:
         rows.append(row("driver", "nobody commands"))
         if left_off and state.blocked == blocks.NO_COMMAND:
-            when = f" ({words.ago(left_off.t, now_s)})"
-            rows[0] += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
+            rows[0] += [("; ", PLAIN), (left_off.text, WARN), (f" ({words.ago(left_off.t, now_s)})", DIM)]
     return rows
 
 
@@ -115,7 +114,7 @@ def _proofs(stop: Stop) -> Line:
         heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
     if stop.observed_s is not None:
         # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        text = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        text = wheels_seen(stop.observed_s).replace("wheels still", "still").replace("less than", "<")
         seen = (text, OK if stop.observed_s else PLAIN)
     return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
 
@@ -163,18 +162,15 @@ def processes(state: State) -> list[Line]:
 def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
     """What the process table says, in words."""
     found: list[Line] = []
-    hung = verdict.exits(events)
+    ends = verdict.ends(state, events)
     for name, process in state.processes.items():
         if process.state == "running" and process.last_exit:
             times = "once" if process.restarts == 1 else f"{process.restarts} times"
-            found.append([(f"{name} was restarted {times}; it {verdict.last_exit(state, name, hung)}", WARN)])
+            found.append([(f"{name} was restarted {times}; it {ends[name]}", WARN)])
     running = [process for process in state.processes.values() if process.pid]
     if not state.starved and not all(process.realtime for process in running):
         text = "without real-time rights stops come later on a busy machine; `failstop doctor` says more"
         found.append([(text, DIM)])
-    if not all(process.early_news for process in running):
-        text = "this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more"
-        found.append([(text, WARN)])
     return found
 
 
