@@ -60,7 +60,7 @@ def test_what_the_screen_says() -> None:
     for part in (
         "wheels    STOPPED  stop latched: stop request: hand near the left wheel (failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
-        "written after 0.21 ms, acknowledged after 4.40 ms, still after about 0.3 s",
+        "written by the port owner after 0.21 ms, acknowledged by the board after 4.40 ms, wheels still after about",
         "/dev/ttyACM0 open, link alive",
         "12.00 V",
         "supervisor  4711  running  5 ms  20 ms         0  realtime locked",
@@ -85,13 +85,13 @@ def test_what_the_screen_says() -> None:
 
 def test_proofs_that_are_missing_are_seen() -> None:
     unseen = stop(causes.KEY(1), acknowledged_s=None, observed_s=None)
-    assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
+    assert "written by the port owner after 0.21 ms, NOT acknowledged by the board, NOT seen still by the IMU" in shown(
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )
     held = latched(last_stop=stop(sent=False, acknowledged_s=None))
-    assert "NOT sent: the board takes no bytes, not acknowledged" in shown(summary.last_stop(held, NOW_S))
+    assert "NOT sent: the board takes no bytes, NOT acknowledged" in shown(summary.last_stop(held, NOW_S))
     unwritten = latched(last_stop=stop(written_s=None))
-    assert "NOT written" in shown(summary.last_stop(unwritten, NOW_S))
+    assert "could NOT be written" in shown(summary.last_stop(unwritten, NOW_S))
 
 
 def test_restarts_and_missing_rights_are_remarked() -> None:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 from failstop.api import verdict, words
 from failstop.api.events import Event
-from failstop.api.snapshot import ArmState, State, Stop
-from failstop.api.why import explain
+from failstop.api.snapshot import ArmState, State
+from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
 from failstop.supervisor.kinds import KINDS
-from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -28,6 +27,7 @@ LINKS = {
 }
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
+PROOFS = {True: OK, None: PLAIN, False: WARN}
 PROCESSES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
 LEVELS = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
 KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
@@ -101,22 +101,11 @@ def last_stop(state: State, now_s: float) -> list[Line]:
     if stop is None:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
-    return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], row("", "") + _proofs(stop)]
-
-
-def _proofs(stop: Stop) -> Line:
-    """The three levels of a stop, each with its time or that it is not known."""
-    if stop.written_s is None:
-        return [("NOT written: the board did not get it", FAIL)]
-    written = (f"written after {words.took(stop.written_s)}", OK) if stop.sent else (NOT_SENT, FAIL)
-    heard, seen = ("not acknowledged", WARN), ("not seen still", WARN)
-    if stop.acknowledged_s is not None:
-        heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
-    if stop.observed_s is not None:
-        # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        text = wheels_seen(stop.observed_s).replace("wheels still", "still").replace("less than", "<")
-        seen = (text, OK if stop.observed_s else PLAIN)
-    return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
+    line = row("", "")
+    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+        unwritten = number == 0 and not proven
+        line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
+    return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
 
 
 def device(state: State) -> Line:
