@@ -79,14 +79,10 @@ def main(arguments: Namespace) -> int:
 
 
 def _drive(terminal: Terminal, pilot: Pilot) -> None:
-    decoder, name = Decoder(), pilot.robot.name
+    decoder = Decoder()
     turned_s, held_up = time.monotonic(), False
     for typed, due_s in terminal.turns(TURN_S):
-        keys = decoder.feed(typed)
-        try:
-            state = pilot.robot.state
-        except NoService:
-            raise NoService(f"no service named {name!r} is running: begin again") from None
+        keys, state = decoder.feed(typed), pilot.robot.state
         now_s = time.monotonic()
         late = now_s - turned_s > LATE_S
         # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too.
