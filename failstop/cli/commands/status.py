@@ -178,7 +178,8 @@ class Live:
         rows: list[Line] = [
             self._title("", columns),
             [],
-            [("NO SERVICE  ", FAIL), (note, STRONG), ("; waiting for it to come back", PLAIN)],
+            [("NO SERVICE  ", FAIL), (note, STRONG)],
+            [("waiting for it to come back", PLAIN)],
             [],
             [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
             [("what happened:       ", PLAIN), (told, STRONG)],
