@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from itertools import chain, groupby, pairwise
+from itertools import groupby, pairwise
 from operator import itemgetter
 from unicodedata import combining, east_asian_width
 
@@ -99,9 +99,8 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
     """Break a line at spaces so that each part fits, those after the first indented. A word that is longer than a line
     is broken where it must be."""
     text, roles = plain(line), [role for text, role in line for _ in text]
-    starts, at, used, room = [0], 0, 0, columns - indent
-    words = ([word] if cells(word.rstrip(" ")) <= room else word for word in _WORD.findall(text))
-    for piece in chain.from_iterable(words):
+    starts, at, used = [0], 0, 0
+    for piece in _pieces(text, columns - indent):
         if used + cells(piece.rstrip(" ")) > columns and at > starts[-1]:
             starts.append(at)
             used = indent
@@ -113,6 +112,15 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
         spans = [("".join(letter for letter, _ in span), role) for role, span in groupby(letters, itemgetter(1))]
         rows.append([(" " * indent, PLAIN), *spans] if rows else spans)
     return rows
+
+
+def _pieces(text: str, room: int) -> Iterator[str]:
+    """What is not broken, with the spaces after it: words, commands that fit in the room or as much of them as does,
+    and of a longer word the letters."""
+    parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
+    for word in _WORD.findall(text):
+        for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):
+            yield from [part] if cells(part.rstrip(" ")) <= room else part
 
 
 def table(rows: list[Line]) -> list[Line]:
