@@ -102,7 +102,7 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
 
 @pytest.mark.usefixtures("environ")
 @pytest.mark.slow
-def test_a_file_is_named_for_the_incident(
+def test_a_file_is_named_for_the_incident_and_none_is_written_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
@@ -114,8 +114,11 @@ def test_a_file_is_named_for_the_incident(
         assert main(["incident", action]) == 0
         assert capsys.readouterr().out.startswith(f"wrote {name}")
         made = (tmp_path / name).read_bytes()
-        (tmp_path / name).write_text("an older one")
-        assert main(["incident", action]) == 0
+        (tmp_path / name).write_text("mine")
+        assert main(["incident", action]) == 1
+        assert capsys.readouterr().err == f"failstop: {name} is there already: -f writes over it, -o FILE another\n"
+        assert (tmp_path / name).read_text() == "mine"
+        assert main(["incident", action, "last", "-f"]) == 0
         assert (tmp_path / name).read_bytes()[:4] == made[:4]
         assert main(["incident", action, IDS[0], "-o", "there"]) == 0
         assert (tmp_path / "there" / f"{IDS[0]}.{suffix}").stat().st_size > 1000

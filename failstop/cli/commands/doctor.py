@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import sys
 from argparse import ArgumentParser, Namespace
 
@@ -65,20 +66,28 @@ def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[st
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []
+    shown = ("", "")
     for name, finding in found:
+        title = name if (name, finding.level) != shown else ""
         role = SHOWN[finding.level][0]
-        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{name:<{width + GAP}}", PLAIN)]
+        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{title:<{width + GAP}}", PLAIN)]
         lines += style.wrap([*head, (finding.text, PLAIN)], columns, indent)
         if finding.fix:
-            lines.append(_command(finding.fix, columns, indent))
+            lines += _command(finding.fix, columns, indent)
         if finding.advice:
             lines += style.wrap([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
+        shown = (name, finding.level)
     counts = [(sum(finding.level == level for _, finding in found), words) for level, (_, words) in SHOWN.items()]
     return [*lines, [], [(", ".join(f"{count} {words}" for count, words in counts if count), PLAIN)]]
 
 
-def _command(fix: str, columns: int, indent: int) -> style.Line:
-    """As it can be pasted, so in one piece: what is too long for its place begins at the left, and is the terminal's to
-    break."""
-    left = indent if indent + len(ARROW) + len(fix) <= columns else 0
-    return [(" " * left + ARROW, PLAIN), (fix, style.STRONG)]
+def _command(fix: str, columns: int, indent: int) -> list[style.Line]:
+    """As it can be pasted: a line may end only where the shell waits for the rest, after a pipe or an `&&`. What is
+    longer stands further left, and is then the terminal's to break."""
+    room = len(ARROW) + len(fix)
+    if indent + room <= columns:
+        return [[(" " * indent + ARROW, PLAIN), (fix, style.STRONG)]]
+    parts = [fix] if LEVEL_COLUMNS + room <= columns else re.split(r"(?<=\|) |(?<=&&) ", fix)
+    marks = [ARROW] + [" " * len(ARROW)] * (len(parts) - 1)
+    left = " " * max(0, min(LEVEL_COLUMNS, columns - len(ARROW) - max(map(len, parts))))
+    return [[(left + mark, PLAIN), (part, style.STRONG)] for mark, part in zip(marks, parts, strict=True)]

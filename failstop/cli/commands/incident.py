@@ -8,16 +8,22 @@ import shlex
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from contextlib import suppress
+from contextlib import closing
+from typing import Any
 
+import msgpack
+
+from failstop.api.client import attach, last_run
 from failstop.api.errors import FailstopError
-from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.cli.screen.follow import left
 from failstop.cli.style import show, width
 from failstop.incidents import files, report
+from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import Incident
+from failstop.policy import causes
+from failstop.shm import layout
 from failstop.shm.instance import option
 
 EXAMPLES = """\
@@ -30,8 +36,11 @@ failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 
 WHICH = "the incident's id, the beginning of one, a file's path, or `last` (default)"
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
-SAVED_S = 3.0
+RECENT_S = 20.0
+"""A stop that is older was saved, or never will be; a lost port is waited for less long (saver.py)."""
+PATIENCE_S = 4.0
 """A stop's file is there 2.4 s after it."""
+LOOK_S = 0.1
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -50,6 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     for name, action in (("plot", plot), ("export", export)):
         where = f"the file to write, or a folder (default: ID{SUFFIXES[name]} in this folder)"
         action.add_argument("-o", "--output", metavar="FILE", help=where, default="")
+        action.add_argument("-f", "--force", action="store_true", help="write over a file that is there already")
     plot.add_argument("--seconds", type=float, default=5.0, metavar="S", help="from S before the cause (default: 5)")
     for action in (listing, told, plot, export):
         add_name(action)
@@ -88,11 +98,13 @@ def _show(arguments: Namespace) -> int:
 
 
 def _write(arguments: Namespace) -> int:
-    """A picture or an export."""
+    """A picture or an export; nothing is written over what is there."""
     incident = Incident.read(_meant(arguments))
     path: str = arguments.output
     if not path or os.path.isdir(path):
         path = os.path.join(path, incident.id + SUFFIXES[arguments.action])
+    if os.path.exists(path) and not arguments.force:
+        raise IncidentError(f"{path} is there already: -f writes over it, -o FILE another")
     if arguments.action == "plot":
         from failstop.incidents import plot
 
@@ -106,11 +118,30 @@ def _write(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """The incident's path; a stop of a moment ago is the last one, so its file is waited for. Raises IncidentError."""
-    if arguments.id == files.LAST:
-        with suppress(FailstopError):
-            if stop := StateReader(arguments.name).read().last_stop:
-                time.sleep(max(0.0, min(SAVED_S, stop.t + SAVED_S - time.time())))
-        if left(arguments.name):
-            standard.say("how the last run ended is saved when the service is started again: this is from before it")
+    """The incident's path; the last one is waited for, if it is of a moment ago. Raises IncidentError."""
+    until_s = time.monotonic() + PATIENCE_S
+    while arguments.id == files.LAST:
+        heads, _ = files.heads(arguments.name, files.folders(arguments.name, os.environ))
+        if not (reason := unsaved(arguments.name, heads, time.time())):
+            break
+        if time.monotonic() > until_s:
+            raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds")
+        time.sleep(LOOK_S)
+    if arguments.id == files.LAST and left(arguments.name):
+        standard.say("how the last run ended is saved when the service is started again: this is from before it")
     return files.find(arguments.id, arguments.name, os.environ)
+
+
+def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> str:
+    """The reason of the service's last stop, when it is recent and in none of the incidents; else empty."""
+    try:
+        with closing(attach(name, layout.SUPERVISOR, last_run(name))) as supervisor:
+            entry, run = supervisor.latest_reader("stop").read(), f"{supervisor.incarnation:016x}"
+        stop = msgpack.unpackb(entry[2]) if entry else {}
+        # What comes while a stop is latched belongs to that one's file.
+        if not stop or stop["latched"] != stop["cause"] or not 0 <= now_s - stop["t"] < RECENT_S:
+            return ""
+        saved = any(head.get("run") == run and head["epoch"] >= stop["epoch"] for head in heads)
+        return "" if saved else str(causes.read(stop["cause"]))
+    except (FailstopError, ValueError, KeyError, TypeError, msgpack.UnpackException):
+        return ""
