@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from failstop.api import verdict, words
-from failstop.api.why import meaning
+from failstop.api.why import meaning, troubles
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
 from failstop.supervisor.stops import wheels_seen
@@ -63,7 +63,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
             {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
             for name, process in state.processes.items()
         ],
-        "troubles": _troubles(state),
+        "troubles": [sentence(text) for text in troubles(state, events)],
         "events": [
             {"seq": event.seq, "t": event.t, "kind": event.kind, "level": event.level, "text": plain(event.text)}
             for event in events[-MOST_EVENTS:]
@@ -212,19 +212,3 @@ def _no_enable(state: State) -> str:
 
 def _no_disable(state: State) -> str:
     return "" if state.enabled else "motion is disabled already"
-
-
-def _troubles(state: State) -> list[str]:
-    """What else is wrong."""
-    found = []
-    for name, process in state.processes.items():
-        if process.state not in ("running", "starting"):
-            found.append(f"The {name.replace('_', ' ')} is {process.state}.")
-    if state.device.state == "open" and state.device.link == "unproven":
-        found.append("The board has not answered yet, so nobody knows that it hears.")
-    if state.starved:
-        found.append(sentence(str(state.starved)))
-    if state.age_s > verdict.STALE_S:
-        found.append(f"The gate has said nothing for {words.span(state.age_s)}: this may be old.")
-    found += [f"{sentence(wrong)[:-1]} ({who})." for who, _, wrong in words.said(state) if wrong]
-    return found

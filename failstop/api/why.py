@@ -55,7 +55,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     since, began = _since(state, events, now_s)
     when = "" if since is None else f" since {words.ago(since, now_s)}"
     what = f"{HOLDS[state.block]}{when}" if state.block else _free(state)
-    steps, also = verdict.steps(state), _troubles(state, events)
+    steps, also = verdict.steps(state), troubles(state, events)
     if doubt := verdict.doubt(state):
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
     elif state.cause:
@@ -144,7 +144,7 @@ def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
     ]
 
 
-def _troubles(state: State, events: Sequence[Event]) -> list[str]:
+def troubles(state: State, events: Sequence[Event]) -> list[str]:
     """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
     where the wheels wait for its kind."""
     found = []
@@ -152,7 +152,7 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     for name, process in state.processes.items():
         if process.state != "running":
             how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
-            found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
+            found.append(f"{name.replace('_', ' ')} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     if state.starved:
