@@ -41,6 +41,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy packaging/deb/*.py
 
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
@@ -76,7 +77,6 @@ vm-arm64: $(VENV)/.dev
 docs: $(VENV)/.installed
 	$(BIN)/failstop config --example > examples/failstop.toml
 	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
-	$(BIN)/python -m failstop.lab.pages man > systemd/failstop.1
 	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
 	$(BIN)/python packaging/reference.py > docs/python-reference.md
 	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
@@ -106,8 +106,9 @@ web: $(VENV)/.dev
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium
 	$(BIN)/pytest --numprocesses 0 tests/web
 
+# What a robot is installed by (docs/install.md).
 deb: $(VENV)/.installed
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[fleet,web]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python packaging/deb/build.py
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.

@@ -26,7 +26,6 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from failstop import config
-from failstop.install import rows, system
 from failstop.lab.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
@@ -55,10 +54,8 @@ WANTED = {
     "sockets.target": ("systemd-journald.socket", "systemd-journald-dev-log.socket"),
 }
 
-INSTALLED = (
-    *(system.PREFIX, config.FOLDER, system.STATE, rows.COMMAND_LINK),
-    *(row.place for row in rows.ROWS if not row.place.startswith(rows.UNITS)),
-)
+INSTALLED = ("/opt/failstop", config.FOLDER, "/var/lib/failstop")
+"""Where a machine may have something of failstop's besides the package."""
 ANEW = f"""
 [ ! -e "$root/var/lib/dpkg/info/failstop.list" ] || chroot "$root" dpkg --purge failstop
 for path in {" ".join(INSTALLED)}; do

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 BOARD_VID = 0x1A86
 BOARD_PID = 0x55D4
 LINK = "/dev/failstop"
-"""The board's name by the udev rule that `failstop install` brings: a replug may change its number, and not this."""
+"""The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 
 
 def board_there() -> bool:

@@ -87,13 +87,6 @@ def test_the_command_line_knows_features_by_the_names_of_their_commands_alone() 
     assert not wrong
 
 
-def test_only_the_face_uses_the_libraries_of_the_face() -> None:
-    """Completion's, which no process of the service may need."""
-    found = [path for room in BELOW for path in modules(room) if "shtab" in path.read_text()]
-    assert modules("failstop/cli")
-    assert not found
-
-
 def asked(path: Path) -> set[str]:
     """What a module asks the machine itself."""
     found = set()

@@ -50,7 +50,7 @@ def test_a_command_that_has_nobody_to_talk_to_still_answers_by_its_code() -> Non
 @pytest.mark.parametrize(
     ("words", "buffered"),
     [
-        *product(["--help", "--version", "config", "config --example", "completion bash"], [True, False]),
+        *product(["--help", "--version", "config", "config --example"], [True, False]),
         ("drive --help", True),  # what argparse writes at once, and can't, it keeps to itself
     ],
 )

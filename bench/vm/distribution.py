@@ -12,7 +12,7 @@ from bench.vm.scene import FAILSTOP, UNIT, Scene, sh, wrong_unless
 from bench.vm.table import Result
 from failstop.discovery import BOARD_VID
 
-RULE = Path("/etc/udev/rules.d/90-failstop.rules")
+RULE = Path("/usr/lib/udev/rules.d/90-failstop.rules")
 BOARDS = ("--subsystem-match=usb", f"--attr-match=idVendor={BOARD_VID:04x}")
 IDLE_S = 3.0
 """More than the kernel's autosuspend_delay_ms, 2 s."""

@@ -116,10 +116,12 @@ def check(needed: dict[str, str] = NEEDED) -> None:
 
 
 def dependencies() -> list[str]:
-    """What failstop needs, and what its installation is built with."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    needed = [one for one in project["project"]["dependencies"] if "python_version" not in one]
-    return [*needed, *project["build-system"]["requires"], "wheel"]
+    """What failstop needs, and what it and its Debian package are built with."""
+    found = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = found["project"]["optional-dependencies"]
+    needed = [*found["project"]["dependencies"], *extras["fleet"], *extras["web"], *extras["deb"]]
+    needed = [one for one in needed if "python_version" not in one and not one.startswith("failstop")]
+    return [*needed, *found["build-system"]["requires"], "wheel"]
 
 
 def make() -> Image:

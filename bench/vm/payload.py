@@ -13,7 +13,8 @@ from bench.vm.image import PYTHON, ROOT, ImageError
 SIZE = 32 << 20
 """The same each time: a saved guest knows its disks by their sizes."""
 DISK = "/dev/vdb"
-TRIALS = ("bench/__init__.py", "bench/vm")
+TRIALS = ("bench/__init__.py", "bench/vm", "packaging/deb", "systemd", "LICENSE")
+"""And what the package is built of, in there."""
 SITE = f"lib/python{PYTHON}/site-packages"
 UNPACK = f"""set -e
 blockdev --flushbufs {DISK}
@@ -21,13 +22,6 @@ mkdir -p /srv/trials
 tar --extract --warning=no-timestamp --file {DISK} --directory /srv/trials
 cp --archive /srv/trials/site/. /srv/venv/{SITE}
 rm -r /srv/trials/site
-cat >/srv/venv/bin/failstop <<'END'
-#!/srv/venv/bin/python
-import sys
-from failstop.cli.main import main
-sys.exit(main())
-END
-chmod +x /srv/venv/bin/failstop
 """
 """What pip does with a wheel; its start alone takes the guest ten seconds."""
 

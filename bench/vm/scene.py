@@ -16,8 +16,7 @@ from failstop.lab.faults.driving import Driver
 from failstop.lab.sim.client import Event, SimBoard
 from failstop.lab.trial import TrialError, judge, wait_for
 
-FAILSTOP = "/usr/local/bin/failstop"
-VENV_FAILSTOP = "/srv/venv/bin/failstop"
+FAILSTOP = "/usr/bin/failstop"
 UNIT = "failstop.service"
 LINK = "/dev/failstop"
 SETTINGS = "/etc/failstop/failstop.toml"

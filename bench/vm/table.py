@@ -52,7 +52,7 @@ KILL_FLOORS = 3.0
 news passes through the supervisor."""
 
 TRIALS = (
-    Trial("install", "`failstop install`, the board plugged in", INSIDE),
+    Trial("install", "the Debian package installed, the board plugged in", INSIDE),
     Trial("floor", "the floor: an idle Python process killed, noticed, bytes written", INSIDE, "the kill"),
     Trial("plug", "the plug starts the service that is stopped", INSIDE, "udev's rights", 5000.0),
     *(Trial(f"kill_{name}", f"SIGKILL of the {name}", INSIDE, "the kill", None, KILL_FLOORS, 2) for name in KILLED),

@@ -45,9 +45,6 @@ GROUPS = {
         "sim": ("lab.commands.sim", "a simulated board on a pty"),
         "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
         "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
-        "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
-        "uninstall": ("cli.commands.install", "stop the service and take away what install put there"),
-        "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
     },
 }
 """What `failstop --help` shows together: each command with its module and what it is for."""

@@ -1,13 +1,12 @@
 """Build the Debian packages with dpkg-deb: `python packaging/deb/build.py [--out DIR]`, run by the environment to pack.
 
-The package failstop holds the Python environment that `failstop install` would make, for the system's interpreter of
-the running version, and the files of systemd/ in the places that belong to packages. failstop-lab adds the laboratory.
+The package failstop holds that Python environment (tree.py) for the system's interpreter of the same version, the files
+of systemd/, and the man page and completions of the command line. failstop-lab adds the laboratory.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import email.utils
 import gzip
 import hashlib
@@ -17,106 +16,104 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from failstop import config
-from failstop.install import InstallError, rows, system, tree
-from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS
-from failstop.install.system import PREFIX
-from failstop.shm.instance import DEFAULT_NAME
+import completion
+import man
+import tree
+from tree import BuildError, Entry
+
 from failstop.version import VERSION
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
+SYSTEMD = CHECKOUT / "systemd"
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
-CONFIGURATION = config.file_of(DEFAULT_NAME).lstrip("/")
-LABORATORY = "failstop-lab"
+EXTRAS = ("fleet", "web")
+"""Those of failstop's whose needs the package brings along."""
+ROBOT, LABORATORY = "failstop", "failstop-lab"
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
-WORDS = {
-    "@BOOT@": " ".join(row.source for row in OWN if row.boot),
-    "@EXTRAS@": " ".join(extra.source for extra in EXTRAS),
-    "@LATE@": LATE.replace("@", "@*"),
-    "@SYSUSERS@": next(row.package for row in ROWS if row.place == rows.SYSUSERS),
-    "@CONFIGURATION@": config.FOLDER,
-    "@STATE@": system.STATE,
-    "@RUNTIME@": system.RUNTIME,
-    "@MANIFEST@": system.MANIFEST,
+UNITS = "usr/lib/systemd/system"
+PLACES = {
+    "failstop.catalog": "usr/lib/systemd/catalog/failstop.catalog",
+    "failstop.sysusers": "usr/lib/sysusers.d/failstop.conf",
+    # After the rules of ModemManager (77-80) and brltty (85).
+    "failstop.udev": "usr/lib/udev/rules.d/90-failstop.rules",
 }
-"""What the scripts of the package say of the installation's rows and places."""
+"""Where the files of systemd/ go that are no units."""
+COMPLETIONS = {
+    "bash": "usr/share/bash-completion/completions/failstop",
+    "zsh": "usr/share/zsh/vendor-completions/_failstop",
+    "fish": "usr/share/fish/vendor_completions.d/failstop.fish",
+}
+"""Where each shell looks by itself."""
 
 
 def main() -> int:
-    """Build it and print its path."""
+    """Build them, print their paths, and what to type next."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
-    arguments = parser.parse_args()
+    out = parser.parse_args().out
     interpreter = f"/usr/bin/{tree.PYTHON}"
-    if problem := tree.unreachable(interpreter):
-        advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"
-        print(f"failstop: the package is for the system's {interpreter}: {problem}; {advice}", file=sys.stderr)
-        return 1
-    arguments.out.mkdir(parents=True, exist_ok=True)
     try:
+        if not os.access(interpreter, os.X_OK):
+            advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"
+            raise BuildError(f"the package is for the system's {interpreter}, which is not here; {advice}")
+        out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
-            for package in build(Path(directory), arguments.out, interpreter):
-                print(package)
-    except InstallError as error:
+            packages = build(Path(directory), out)
+    except BuildError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
+    print(*packages, sep="\n")
+    robots = os.path.relpath(packages[0])
+    print(f"next: sudo apt install {robots if robots.startswith('..') else f'./{robots}'}")
     return 0
 
 
-def build(directory: Path, out: Path, interpreter: str) -> list[Path]:
-    """Lay the packages out in a directory and pack them; returns their paths, the robot's first."""
-    whole = tree.running(PREFIX, interpreter, [extra.needs for extra in EXTRAS if extra.needs])
-    inside = [entry for entry in whole.entries if entry.path.startswith(LAB)]
-    scripts = {f"DEBIAN/{name}": script(name) for name in SCRIPTS} | {"DEBIAN/conffiles": f"/{CONFIGURATION}\n"}
-    layouts = {
-        "failstop": ([entry for entry in whole.entries if entry not in inside], files(rows.texts()) | scripts),
-        LABORATORY: (inside, papers(LABORATORY)),
-    }
-    packed = []
-    for name, (entries, texts) in layouts.items():
-        root = directory / name
-        (root / "opt").mkdir(parents=True)
-        dataclasses.replace(whole, entries=tuple(entries)).write(str(root / PREFIX.lstrip("/")))
-        for path, text in texts.items():
-            _write(root / path, text)
-        if name != LABORATORY:
-            (root / "usr/bin").mkdir(parents=True)
-            (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
-        _control(root, name, os.path.basename(interpreter))
-        for folder, _, _ in os.walk(root):
-            os.chmod(folder, 0o755)
-        # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
-        said = _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(out))
-        packed.append(out / os.path.basename(said.split("'")[-2]))
-    return packed
+def build(directory: Path, out: Path) -> list[Path]:
+    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. Raises BuildError."""
+    whole = tree.running(EXTRAS)
+    inside = [entry for entry in whole if entry.path.startswith(LAB)]
+    robots = [entry for entry in whole if not entry.path.startswith(LAB)]
+    return [pack(ROBOT, robots, files(), directory, out), pack(LABORATORY, inside, papers(LABORATORY), directory, out)]
+
+
+def pack(name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path) -> Path:
+    """One package of these files of the environment, and of these texts."""
+    root = directory / name
+    tree.write(entries, root / tree.PREFIX.lstrip("/"))
+    for path, text in texts.items():
+        _write(root / path, text)
+    if name == ROBOT:
+        (root / "usr/bin").mkdir(parents=True)
+        (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
+    _control(root, name)
+    for folder, _, _ in os.walk(root):
+        os.chmod(folder, 0o755)
+    # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
+    said = _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(out))
+    return out / os.path.basename(said.split("'")[-2])
+
+
+def files() -> dict[str, str]:
+    """The texts of the robot's package but for the environment, by path; compressed where it ends in .gz."""
+    units = {f"{UNITS}/{path.name}": path.read_text() for path in SYSTEMD.glob("*.service")}
+    placed = {place: (SYSTEMD / name).read_text() for name, place in PLACES.items()}
+    completions = {place: completion.script(shell) for shell, place in COMPLETIONS.items()}
+    scripts = {f"DEBIAN/{name}": (HERE / name).read_text() for name in SCRIPTS}
+    return units | placed | completions | scripts | {"usr/share/man/man1/failstop.1.gz": man.page()} | papers(ROBOT)
 
 
 def papers(package: str) -> dict[str, str]:
     """What Debian wants to see in each package, by path."""
-    licences = f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n"
+    licences = f"\nThe packages below {tree.PREFIX} have licences of their own, in their .dist-info directories.\n"
     return {
         f"usr/share/doc/{package}/changelog.gz": changelog(package),
         f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + licences,
     }
-
-
-def files(texts: Mapping[str, str]) -> dict[str, str]:
-    """The texts of the robot's package but for the environment, by path; compressed where it ends in .gz."""
-    placed = {row.package.lstrip("/"): texts[row.source] for row in ROWS}
-    return {CONFIGURATION: texts[SETTINGS]} | placed | papers("failstop")
-
-
-def script(name: str) -> str:
-    """A script of the package, with the rows' words in it."""
-    text = (HERE / name).read_text()
-    for word, meaning in WORDS.items():
-        text = text.replace(word, meaning)
-    return text
 
 
 def maintainer(environ: Mapping[str, str], folder: Path = CHECKOUT) -> str:
@@ -149,7 +146,7 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, package: str, python: str) -> None:
+def _control(root: Path, package: str) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     regular = [path for path in regular if path.parent.name != "DEBIAN"]
@@ -158,12 +155,12 @@ def _control(root: Path, package: str, python: str) -> None:
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
         "architecture": _said("dpkg", "--print-architecture"),
-        "python": python,
+        "python": tree.PYTHON,
         "libc": newest_libc(root),
     }
     _write(root / "DEBIAN/control", (HERE / f"{package}.control").read_text().format(**words))
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in regular]
-    _write(root / "DEBIAN/md5sums", "".join(line for line in sums if not line.endswith(f"{CONFIGURATION}\n")))
+    _write(root / "DEBIAN/md5sums", "".join(sums))
 
 
 def _write(path: Path, text: str) -> None:

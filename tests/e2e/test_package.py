@@ -34,7 +34,7 @@ def test_wheel_and_sdist_hold_one_package(built: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"failstop"}
     for room in ("board", "shm", "supervisor", "procs/gate", "procs/port_owner", "procs/stopper", "procs/telemetry"):
         assert f"failstop/{room}/__init__.py" in wheel.namelist()
-    for path in ("ros2/bridge.py", "ros2/udp_only.xml", "systemd/failstop-ros2.service"):
+    for path in ("ros2/bridge.py", "ros2/udp_only.xml"):
         assert f"failstop/{path}" in wheel.namelist()
     assert "failstop/ros2/packages/failstop_msgs/msg/Status.msg" in wheel.namelist()
     assert "failstop/py.typed" in wheel.namelist()

@@ -2,58 +2,91 @@
 
 from __future__ import annotations
 
-import importlib.util
+import os
 import re
 import subprocess
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from failstop.install.rows import EXTRAS, OWN, ROWS
-from tests.install.scene import MANUAL, SHELLS, TEXTS
+from failstop import discovery
+from failstop.cli.commands import config
+from failstop.policy.settings import BY_KEY
+from tests.support.deb import build, completion, man, tree
+from tests.support.pages import ROOT
 
-SCRIPT = Path(__file__).resolve().parents[2] / "packaging/deb/build.py"
+ALWAYS = ("failstop.service", "failstop-sleep.service")
+"""Enabled with the package; the others by who wants them."""
 
 
 @pytest.fixture(scope="module")
-def build() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("failstop_deb_build", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def files() -> dict[str, str]:
+    found: dict[str, str] = build.files()
+    return found
 
 
-def test_completion_is_where_the_shells_look(build: ModuleType) -> None:
-    files = build.files(TEXTS)
-    assert {row.source: files[row.package.lstrip("/")] for row in ROWS if row.source in SHELLS} == SHELLS
-    assert [path for path, text in files.items() if text == MANUAL] == ["usr/share/man/man1/failstop.1.gz"]
+def test_completion_is_where_the_shells_look(files: dict[str, str]) -> None:
+    assert {shell: files[place] for shell, place in build.COMPLETIONS.items()} == {
+        shell: completion.script(shell) for shell in completion.SHELLS
+    }
+    assert [path for path, text in files.items() if text == man.page()] == ["usr/share/man/man1/failstop.1.gz"]
+
+
+def test_every_file_of_systemd_is_in_it(files: dict[str, str]) -> None:
+    """Units that are started on request too."""
+    there = {path.name: path.read_text() for path in (ROOT / "systemd").iterdir() if path.is_file()}
+    units = {path.rpartition("/")[2]: text for path, text in files.items() if path.startswith(build.UNITS)}
+    assert units | {name: files[place] for name, place in build.PLACES.items()} == there
+    assert all("/opt/failstop/bin/failstop " in text for text in units.values())
+    assert tree.PREFIX == "/opt/failstop"
+
+
+def wanted(text: str) -> bool:
+    """Something starts this unit where it is enabled."""
+    return "\nWantedBy=" in text
 
 
 @pytest.mark.starts
-def test_the_scripts_know_every_unit(build: ModuleType) -> None:
-    """That of the rows, as the build writes them."""
-    scripts = {name: build.script(name) for name in build.SCRIPTS}
-    for extra in EXTRAS:
-        assert extra.source in scripts["postinst"]
-        assert extra.source in scripts["prerm"]
-    for row in OWN:
-        assert (row.source in scripts["postrm"]) == row.boot, row
+def test_the_scripts_know_every_unit(files: dict[str, str]) -> None:
+    scripts = {name: files[f"DEBIAN/{name}"] for name in build.SCRIPTS}
+    units = {path.rpartition("/")[2]: text for path, text in files.items() if path.startswith(build.UNITS)}
+    for unit, text in units.items():
+        name = unit.removesuffix(".service")
+        assert (unit in scripts["postrm"]) == (unit in ALWAYS), unit
+        assert unit.replace("@", "@*") in scripts["prerm"] or not wanted(text) or name == "failstop-sleep", unit
+        if wanted(text) and unit not in ALWAYS:
+            assert unit.replace("@", "@*") in scripts["postinst"]
+            assert name in scripts["prerm"].partition("for unit in")[2]
     for name, text in scripts.items():
-        assert not re.search(r"@[A-Z]+@", text), name
         subprocess.run(["sh", "-n"], input=text, text=True, check=True)
+        assert "set -e\n" in text, name
 
 
-def test_every_unit_is_in_it(build: ModuleType) -> None:
-    """Those that are started on request too."""
-    units = {path.rpartition("/")[2] for path in build.files(TEXTS) if path.startswith("usr/lib/systemd/system/")}
-    assert units == {path.name for path in (SCRIPT.parents[2] / "systemd").glob("*.service")}
+def edited(example: str, script: str) -> str:
+    """The settings after what a script of the package does to them where the udev rule has named a board."""
+    words = re.findall(r"\[ ! -e (\S+) \] \|\| sed -i '([^']+)'", script)
+    [(link, expression)] = words
+    assert link == discovery.LINK
+    done = subprocess.run(["sed", expression], input=example, capture_output=True, text=True, check=True)
+    return done.stdout
 
 
 @pytest.mark.starts
-def test_the_maintainer(build: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_board_s_name_by_the_rule_is_what_new_settings_say(files: dict[str, str]) -> None:
+    """A number may be another's after a replug."""
+    example = config.example()
+    said = edited(example, files["DEBIAN/postinst"])
+    default = f'path = "{BY_KEY["device.path"].default}"\n'
+    assert said == example.replace(default, f'path = "{discovery.LINK}"\n', 1) != example
+
+
+def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:
+    assert "/opt/failstop/install.json" in files["DEBIAN/preinst"]
+    assert "sudo /usr/local/bin/failstop uninstall" in files["DEBIAN/preinst"]
+
+
+@pytest.mark.starts
+def test_the_maintainer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(tmp_path))
     monkeypatch.setenv("GIT_CONFIG_NOSYSTEM", "1")
@@ -66,3 +99,12 @@ def test_the_maintainer(build: ModuleType, tmp_path: Path, monkeypatch: pytest.M
     assert build.maintainer(both, tmp_path).startswith("Anna")
     monkeypatch.setenv("PATH", str(tmp_path))
     assert build.maintainer({}, tmp_path) == build.NOBODY
+
+
+def test_without_the_systems_python_the_build_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr("sys.argv", ["build.py"])
+    assert build.main() == 1
+    assert "make deb PYTHON=/usr/bin/python3 VENV=.venv-deb" in capsys.readouterr().err

@@ -1,54 +1,54 @@
-"""The Python environment as a list of files, and the parts that a version brings."""
+"""The Python environment of the package as a list of files."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import marshal
 import os
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from failstop.cli.commands import completion
-from failstop.install import InstallError, rows, tree
-from failstop.install.rows import EXTRAS
-from tests.install.scene import UNIT, environment
+from tests.support.deb import tree
 
 BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
 
 
 @pytest.fixture(scope="module")
-def running() -> tree.Environment:
-    return tree.running("/opt/failstop", BASE)
+def running() -> list[Any]:
+    return tree.running()
 
 
-def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_package(
-    running: tree.Environment,
-) -> None:
-    paths = [entry.path for entry in running.entries]
+def tops(entries: list[Any]) -> set[str]:
+    """What lies in site-packages."""
+    return {entry.path.split("/")[3] for entry in entries if entry.path.startswith(tree.SITE)}
+
+
+def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_package(running: list[Any]) -> None:
+    paths = [entry.path for entry in running]
     assert len(paths) == len(set(paths))
-    tops = {path.split("/")[3].split("-")[0].split(".")[0] for path in paths if path.startswith(tree.SITE)}
-    assert tops >= {"failstop", "msgpack", "numpy", "posix_ipc", "psutil", "serial"}
-    assert not tops & {"pytest", "hypothesis", "__editable__", "tests", "bench"}
+    found = {name.split("-")[0].split(".")[0] for name in tops(running)}
+    assert found >= {"failstop", "msgpack", "numpy", "posix_ipc", "psutil", "serial"}
+    assert not found & {"pytest", "hypothesis", "shtab", "__editable__", "tests", "bench", "packaging"}
     inside = f"{tree.SITE}/failstop"
-    for room in (
-        "board/codec.py",
-        "shm/cell.py",
-        "supervisor/main.py",
-        "supervisor/child.py",
-        "systemd/failstop.service",
-    ):
+    for room in ("board/codec.py", "shm/cell.py", "supervisor/main.py", "supervisor/child.py", "web/page/page.js"):
         assert f"{inside}/{room}" in paths
     assert not any("__pycache__" in path or "/tests/" in path for path in paths)
+    links = {entry.path: entry.target for entry in running if entry.target}
+    assert links == {"bin/python3": f"/usr/bin/{tree.PYTHON}", "bin/python": "python3"}
 
 
-def test_written_it_runs_by_itself_and_is_known_again(running: tree.Environment, tmp_path: Path) -> None:
+def test_written_it_runs_by_itself(running: list[Any], tmp_path: Path) -> None:
     place = tmp_path / "environment"
-    running.write(str(place))
-    assert running.is_at(str(place), "install.json")
+    tree.write(running, place)
+    (place / "bin/python3").unlink()
+    (place / "bin/python3").symlink_to(BASE)
+    (place / "pyvenv.cfg").write_text(f"home = {os.path.dirname(BASE)}\n")
     needed = "import failstop, msgpack, numpy, posix_ipc, psutil, serial; print(numpy.__file__, failstop.__file__)"
     said = subprocess.run(
         [place / "bin/python3", "-I", "-W", "error", "-c", needed], check=True, capture_output=True, text=True, cwd="/"
@@ -64,36 +64,14 @@ def test_written_it_runs_by_itself_and_is_known_again(running: tree.Environment,
 
 
 def test_the_modules_are_compiled_for_their_place(tmp_path: Path) -> None:
-    environment = tree.Environment("/opt/failstop", BASE, (tree.Entry("module.py", b"where = lambda: 0\n"),))
-    environment.write(str(tmp_path / "new"))
+    tree.write([tree.Entry("module.py", "where = lambda: 0\n")], tmp_path / "new")
     code = "import module; print(module.__cached__, module.where.__code__.co_filename)"
     said = subprocess.run([BASE, "-v", "-c", code], cwd=tmp_path / "new", capture_output=True, text=True, check=True)
-    assert said.stdout.split()[0] == importlib.util.cache_from_source(str(tmp_path / "new/module.py"))
+    cached = importlib.util.cache_from_source(str(tmp_path / "new/module.py"))
+    assert said.stdout.split()[0] == cached
+    # What follows the 16 bytes that say of which source it is.
+    assert marshal.loads(Path(cached).read_bytes()[16:]).co_filename == "/opt/failstop/module.py"
     assert f"matches {tmp_path / 'new/module.py'}" in said.stderr
-
-
-def test_content_names_and_links_count(tmp_path: Path) -> None:
-    first = environment()
-    first.write(str(tmp_path / "a"))
-
-    def found() -> bool:
-        return first.is_at(str(tmp_path / "a"), "install.json")
-
-    assert found()
-    assert not environment("2.0").is_at(str(tmp_path / "a"), "install.json")
-    (tmp_path / "a/install.json").write_text("is not counted")
-    assert found()
-    module = tmp_path / "a/lib/module.py"
-    module.rename(module.with_name("other.py"))
-    assert not found()
-    module.with_name("other.py").rename(module)
-    assert found()
-    (tmp_path / "a/bin/python3").unlink()
-    (tmp_path / "a/bin/python3").symlink_to("/elsewhere")
-    assert not found()
-    (tmp_path / "a/bin/python3").unlink()
-    (tmp_path / "a/bin/python3").write_bytes(b"")
-    assert not found()
 
 
 def lack(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
@@ -110,83 +88,23 @@ def lack(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
 
 def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     lack(monkeypatch, "msgpack")
-    with pytest.raises(InstallError, match=r"Python package msgpack is not installed .*with pip into a virtual env"):
-        tree.running("/opt/failstop", BASE)
+    with pytest.raises(tree.BuildError, match=r"Python package msgpack is not in the environment .*`make deb` does"):
+        tree.running()
 
 
 def test_what_an_extra_needs_comes_along_where_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    def tops(*extras: str) -> set[str]:
-        entries = tree.running("/opt/failstop", BASE, extras).entries
-        return {entry.path.split("/")[3] for entry in entries if entry.path.startswith(tree.SITE)}
+    def found(*extras: str) -> set[str]:
+        return tops(tree.running(extras))
 
-    assert not tops() & {"tornado", "segno", "paho", "prometheus_client", "matplotlib", "pytest"}
-    assert tops("web") - tops() >= {"tornado", "segno"}
-    assert tops("web", "fleet") - tops("web") >= {"paho", "prometheus_client"}
+    assert not found() & {"tornado", "segno", "paho", "prometheus_client", "matplotlib", "pytest"}
+    assert found("web") - found() >= {"tornado", "segno"}
+    assert found("web", "fleet") - found("web") >= {"paho", "prometheus_client"}
     lack(monkeypatch, "tornado")
-    with pytest.raises(InstallError, match=r"Python package tornado is not .*pip install 'failstop\[web\]' there"):
-        tree.running("/opt/failstop", BASE, ("web",))
-
-
-def test_a_copy_of_a_copy_is_the_same(tmp_path: Path) -> None:
-    """What /opt/failstop runs `failstop install` with: it knows its extras, and what they need."""
-    first = tree.running("/opt/failstop", BASE, ("web",))
-    first.write(str(tmp_path / "a"))
-    code = (
-        "from failstop.install import tree; import sys;"
-        "print(tree.running('/opt/failstop', sys.argv[1], ('web',)).is_at(sys.argv[2], ''))"
-    )
-    words = [str(tmp_path / "a/bin/python3"), "-I", "-c", code, BASE, str(tmp_path / "a")]
-    assert subprocess.run(words, check=True, capture_output=True, text=True, cwd="/").stdout == "True\n"
+    with pytest.raises(tree.BuildError, match="Python package tornado is not in the environment"):
+        tree.running(("web",))
 
 
 def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata.Distribution, "files", None)
-    with pytest.raises(InstallError, match=r"which files belong to the Python package .* is not recorded"):
-        tree.running("/opt/failstop", BASE)
-
-
-def test_what_the_service_could_not_run() -> None:
-    for path in ("/root/.venv/bin/python", "/home/me/venv/bin/python", "/tmp/venv/bin/python"):
-        assert "is hidden from it" in tree.unreachable(path)
-    assert tree.unreachable("/bin/sh") == ""
-    for path in ("/bin/absent", "/etc/passwd"):
-        assert "is not there, or can't be run" in tree.unreachable(path)
-
-
-def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    systems = f"/usr/bin/{tree.PYTHON}"
-    monkeypatch.setattr(sys, "_base_executable", "/opt/python/bin/python3", raising=False)
-    monkeypatch.setattr(tree, "unreachable", lambda path: "")
-    assert tree.interpreter() == "/opt/python/bin/python3"
-    monkeypatch.setattr(tree, "unreachable", lambda path: "" if path == systems else "hidden")
-    assert tree.interpreter() == systems
-    monkeypatch.setattr(tree, "unreachable", lambda path: "hidden")
-    with pytest.raises(InstallError, match=rf"could not run /opt/python/bin/python3: hidden. Install {tree.PYTHON} as"):
-        tree.interpreter()
-
-
-def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
-    found = rows.texts()
-    units = {name: text for name, text in found.items() if name.endswith(".service")}
-    assert all(rows.UNIT_COMMAND in text for text in units.values())
-    wanted = {name: rows.wanted_by(text)[:1] for name, text in units.items()}
-    assert wanted == {
-        "failstop.service": ["multi-user.target"],
-        "failstop@.service": ["multi-user.target"],
-        "failstop-sleep.service": ["sleep.target"],
-        rows.LATE: [],
-        **{extra.source: ["multi-user.target"] for extra in EXTRAS},
-    }
-    lines = found["failstop.sysusers"].splitlines()
-    assert f'u {rows.USER} - "failstop, which makes the robot stop" /var/lib/failstop' in lines
-    assert f"m {rows.USER} {rows.PORT_GROUP}" in lines
-    assert "path = " in found[rows.SETTINGS]
-    assert found["failstop.catalog"].count("Defined-By: failstop") > 3
-    assert ".TH FAILSTOP 1" in found["failstop.1"]
-    assert all("failstop" in found[shell] for shell in completion.SHELLS)
-    assert found.keys() == {row.source for row in rows.ROWS} | {rows.SETTINGS, rows.FLEET_SETTINGS}
-
-
-def test_units_are_read_as_systemd_reads_them() -> None:
-    assert rows.wanted_by(UNIT) == ["multi-user.target", "some.device"]
-    assert rows.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
+    with pytest.raises(tree.BuildError, match=r"which files belong to the Python package .* is not recorded"):
+        tree.running()

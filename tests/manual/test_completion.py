@@ -9,18 +9,13 @@ import select
 import shlex
 import shutil
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from failstop import instances
 from failstop.cli import main as cli
-from failstop.cli.commands import completion
-from failstop.incidents.files import SUFFIX
-from failstop.shm import instance
+from tests.support.deb import completion
 
 ASK = """\
 source "$1"; shift
@@ -32,23 +27,13 @@ printf '%s\\n' "${COMPREPLY[@]}"
 
 
 @pytest.fixture(scope="module")
-def environ(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Of a shell that finds the command."""
-    place = tmp_path_factory.mktemp("completion")
-    command = place / "failstop"
-    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m failstop "$@"\n')
-    command.chmod(0o755)
-    return {**os.environ, "PATH": f"{place}:{os.environ['PATH']}", "XDG_STATE_HOME": str(place / "state")}
-
-
-@pytest.fixture(scope="module")
 def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("completion") / "failstop.bash"
     file.write_text(completion.script("bash"))
     return file
 
 
-def asked(script: Path, *words: str, cwd: Path | None = None, environ: dict[str, str] | None = None) -> set[str]:
+def asked(script: Path, *words: str, cwd: Path | None = None) -> set[str]:
     """What bash offers for the last of the words."""
     result = subprocess.run(
         ["bash", "--norc", "-c", ASK, "ask", str(script), *words],
@@ -57,7 +42,6 @@ def asked(script: Path, *words: str, cwd: Path | None = None, environ: dict[str,
         timeout=20,
         check=True,
         cwd=cwd,
-        env=environ,
     )
     assert result.stderr == ""
     return set(result.stdout.split("\n")) - {""}
@@ -109,65 +93,18 @@ def test_bash_knows_what_stands_where(bash_script: Path, tmp_path: Path) -> None
     assert asked(bash_script, "failstop", "run", "--config", "=", cwd=tmp_path) == here
     assert asked(bash_script, "failstop", "drive", "-0.1", "", cwd=tmp_path) == set()
     assert asked(bash_script, "failstop", "drive", "0", "--for", "2", "--na") == {"--name"}
-    assert asked(bash_script, "failstop", "completion", "") == set(completion.SHELLS)
-    assert asked(bash_script, "failstop", "completion", "bash", "") == set()
     assert asked(bash_script, "failstop", "incident", "pl") == {"plot"}
 
 
-@pytest.fixture(scope="module")
-def incident(environ: dict[str, str]) -> str:
-    folder = Path(environ["XDG_STATE_HOME"]) / "failstop" / "left" / "incidents"
-    folder.mkdir(parents=True)
-    (folder / f"19700101-000000-gate-died{SUFFIX}").touch()
-    (folder / "19700102-else.txt").touch()
-    return "19700101-000000-gate-died"
-
-
-@pytest.fixture(scope="module")
-def listening() -> Iterator[str]:
-    """A service that takes stop requests; of another one its directory is left."""
-    name = f"manual-{os.getpid()}"
-    for each in (name, f"{name}-gone"):
-        stop = instance.stop_path(instances.make_runtime_dir(each))
-        os.mkfifo(stop)
-    reader = os.open(instance.stop_path(instances.make_runtime_dir(name)), os.O_RDONLY | os.O_NONBLOCK)
-    yield name
-    os.close(reader)
-
-
-def test_every_shell_asks_for_services_and_incidents(
-    listening: str, environ: dict[str, str], incident: str, bash_script: Path, tmp_path: Path
-) -> None:
-    """Those that listen; zsh and fish where they are installed."""
-    start = listening[:-1]
-    assert asked(bash_script, "failstop", "status", "--name", start, environ=environ) == {listening}
-    assert asked(bash_script, "failstop", "incident", "show", "1970", environ=environ) == {incident}
-    assert "last" in asked(bash_script, "failstop", "incident", "show", "", environ=environ)
-    if shutil.which("zsh"):
-        file = tmp_path / "zsh"
-        file.write_text(completion.script("zsh"))
-        ask = (
-            f'compdef() {{ }}; compadd() {{ print -l $@ }}; eval "$(<{file})"; _failstop_incidents; _failstop_services'
-        )
-        found = said("zsh", "-f", "-c", ask, environ=environ).split()
-        assert {"last", incident, listening} <= set(found)
-        assert f"{listening}-gone" not in found
-    if shutil.which("fish"):
-        file = tmp_path / "fish"
-        file.write_text(completion.script("fish"))
-        assert offered(file, "failstop incident show ", environ) >= {"last", incident}
-        assert listening in offered(file, "failstop status --name ", environ)
-
-
-def said(*command: str, environ: dict[str, str] | None = None, cwd: Path | None = None) -> str:
-    result = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environ, cwd=cwd)
+def said(*command: str, cwd: Path | None = None) -> str:
+    result = subprocess.run(command, capture_output=True, text=True, timeout=30, cwd=cwd)
     assert (result.returncode, result.stderr) == (0, "")
     return result.stdout
 
 
-def offered(file: Path, line: str, environ: dict[str, str] | None = None) -> set[str]:
+def offered(file: Path, line: str) -> set[str]:
     """What fish offers."""
-    rows = said("fish", "--no-config", "-c", f'source {file}; complete -C "{line}"', environ=environ, cwd=file.parent)
+    rows = said("fish", "--no-config", "-c", f'source {file}; complete -C "{line}"', cwd=file.parent)
     return {found.partition("\t")[0] for found in rows.splitlines()}
 
 
@@ -216,7 +153,6 @@ def test_fish_completes(tmp_path: Path) -> None:
     file = tmp_path / "failstop.fish"
     file.write_text(completion.script("fish"))
     assert offered(file, "failstop ") == {*cli.COMMANDS, "help"}
-    assert offered(file, "failstop completion ") == set(completion.SHELLS)
     assert "--config" in offered(file, "failstop run --")
     assert "failstop.fish" in offered(file, "failstop run --config ")
 

@@ -22,7 +22,6 @@ FORBIDDEN = frozenset(
         "psutil",
         "re",
         "serial",
-        "shtab",
         "subprocess",
         "typing",
     )

@@ -14,7 +14,6 @@ import pytest
 
 from bench import container
 from bench.container import Bind, Container, ContainerMissing
-from failstop.install import system
 from failstop.lab.trial import TrialError, wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
@@ -49,7 +48,7 @@ def test_nothing_of_an_installation_on_the_machine_is_in_it(tmp_path: Path) -> N
         "group": "root:x:0:\nfailstop:x:979:\ndialout:x:20:failstop,anna\n",
     }
     files = [*container.INSTALLED, "/etc/passwd", "/etc/group", "/var/lib/other/one"]
-    files = [f"{path}/failstop/one" if path == system.STATE else path for path in files]
+    files = [f"{path}/failstop/one" if path == "/var/lib/failstop" else path for path in files]
     for path in (tmp_path / file[1:] for file in files):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(accounts.get(path.name, ""))

@@ -1,4 +1,4 @@
-"""`failstop install`, `failstop uninstall` and the Debian package, on a real systemd with a simulated board."""
+"""The Debian package on a real systemd with a simulated board: all that docs/install.md says of it."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from pathlib import Path
 import pytest
 
 from bench.container import Bind, Container, ContainerMissing
-from failstop.install import InstallError, tree
-from failstop.install.rows import ROWS, UNITS
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
+from tests.support.deb import tree
+from tests.support.pages import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 UNIT = "failstop.service"
 BOARD = "/board/port"
-RUNNING = str(Path(sys.executable).parent / "failstop")
-"""The command of the environment that the tests run in, which is there inside too."""
+LINK = "/dev/failstop"
+"""There is no udev inside: what its rule would make is made by the tests."""
+SETTINGS = "/etc/failstop/failstop.toml"
+OLDER = "0.0.9"
+OPERATES = "/etc/systemd/system/failstop-web.service.d"
 PLACES = (
-    *("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd"),
-    *("/usr/local/bin", "/usr/local/lib", "/usr/local/share"),
-    *("/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish", "/usr/share/man/man1"),
+    *("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd", "/usr/lib/sysusers.d", "/usr/bin"),
+    *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
+    "/usr/share/man/man1",
 )
-INSTALLED = f"{tree.SITE}/failstop/version.py"
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
 
 class Place:
-    """A container with the checkout's command, an empty directory for packages, and a board."""
+    """A container with an empty directory for packages, and a board."""
 
     def __init__(self, box: Container, board: SimBoard, packages: Path) -> None:
         self.box = box
         self.board = board
         self.packages = packages
 
-    def failstop(self, *words: str, code: int = 0, command: str = RUNNING) -> str:
-        """Run the command line inside, as root; returns all that it said. It must end with this code."""
-        done = self.box.run(command, *words, check=False, timeout_s=90)
+    def dpkg(self, *words: str, code: int = 0) -> str:
+        """Run dpkg inside; returns all that it and the package's scripts said. It must end with this code."""
+        done = self.box.run("dpkg", *words, check=False, timeout_s=90)
         assert done.returncode == code, (done.stdout + done.stderr)[-3000:]
         return done.stdout + done.stderr
 
@@ -57,6 +58,13 @@ class Place:
     def accounts(self) -> list[str]:
         """What the user and group files say of failstop."""
         return self.box.run("grep", "-h", "failstop", "/etc/passwd", "/etc/group", check=False).stdout.splitlines()
+
+    def plug(self) -> None:
+        """The board has the name that the udev rule gives it."""
+        self.box.path(LINK).symlink_to(BOARD)
+
+    def unplug(self) -> None:
+        self.box.path(LINK).unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def driving(self) -> Iterator[None]:
@@ -71,25 +79,31 @@ class Place:
                 client.kill()
 
     def ready(self) -> bool:
-        found = self.box.show(UNIT, "ActiveState", "SubState")
+        return self.active(UNIT)
+
+    def active(self, unit: str) -> bool:
+        found = self.box.show(unit, "ActiveState", "SubState")
         return found == {"ActiveState": "active", "SubState": "running"}
+
+    def pid(self, unit: str) -> int:
+        """Inside; 0: none."""
+        return int(self.box.show(unit, "MainPID")["MainPID"])
+
+    def settings(self) -> str:
+        return self.box.run("cat", SETTINGS).stdout
 
 
 @pytest.fixture(scope="module")
 def module_place() -> Iterator[Place]:
-    try:
-        tree.interpreter()
-    except InstallError as reason:
-        pytest.skip(str(reason))
+    tools = ("dpkg", "dpkg-deb", "deb-systemd-helper", f"/usr/bin/{tree.PYTHON}")
+    if absent := [tool for tool in tools if not shutil.which(tool)]:
+        pytest.skip(f"not installed: {', '.join(absent)}")
     with tempfile.TemporaryDirectory(prefix="failstop-install-") as name:
         directory = Path(name)
         directory.chmod(0o755)
         for part in ("board", "packages"):
             (directory / part).mkdir()
         binds = [Bind(str(directory / "board"), "/board"), Bind(str(directory / "packages"), "/packages")]
-        # The container has a /tmp of its own.
-        mine = dict.fromkeys((str(ROOT), sys.prefix, sys.base_prefix))
-        binds += [Bind(path, path) for path in mine if path.startswith("/tmp/")]
         with SimBoard(directory / "board" / "port", mode=0o666) as board:
             try:
                 # Images for containers forbid the start of services by packages.
@@ -108,94 +122,45 @@ def place(module_place: Place) -> Iterator[Place]:
     before = module_place.files()
     assert module_place.accounts() == []
     yield module_place
-    left = module_place.files() ^ before, module_place.accounts(), module_place.box.pids(UNIT)
     # A test that failed does not spoil the next.
-    module_place.box.run("dpkg", "-P", "failstop", check=False)
-    module_place.box.run(RUNNING, "uninstall", "--yes", "--purge", check=False)
+    module_place.box.run("dpkg", "--purge", "failstop", check=False)
+    module_place.unplug()
+    left = module_place.files() ^ before, module_place.accounts(), module_place.box.pids(UNIT)
     assert left == (set(), [], [])
+
+
+@pytest.fixture(scope="module")
+def built(module_place: Place) -> list[str]:
+    """What the build says."""
+    build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(module_place.packages)]
+    done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.fixture(scope="module")
+def package(built: list[str]) -> str:
+    """The package's path inside."""
+    return f"/packages/{Path(built[0]).name}"
+
+
+@pytest.fixture(scope="module")
+def older(built: list[str], module_place: Place, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The path inside of the same package with another version."""
+    place = tmp_path_factory.mktemp("older") / "package"
+    subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
+    control = place / "DEBIAN/control"
+    lines = control.read_text().splitlines(keepends=True)
+    control.write_text("".join(f"Version: {OLDER}\n" if line.startswith("Version:") else line for line in lines))
+    out = module_place.packages / f"failstop_{OLDER}.deb"
+    subprocess.run(["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(place), str(out)], check=True)
+    return f"/packages/{out.name}"
 
 
 def stopped(board: SimBoard) -> bool:
     """The board's word: the last motor frame was a stop, and the wheels are still."""
     motor = [event for event in board.events() if event.is_motor]
     return bool(motor) and motor[-1].is_stop and not any(board.wheels())
-
-
-def test_installed_ready_driven_and_taken_away(place: Place) -> None:
-    before = place.files()
-    place.failstop("install", "--dry-run", "--device", BOARD)
-    assert place.files() == before
-    said = place.failstop("install", "--yes", "--device", BOARD)
-    assert "failstop.service runs. Next: failstop status" in said
-    assert place.ready()
-    assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
-    assert "nothing to do" in place.failstop("install", "--yes")
-    assert "nothing to do" in place.failstop("install", "--yes", command="/opt/failstop/bin/failstop")
-    assert "failstop" in place.box.run("journalctl", "--list-catalog").stdout
-    assert completes(place, "/usr/local/share/bash-completion/completions/failstop")
-    assert {row.place for row in ROWS if not row.place.startswith(UNITS)} <= place.files() - before
-    place.board.events()
-    with place.driving():
-        assert "THE WHEELS STOP" in place.failstop("uninstall", "--yes")
-        assert stopped(place.board)
-    left = place.files() - before
-    assert {path for path in left if path.startswith("/etc")} == {"/etc/failstop", "/etc/failstop/failstop.toml"}
-    assert not any(path.startswith(("/opt", "/usr")) for path in left)
-    assert place.accounts()
-    place.failstop("uninstall", "--yes", "--purge")
-
-
-def test_a_new_version_waits_for_consent_while_the_service_runs(place: Place) -> None:
-    place.failstop("install", "--yes", "--device", BOARD)
-    pid = place.box.main_pid(UNIT)
-    installed = place.box.path(f"/opt/failstop/{INSTALLED}")
-    new = installed.read_text()
-    installed.write_text('VERSION = "0.0.1"\n')
-    said = place.failstop("install", "--yes", code=2)
-    assert "refused: failstop.service runs and would be restarted, which stops the wheels: say --restart too" in said
-    assert place.box.main_pid(UNIT) == pid
-    assert installed.read_text() == 'VERSION = "0.0.1"\n'
-    place.failstop("install", "--yes", "--restart")
-    assert installed.read_text() == new
-    assert place.ready()
-    assert place.box.main_pid(UNIT) not in (0, pid)
-    # The installed command takes itself away.
-    place.failstop("uninstall", "--yes", "--purge", command="/usr/local/bin/failstop")
-
-
-def test_a_service_that_does_not_become_ready_is_taken_back_whole(place: Place) -> None:
-    # A device, and no board's; nobody waits for it to become one.
-    place.box.path("/etc/failstop").mkdir()
-    configuration = place.box.path("/etc/failstop/failstop.toml")
-    configuration.write_text('[device]\npath = "/dev/null"\n[stop]\nwait_s = 0.0\n')
-    before = place.files()
-    said = place.failstop("install", "--yes", "--wait", "2", code=1)
-    assert "failstop.toml is yours and stays as it is" in said
-    assert "start failstop.service: failstop.service " in said
-    assert said.rstrip().endswith("everything is as it was before")
-    assert place.files() == before
-    place.box.run("rm", "-r", "/etc/failstop")
-    assert "no device /dev/nothing: plug the board in" in place.failstop("install", "--device", "/dev/nothing", code=1)
-
-
-def test_with_the_environment_that_runs_and_a_second_robot(place: Place) -> None:
-    environment = tree.running("/srv/failstop", tree.interpreter())
-    environment.write(str(place.box.path("/srv/failstop")))
-    command = "/srv/failstop/bin/failstop"
-    assert "hidden from it" in place.failstop("install", "--use-running-venv", code=1) or not hidden(RUNNING)
-    words = ("install", "--yes", "--use-running-venv", "--device", BOARD)
-    place.failstop(*words, command=command)
-    assert place.ready()
-    assert sorted(os.listdir(place.box.path("/opt/failstop"))) == ["install.json"]
-    assert command in place.box.run("cat", "/etc/systemd/system/failstop.service").stdout
-    place.failstop("uninstall", "--yes", command=command)
-    place.failstop(*words, "--name", "front", command=command)
-    assert place.box.show("failstop@front.service", "ActiveState") == {"ActiveState": "active"}
-    assert not place.ready()
-    place.failstop("uninstall", "--yes", "--name", "front", "--purge", command=command)
-    assert place.box.show("failstop@front.service", "ActiveState") == {"ActiveState": "inactive"}
-    place.failstop("uninstall", "--yes", "--purge", command=command)
-    place.box.run("rm", "-r", "/srv/failstop")
 
 
 def completes(place: Place, script: str) -> bool:
@@ -205,19 +170,9 @@ def completes(place: Place, script: str) -> bool:
     return "estop" in done.stdout.split()
 
 
-def hidden(path: str) -> bool:
-    return bool(tree.unreachable(path))
-
-
-@pytest.fixture(scope="module")
-def package(module_place: Place) -> str:
-    """The package's path inside."""
-    if absent := [tool for tool in ("dpkg", "dpkg-deb", "deb-systemd-helper") if not shutil.which(tool)]:
-        pytest.skip(f"not installed: {', '.join(absent)}")
-    build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(module_place.packages)]
-    done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    return f"/packages/{Path(done.stdout.splitlines()[0]).name}"
+def test_the_build_says_what_to_type_next(built: list[str]) -> None:
+    path = os.path.relpath(built[0])
+    assert built[-1] == f"next: sudo apt install {path if path.startswith('..') else f'./{path}'}"
 
 
 def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
@@ -229,9 +184,9 @@ def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
     assert {row[1] for row in rows} == {"root/root"}
     assert {row[0] for row in rows} == {"drwxr-xr-x", "-rw-r--r--", "-rwxr-xr-x", "lrwxrwxrwx"}
     tops = {"/".join(row[5].split("/")[:3]) for row in rows}
-    assert tops == {"./", "./etc/", "./etc/failstop", "./opt/", "./opt/failstop", "./usr/"} | {
-        f"./usr/{part}" for part in ("bin", "lib", "share")
-    }, "nothing below /lib, which is a link where /usr is merged"
+    usr = {f"./usr/{part}" for part in ("bin", "lib", "share")}
+    own = {"./", "./opt/", "./opt/failstop", "./usr/"}
+    assert tops == own | usr, "nothing below /lib, which is a link where /usr is merged"
     assert not any(row[5].endswith(".egg-link") or "__editable__" in row[5] for row in rows)
 
 
@@ -248,44 +203,126 @@ def test_the_laboratory_is_a_package_of_its_own(place: Place, package: str) -> N
     )
 
 
-def test_the_package_installed_upgraded_removed_and_purged(place: Place, package: str) -> None:
+def test_installed_removed_and_purged(place: Place, package: str) -> None:
     before = place.files()
-    place.box.path("/dev/ttyACM0").symlink_to(BOARD)
-    place.box.run("dpkg", "-i", package)
+    place.plug()
+    said = place.dpkg("-i", package)
+    assert "Next: failstop status" in said
+    assert "does not run yet" not in said
     wait_for("the service to be ready", place.ready)
     assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
+    assert place.box.show("failstop-sleep.service", "UnitFileState") == {"UnitFileState": "enabled"}
     assert place.box.run("dpkg", "--verify", "failstop").stdout == "", "every file has its checksum"
     assert completes(place, "/usr/share/bash-completion/completions/failstop")
     shells = {"/usr/share/zsh/vendor-completions/_failstop", "/usr/share/fish/vendor_completions.d/failstop.fish"}
-    assert shells | {"/usr/share/man/man1/failstop.1.gz"} <= place.files()
-    assert "Debian package of failstop is installed here" in place.failstop("install", "--yes", code=1)
-    assert "apt remove failstop" in place.failstop("uninstall", "--yes", code=1)
-    place.box.path("/etc/failstop/failstop.toml").write_text(f'[device]\npath = "{BOARD}"\n')
-    pid = place.box.main_pid(UNIT)
+    assert shells | {"/usr/share/man/man1/failstop.1.gz", "/usr/bin/failstop"} <= place.files()
+    assert "failstop" in place.box.run("journalctl", "--list-catalog").stdout
+    assert f'path = "{LINK}"\n' in place.settings()
+    place.box.run("failstop", "config", "--check", SETTINGS)
+    place.box.run("failstop", "fleet", "--config", "/etc/failstop/fleet/fleet.toml", "config")
     place.board.events()
     with place.driving():
-        place.box.run("dpkg", "--force-confold", "-i", package)
-        assert stopped(place.board), "an upgrade restarts it, with motion disabled"
-    assert place.ready()
-    assert place.box.main_pid(UNIT) not in (0, pid)
-    place.box.ctl("disable", UNIT)
-    script = ("/var/lib/dpkg/info/failstop.postinst", "configure", "0.0.1")
-    place.box.run("env", "DPKG_MAINTSCRIPT_PACKAGE=failstop", *script)
-    assert place.box.show(UNIT, "UnitFileState") == {"UnitFileState": "disabled"}, "an administrator's choice stays"
-    assert BOARD in place.box.run("cat", "/etc/failstop/failstop.toml").stdout
-    place.box.run("dpkg", "-r", "failstop")
+        place.dpkg("-r", "failstop")
+        assert stopped(place.board)
     left = {path for path in place.files() - before if not path.startswith("/var/lib/failstop")}
-    assert left == {"/etc/failstop", "/etc/failstop/failstop.toml"}
-    place.box.run("dpkg", "-i", package)
+    fleet = {"/etc/failstop/fleet", "/etc/failstop/fleet/fleet.toml"}
+    assert left == {"/etc/failstop", SETTINGS} | fleet
+    assert place.accounts()
+    place.dpkg("-i", package)
     assert place.ready()
-    place.box.run("dpkg", "-P", "failstop")
-    place.box.path("/dev/ttyACM0").unlink()
+    place.dpkg("-P", "failstop")
     assert not place.box.path("/var/lib/dpkg/info/failstop.list").exists()
 
 
-def test_the_package_does_not_go_over_an_installation(place: Place, package: str) -> None:
-    place.failstop("install", "--yes", "--device", BOARD, "--no-start")
-    done = place.box.run("dpkg", "-i", package, check=False)
-    assert done.returncode
-    assert "'failstop uninstall' first" in done.stderr
-    place.failstop("uninstall", "--yes", "--purge")
+def test_an_upgrade_and_a_way_back_stop_the_wheels_and_keep_the_settings(
+    place: Place, package: str, older: str
+) -> None:
+    place.plug()
+    place.dpkg("-i", older)
+    mine = f'# mine\n[device]\npath = "{BOARD}"\n'
+    place.box.path(SETTINGS).write_text(mine)
+    place.unplug()
+    for next_one in (package, older):
+        pid = place.pid(UNIT)
+        place.board.events()
+        with place.driving():
+            place.dpkg("-i", next_one)
+            assert stopped(place.board), "it is restarted, with motion disabled"
+        assert place.ready()
+        assert place.pid(UNIT) not in (0, pid)
+        assert place.settings() == mine
+    place.box.ctl("disable", "--now", UNIT)
+    place.dpkg("-i", package)
+    assert place.box.show(UNIT, "UnitFileState") == {"UnitFileState": "disabled"}, "an administrator's choice stays"
+    assert not place.ready()
+
+
+def test_without_a_board_it_waits_for_it(place: Place, package: str) -> None:
+    said = place.dpkg("-i", package)
+    assert "failstop does not run yet: is the board plugged in" in said
+    assert 'path = "/dev/ttyACM0"\n' in place.settings()
+    place.box.path("/dev/ttyACM0").symlink_to(BOARD)
+    wait_for("the service to be ready", place.ready, 30.0)
+    place.dpkg("-P", "failstop")
+    place.box.path("/dev/ttyACM0").unlink()
+
+
+def test_a_setting_that_the_new_version_refuses_is_named(place: Place, package: str) -> None:
+    place.box.path("/etc/failstop").mkdir()
+    place.box.path(SETTINGS).write_text("[gate]\nperiod = 1\n")
+    said = place.dpkg("-i", package)
+    assert "gate.period" in said
+    assert "failstop does not run yet" in said
+    assert place.settings() == "[gate]\nperiod = 1\n"
+
+
+def test_a_second_robot(place: Place, package: str) -> None:
+    place.plug()
+    place.dpkg("-i", package)
+    place.box.ctl("disable", "--now", UNIT)
+    place.box.path("/etc/failstop/front.toml").write_text(f'[device]\npath = "{LINK}"\n')
+    place.box.ctl("enable", "--now", "failstop@front")
+    assert place.active("failstop@front.service")
+    assert "front" in place.box.run("failstop", "status", "--name", "front").stdout
+    pid = place.pid("failstop@front.service")
+    place.dpkg("-i", package)
+    assert place.active("failstop@front.service"), "an upgrade starts it again"
+    assert place.pid("failstop@front.service") not in (0, pid)
+    place.dpkg("-r", "failstop")
+    assert not place.active("failstop@front.service")
+    assert not [path for path in place.files() if path.endswith("failstop@front.service")]
+
+
+def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, package: str) -> None:
+    place.plug()
+    place.dpkg("-i", package)
+    more = ("failstop-web.service", "failstop-fleet.service", "failstop-ros2@daemon.service")
+    for unit in more:
+        assert not place.active(unit)
+    place.box.run("failstop", "fleet", "key")
+    place.box.write(f"{OPERATES}/override.conf", "[Service]\nSupplementaryGroups=failstop\n")
+    place.box.write("/opt/ros/humble/setup.sh", "sleep 1000\n")
+    place.box.ctl("daemon-reload")
+    place.box.ctl("enable", "--now", *more)
+    group = place.box.run("getent", "group", "failstop").stdout.split(":")[2]
+    for unit in more:
+        assert place.active(unit)
+        [groups] = [
+            line.split()[1:]
+            for line in place.box.run("cat", f"/proc/{place.pid(unit)}/status").stdout.splitlines()
+            if line.startswith("Groups:")
+        ]
+        assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
+    assert place.box.show(more[2], "User") == {"User": "daemon"}
+    place.dpkg("-r", "failstop")
+    assert not any(place.active(unit) for unit in more)
+    assert not [path for path in place.files() if path.endswith(more)]
+    place.box.run("rm", "-r", "/opt/ros", OPERATES)
+    place.box.run("rm", "-rf", "/var/lib/private", "/var/lib/failstop-web", "/var/lib/failstop-fleet")
+
+
+def test_the_package_does_not_go_over_an_older_installation(place: Place, package: str) -> None:
+    place.box.write("/opt/failstop/install.json", "{}\n")
+    said = place.dpkg("-i", package, code=1)
+    assert "sudo /usr/local/bin/failstop uninstall" in said
+    place.box.run("rm", "-r", "/opt/failstop")

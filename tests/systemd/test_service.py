@@ -6,13 +6,11 @@ Limits are for busy machines; the bars are in the bench (bench/service.py).
 
 from __future__ import annotations
 
-import importlib.resources
 import json
 import os
 import signal
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +20,7 @@ from bench.service_scene import CONFIG, DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Stopped, wait_for
 from failstop.shm import layout
+from tests.systemd.units import SYSTEMD
 
 CHILDREN = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]
 LATEST_MS = 100.0
@@ -29,7 +28,6 @@ ALL_LATEST_MS = 1000.0
 """For systemd to notice, and to run the stop tool; p50 80 ms here."""
 WATCHDOG_S = 1.0
 SLEEP = "failstop-sleep.service"
-SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
 SLEEP_S = 3.0
 """For the start of a Python program on a busy machine."""
 BUSY_S = 2.0

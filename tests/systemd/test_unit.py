@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -22,7 +23,7 @@ from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
 ONE, MANY = "failstop.service", "failstop@.service"
-BRIDGE = "failstop-ros2.service"
+BRIDGE = "failstop-ros2@.service"
 FLEET = "failstop-fleet.service"
 SLEEP = "failstop-sleep.service"
 LATE = "failstop-late@.service"
@@ -42,7 +43,9 @@ def runnable(tmp_path: Path) -> Path:
 
 
 @needs_analyze
-@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service", BRIDGE, FLEET])
+@pytest.mark.parametrize(
+    "name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service", "failstop-ros2@root.service", FLEET]
+)
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
     """Its exit code is 0 for unknown keys and bad values too."""
     if "@" in name:
@@ -221,11 +224,23 @@ def test_the_bridges_unit_and_the_service_need_not_each_other() -> None:
     found = settings(BRIDGE)
     assert not {"PartOf", "Requires", "BindsTo", "Wants"} & {key for key, _ in found}
     given = dict(found)
-    assert given["SupplementaryGroups"] == GROUP
+    assert (given["User"], given["SupplementaryGroups"]) == ("%i", GROUP)
     assert given["Restart"] == "always"
     assert "ROS_LOG_DIR=/var/log/failstop-ros2" in given["Environment"]
     later = {"Type": 240, "LogsDirectory": 235, "SupplementaryGroups": 218, "Environment": 1, "EnvironmentFile": 1}
     assert all({**SINCE, **later, "After": 1, "Description": 1}.get(key, 999) <= OLDEST for key, _ in found)
+
+
+def test_the_bridge_sources_the_newest_ros(tmp_path: Path) -> None:
+    for name in ("humble", "jazzy"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "setup.sh").write_text(f"export ROS_DISTRO={name}\n")
+    words = shlex.split(dict(settings(BRIDGE))["ExecStart"].replace("$$", "$").replace("/opt/ros", str(tmp_path)))
+    assert words[-2:] == ["/opt/failstop/bin/failstop", "ros2"]
+    done = subprocess.run(
+        [*words[:-2], "printenv", "ROS_DISTRO"], capture_output=True, text=True, timeout=20, check=True
+    )
+    assert done.stdout == "jazzy\n"
 
 
 def test_the_fleets_unit_can_not_drive_and_the_service_does_not_need_it() -> None:

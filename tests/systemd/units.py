@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
-SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
+from tests.support.pages import ROOT
+
+SYSTEMD = ROOT / "systemd"
 OLDEST = 249
 """The systemd of Ubuntu 22.04."""
 BY_VERSION = (

@@ -150,6 +150,8 @@ def test_the_guest_has_what_failstop_needs() -> None:
     found = image.dependencies()
     assert any(one.startswith("msgpack") for one in found)
     assert any(one.startswith("setuptools") for one in found)
+    assert any(one.startswith("shtab") for one in found), "the package is built in there"
+    assert not any(one.startswith("failstop") for one in found)
     assert not any("python_version" in one for one in found)
 
 

@@ -1,14 +1,13 @@
-"""`python -m failstop.lab.pages man`, `causes` or `settings`: print systemd/failstop.1, docs/causes.md or
-docs/configuration.md."""
+"""`python -m failstop.lab.pages causes` or `settings`: print docs/causes.md or docs/configuration.md."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from failstop.lab.pages import causes, man, settings
+from failstop.lab.pages import causes, settings
 
-PAGES = {"man": man.page, "causes": causes.page, "settings": settings.page}
+PAGES = {"causes": causes.page, "settings": settings.page}
 
 parser = argparse.ArgumentParser(prog="python -m failstop.lab.pages", description=__doc__)
 parser.add_argument("page", choices=PAGES)

@@ -1,11 +1,13 @@
-"""The man page failstop(1), made from the parsers and a few paragraphs."""
+"""The man page failstop(1), made from the parsers and a few paragraphs: `python packaging/deb/man.py | man -l -`."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+
+import completion
 
 from failstop.cli import main as cli
-from failstop.cli.commands import completion
 from failstop.shm import root
 from failstop.version import VERSION
 
@@ -61,7 +63,7 @@ SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md
 def page() -> str:
     """The whole page, for man(7) macros."""
     lines = [
-        '.\\" Generated: python -m failstop.lab.pages man > systemd/failstop.1',
+        '.\\" Generated: packaging/deb/man.py',
         f'.TH FAILSTOP 1 "" "failstop {VERSION}" "User Commands"',
         ".nh",
         ".ad l",
@@ -130,3 +132,7 @@ def _escaped(text: str) -> str:
     """Text that means itself: a line's first dot or quote would be a request, a dash a hyphen."""
     text = text.replace("\\", "\\e").replace("-", "\\-").replace("'", "\\(aq").replace("`", "\\(ga")
     return f"\\&{text}" if text.startswith(".") else text
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())

@@ -1,24 +1,23 @@
-"""`failstop completion`: the script that makes a shell complete what is typed after `failstop`; and the whole command
-line as one parser, of which the man page is made too."""
+"""The scripts that make a shell complete what is typed after `failstop`; and the whole command line as one parser, of
+which the man page is made too.
+
+    python packaging/deb/completion.py bash|zsh|fish
+"""
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from argparse import SUPPRESS, ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser
 from collections.abc import Iterator
+
+import shtab
 
 from failstop.cli import main as cli
 
 SHELLS = ("bash", "zsh", "fish")
-
-EXAMPLES = """\
-source <(failstop completion bash)   # or in ~/.bashrc, for every shell
-failstop completion zsh > ~/.zfunc/_failstop
-failstop completion fish > ~/.config/fish/completions/failstop.fish
-"""
-
+FILES = ("FILE", "PATH", "LINK", "F", "F.PNG", "F.MCAP")
+"""What the help calls values that are files."""
 # Bash takes a word apart at each "=", and shtab counts the parts.
 EQUALS = """
 _failstop() {
@@ -33,48 +32,15 @@ complete -o bashdefault -F _failstop failstop
 """
 
 
-def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop completion`."""
-    parser.add_argument("shell", choices=SHELLS, help="for which shell")
-    parser.add_argument("--list", choices=("services", "incidents"), help=SUPPRESS)
-
-
-def main(arguments: Namespace) -> int:
-    """Print the script, or what it asks for."""
-    if arguments.list == "services":
-        from failstop import instances
-
-        print(*instances.listening(), sep="\n")
-    elif arguments.list == "incidents":
-        from failstop.incidents import files
-
-        print(files.LAST, *files.identities(os.environ), sep="\n")
-    else:
-        sys.stdout.write(script(arguments.shell))
-    return 0
-
-
 def script(shell: str) -> str:
     """The completion script for one of SHELLS."""
-    import shtab
-
-    files = dict.fromkeys(("FILE", "PATH", "LINK", "F", "F.PNG", "F.MCAP"), shtab.FILE) | {"DIR": shtab.DIRECTORY}
-    lists = {"name": _asked("services"), "id": _asked("incidents")}
+    kinds = dict.fromkeys(FILES, shtab.FILE) | {"DIR": shtab.DIRECTORY}
     parsers = whole()
     for parser in walk(parsers):
         for action in arguments(parser):
-            if found := lists.get(action.dest) or files.get(value(action)):
+            if found := kinds.get(value(action)):
                 action.complete = found  # type: ignore[attr-defined]
     return str(shtab.complete(parsers, shell)) + (EQUALS if shell == "bash" else "")
-
-
-def _asked(what: str) -> dict[str, str | dict[str, str]]:
-    """For shtab: values that the shell asks this command for, at the time of the completion."""
-    ask = f"failstop completion %s --list {what} 2>/dev/null"
-    bash = f'_failstop_{what}() {{ compgen -W "$({ask % "bash"})" -- "$1"; }}'
-    zsh = f'_failstop_{what}() {{ compadd -- ${{(f)"$({ask % "zsh"})"}} }}'
-    name = f"_failstop_{what}"
-    return {"bash": name, "zsh": name, "fish": f"({ask % 'fish'})", "preamble": {"bash": bash, "zsh": zsh}}
 
 
 def whole() -> ArgumentParser:
@@ -117,3 +83,7 @@ def value(action: argparse.Action) -> str:
     if action.choices:
         return f"{{{','.join(map(str, action.choices))}}}"
     return action.dest.upper() if action.option_strings else action.dest
+
+
+if __name__ == "__main__":
+    sys.stdout.write(script(sys.argv[1]))
