@@ -68,7 +68,7 @@ class Incidents:
         path = os.path.join(self._pictures.name, f"{identity}.png")
         async with self._one_at_a_time:
             if not os.path.exists(path):
-                await self._command("plot", identity, "--force", "-o", path)
+                await self._command("plot", identity, "-o", path)
                 self._forget()
         try:
             with open(path, "rb") as file:
@@ -106,7 +106,7 @@ class Incidents:
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:
-    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": memory.proof(head["stop"], head)}
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": ", ".join(memory.proofs(head))}
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

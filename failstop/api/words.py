@@ -50,9 +50,9 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
         (wz_radps, "rad/s", "turning left", "turning right"),
     )
     return ", ".join(
-        f"{abs(value):.2f} {unit} {one if value > 0 else other}"
+        f"{abs(value):.2f} {unit} {other if value < 0 else one}"
         for value, unit, one, other in axes
-        if abs(value) >= NOWHERE_MPS
+        if not abs(value) < NOWHERE_MPS  # a value that is no number is told of, too
     )
 
 

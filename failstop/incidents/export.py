@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from io import BytesIO
-from math import nan, tau
+from math import tau
 from typing import Any
 
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import WHEELS, Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
-from failstop.shm import layout
 
 NEEDS = "an export needs MCAP: pip install 'failstop[export]'"
+SUFFIX = ".mcap"
 FRAME = "base_link"
 TOPICS = {
     "command": "geometry_msgs/TwistStamped",
     "gated": "geometry_msgs/TwistStamped",
     "wheels": "sensor_msgs/JointState",
     "imu": "sensor_msgs/Imu",
-    "battery": "sensor_msgs/BatteryState",
     "events": "rcl_interfaces/Log",
-    "processes": "diagnostic_msgs/DiagnosticArray",
 }
 """Below /failstop: the newest command of each tick in which one came; what the gate made of it, each tick; each motor
-frame and stop burst written (rad/s); IMU; battery; what people were told, and the cause; how long each process was
-silent, 10 Hz."""
+frame and stop burst written (rad/s); IMU; what people were told, and the cause."""
 FIELDS = {
     "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
@@ -40,19 +37,8 @@ FIELDS = {
     "geometry_msgs/Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
     "sensor_msgs/JointState": "std_msgs/Header header; "
     "string[] name; float64[] position; float64[] velocity; float64[] effort",
-    "sensor_msgs/BatteryState": "uint8 POWER_SUPPLY_STATUS_UNKNOWN=0; uint8 POWER_SUPPLY_STATUS_CHARGING=1; "
-    "uint8 POWER_SUPPLY_STATUS_DISCHARGING=2; uint8 POWER_SUPPLY_STATUS_NOT_CHARGING=3; "
-    "uint8 POWER_SUPPLY_STATUS_FULL=4; std_msgs/Header header; "
-    "float32 voltage; float32 temperature; float32 current; float32 charge; "
-    "float32 capacity; float32 design_capacity; float32 percentage; "
-    "uint8 power_supply_status; uint8 power_supply_health; uint8 power_supply_technology; bool present; "
-    "float32[] cell_voltage; float32[] cell_temperature; string location; string serial_number",
     "rcl_interfaces/Log": "byte DEBUG=10; byte INFO=20; byte WARN=30; byte ERROR=40; byte FATAL=50; "
     "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; string function; uint32 line",
-    "diagnostic_msgs/KeyValue": "string key; string value",
-    "diagnostic_msgs/DiagnosticStatus": "byte OK=0; byte WARN=1; byte ERROR=2; byte STALE=3; "
-    "byte level; string name; string message; string hardware_id; diagnostic_msgs/KeyValue[] values",
-    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header; diagnostic_msgs/DiagnosticStatus[] status",
 }
 """The messages' own fields."""
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
@@ -68,18 +54,18 @@ def save(incident: Incident, path: str) -> int:
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
+    if not path.endswith(SUFFIX):
+        raise IncidentError(f"{path}: an export's name ends in {SUFFIX}")
     found = sorted((*_motion(incident), *_board(incident), *_told(incident)), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)
     kinds = dict.fromkeys(TOPICS.values())
     schemas = {name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name)) for name in kinds}
-    counts = dict.fromkeys(TOPICS, 0)
     for ns, topic, value in found:
-        counts[topic] += 1
-        at_ns = incident.unix_ns(ns)
+        at_ns: int = ns + incident.head["unix_minus_monotonic_ns"]
         stamp = dict(zip(("sec", "nanosec"), divmod(at_ns, 1_000_000_000), strict=True))
         whole = {"stamp": stamp, "header": {"stamp": stamp, "frame_id": FRAME}, **value}
-        writer.write_message(f"/failstop/{topic}", schemas[TOPICS[topic]], whole, at_ns, at_ns, counts[topic])
+        writer.write_message(f"/failstop/{topic}", schemas[TOPICS[topic]], whole, at_ns, at_ns)
     writer.finish()
     files.write_as(path, made.getvalue())
     return len(found)
@@ -117,10 +103,6 @@ def _board(incident: Incident) -> Iterator[Message]:
     for sample in incident.imu:
         acceleration, rate = (dict(zip("xyz", of, strict=True)) for of in (sample.acceleration_mps2, sample.rate_radps))
         yield sample.t_ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
-    unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
-    for ns, millivolts, plugged in incident.battery:
-        # The charger's numbers are those of a power supply's status: unknown, charging, discharging.
-        yield ns, "battery", {**unknown, "voltage": millivolts / 1e3, "present": True, "power_supply_status": plugged}
 
 
 def _told(incident: Incident) -> Iterator[Message]:
@@ -128,12 +110,3 @@ def _told(incident: Incident) -> Iterator[Message]:
     for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
         number = LOG_LEVELS.get(level, LOG_LEVELS["info"])
         yield ns, "events", {"level": number, "name": f"failstop.{kind}", "msg": text}
-    allowed_us = [incident.allowed_ns(process) / 1000 for process in layout.PROCESSES]
-    for ns, times in incident.beats:
-        status = []
-        for process, most_us, (silent_us, _) in zip(layout.PROCESSES, allowed_us, times, strict=True):
-            late = silent_us > most_us
-            row = {"level": 2, "message": "silent for too long"} if late else {"level": 0, "message": "beats"}
-            values = [{"key": "silent_ms", "value": f"{silent_us / 1e3:.3f}"}]
-            status.append({**row, "name": process, "hardware_id": incident.head["host"], "values": values})
-        yield ns, "processes", {"status": status}

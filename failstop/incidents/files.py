@@ -38,7 +38,6 @@ LONGEST_BODY = 64 * 1024 * 1024
 """Uncompressed; what claims to be longer is damage, and not worth the memory."""
 FOLDER = "incidents"
 LAST = "last"
-MOST_NAMED = 4
 
 
 class IncidentError(FailstopError):
@@ -57,7 +56,11 @@ def write(folder: str, name: str, data: bytes) -> str:
     """Write a file under a name that nobody has yet; returns its path. It is whole, and on the disk, or not there.
     Raises OSError."""
     os.makedirs(folder, exist_ok=True)
-    clear_drafts(folder)
+    for entry in os.listdir(folder):
+        # What writers that are dead have left takes room that this file may need.
+        if entry.startswith(DRAFT) and not os.path.exists(f"/proc/{entry.removeprefix(DRAFT)}"):
+            with contextlib.suppress(OSError):
+                os.unlink(os.path.join(folder, entry))
     draft = os.path.join(folder, f"{DRAFT}{os.getpid()}")
     durable.write_draft(draft, data)
     names = (f"{name}{f'-{number}' * (number > 1)}{SUFFIX}" for number in count(1))
@@ -74,15 +77,6 @@ def write_as(path: str, data: bytes) -> None:
         durable.publish(draft, path)
     except OSError as error:
         raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-
-
-def clear_drafts(folder: str) -> None:
-    """Remove what writers that are dead have left."""
-    for entry in os.listdir(folder):
-        pid = entry[len(DRAFT) :]
-        if entry.startswith(DRAFT) and pid.isdigit() and not os.path.exists(f"/proc/{pid}"):
-            with contextlib.suppress(OSError):
-                os.unlink(os.path.join(folder, entry))
 
 
 def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -111,27 +105,20 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
         raise IncidentError(f"{path} is damaged: its {what} does not match its checksum")
     try:
         if what == "body":
-            inflater = zlib.decompressobj()
-            data = inflater.decompress(data, LONGEST_BODY)
-            if inflater.unconsumed_tail:
-                raise ValueError(f"more than {LONGEST_BODY} bytes")
+            # What is cut off here can't be unpacked.
+            data = zlib.decompressobj().decompress(data, LONGEST_BODY)
         found: dict[str, Any] = msgpack.unpackb(data, strict_map_key=False)
     except (zlib.error, ValueError, msgpack.UnpackException) as error:
         raise IncidentError(f"{path} is damaged: its {what} can't be decoded ({error})") from None
     return found
 
 
-def _home(environ: Mapping[str, str]) -> str:
-    return os.path.join(environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state"), "failstop")
-
-
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
     """Every folder in which a service of this name may have kept incidents: as one that was started from here, and as
     one of the system's, that systemd gave its state directory."""
-    without = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
-    base = root.at(SYSTEM_BASE)
-    places = [state_directory(name, environ), state_directory(name, without), os.path.join(base, name), base]
-    places.append(os.path.join(_home(environ), name))
+    elsewhere = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
+    places = [state_directory(name, given) for given in (environ, elsewhere)]
+    places.append(os.path.join(root.at(SYSTEM_BASE), name))
     return [path for place in dict.fromkeys(places) if os.path.isdir(path := os.path.join(place, FOLDER))]
 
 
@@ -162,29 +149,17 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
     return sorted(found, key=lambda head: float(head.get("t", 0.0))), problems
 
 
-def prune(folder: str, name: str, keep: int, most_bytes: int) -> list[str]:
+def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
     """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
-    but the newest; returns the file names that were removed. What is no incident is left alone."""
+    but the newest. What is no incident is left alone."""
     # By the time of saving: an old run's incident is saved after newer ones of nobody.
     newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
-    removed, total = [], 0
+    total = 0
     for index, path in enumerate(head["path"] for head in newest_first):
         with contextlib.suppress(OSError):
-            size = os.stat(path).st_size
-            if index and (index >= keep or total + size > most_bytes):
+            total += os.stat(path).st_size
+            if index and (index >= keep or total > most_bytes):
                 os.unlink(path)
-                removed.append(os.path.basename(path))
-            else:
-                total += size
-    return removed
-
-
-def identities(environ: Mapping[str, str]) -> list[str]:
-    """The ids of all incidents on this machine, whatever service they are of; as far as this user may look."""
-    from glob import glob
-
-    places = [os.path.join(base, deep) for base in (root.at(SYSTEM_BASE), _home(environ)) for deep in ("", "*")]
-    return sorted(identity(path) for place in places for path in glob(os.path.join(place, FOLDER, "*" + SUFFIX)))
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
@@ -192,19 +167,15 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
     places = folders(name, environ)
-    found, problems = heads(name, places)
     # A damaged file is not in the list; whoever names it should be told why.
     if whole := [path for folder in places if os.path.exists(path := os.path.join(folder, wanted + SUFFIX))]:
         return whole[0]
+    found, problems = heads(name, places)
     meant = found[-1:] if wanted == LAST else [head for head in found if head["id"].startswith(wanted)]
     if len(meant) == 1:
         return str(meant[0]["path"])
     if meant:
-        newest = ", ".join(head["id"] for head in meant[-MOST_NAMED:])
-        more = f" and {len(meant) - MOST_NAMED} older ones" if len(meant) > MOST_NAMED else ""
-        raise IncidentError(f"incident {wanted!r} may be {newest}{more}: write more of it")
-    if not found:
-        more = f"; {problems[0]}" if problems else ""
-        where = ", ".join(places) or "no folder for them"
-        raise IncidentError(f"no incidents of {name!r} ({where}): nothing was latched yet, or see --name{more}")
-    raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
+        raise IncidentError(f"incident {wanted!r} may be {', '.join(head['id'] for head in meant)}: write more of it")
+    if found:
+        raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
+    raise IncidentError("; ".join((f"no incidents of {name!r}: nothing was latched yet, or see --name", *problems)))

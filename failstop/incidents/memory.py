@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
-UNSTILL = "wheels NOT seen still"
+NOT_KNOWN = "not known"
 LEVELS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
 _WORD = struct.Struct("<Q")
 
@@ -70,17 +70,6 @@ def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
     return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
 
 
-def unsaved_cause(segments: Segments, start_ns: int) -> tuple[int, int, Cause] | None:
-    """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
-    supervisor lived on for `start_ns`, from a stop to its saver's start."""
-    supervisor = segments[layout.SUPERVISOR]
-    with contextlib.suppress(KeyError, ValueError):
-        epoch, cause_ns, _, packed = records.LATCH.unpack(supervisor["latest"]["latch"][2])
-        if epoch and supervisor["words"]["beat_ns"] < cause_ns + start_ns:
-            return cause_ns, epoch, causes.read(packed)
-    return None
-
-
 def left_cause(segments: Segments) -> tuple[int, int, Cause]:
     """What ended a run that was not ended in order: (cause_ns, epoch, cause), by the port owner's word where it has
     outlived the supervisor, else by the last sign of life."""
@@ -101,8 +90,8 @@ def left_cause(segments: Segments) -> tuple[int, int, Cause]:
     return last_ns, raised, causes.ALL_DIED()
 
 
-def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
-    """What the rings hold of the stop for this cause, as supervisor/stops.py has it; None: nobody wrote one."""
+def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
+    """`written_by` and `written_us` of the stop for this cause, by what the rings hold; empty: nobody wrote one."""
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
@@ -110,8 +99,8 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
             written[ns] = "port owner"
     first_ns = min((ns for ns in written if ns >= cause_ns), default=None)
     if first_ns is None:
-        return None
-    return dict.fromkeys(LEVELS) | {"written_by": written[first_ns], "written_us": (first_ns - cause_ns) / 1e3}
+        return {}
+    return {"written_by": written[first_ns], "written_us": (first_ns - cause_ns) / 1e3}
 
 
 def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | None:
@@ -128,7 +117,10 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
         found = {level: last.get(level) for level in LEVELS}
     for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
         fields = event.get("fields", {})
-        if not isinstance(fields, dict) or not tells_of(fields, cause) or fields.get("epoch", 0) < epoch:
+        if not isinstance(fields, dict) or fields.get("cause") != cause.kind.name or fields.get("epoch", 0) < epoch:
+            continue
+        # It may have been cut.
+        if not str(cause).startswith(str(fields.get("reason", ""))):
             continue
         if event.get("kind") == "stop":
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}
@@ -147,30 +139,20 @@ def as_map(payload: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
-    """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
-    if stop is None:
-        return "not known whether a stop was written"
-    parts = [f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"]
-    if stop.get("written_us") is not None:
-        parts = [f"written after {took(stop['written_us'] / 1e6)}"]
+def proofs(head: dict[str, Any]) -> list[str]:
+    """What is known of the three levels, in a few words each, by the head of an incident."""
+    stop: dict[str, Any] = head["stop"] or {}
+    heard, seen = f"answer of the board: {NOT_KNOWN}", f"standstill: {NOT_KNOWN}"
+    written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"
+    if not stop:
+        written = f"whether a stop was written: {NOT_KNOWN}"
+    elif stop.get("written_us") is not None:
+        written = f"written after {took(stop['written_us'] / 1e6)}"
     if (heard_us := stop.get("acknowledged_us")) is not None:
-        parts.append(f"acknowledged after {took(heard_us / 1e6)}")
+        heard = f"acknowledged after {took(heard_us / 1e6)}"
     if (seen_ms := stop.get("observed_ms")) is not None:
         # Without a word that would not fit a line of 80 columns.
-        parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
+        seen = wheels_seen(seen_ms / 1e3).removeprefix("wheels ")
     elif stop.get("wheels") == "unstill":
-        parts.append(UNSTILL)
-    return ", ".join(parts)
-
-
-def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
-    """True when an event with these fields is of this cause, as far as its text was not cut."""
-    return fields.get("cause") == cause.kind.name and str(cause).startswith(str(fields.get("reason", "")))
-
-
-def short(cause: Cause) -> str:
-    """Its text without who asked for it."""
-    if cause.kind is causes.FLEET:
-        return str(cause).removesuffix(f" (by {cause.named()['who']})")
-    return str(causes.PIPED(cause.named()["words"])) if cause.kind is causes.REQUESTED else str(cause)
+        seen = "wheels NOT seen still"
+    return [written, heard, seen]

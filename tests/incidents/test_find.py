@@ -86,43 +86,43 @@ def test_the_oldest_go_first_and_nothing_of_others_is_touched(environ: dict[str,
     folder = tmp_path / "state" / "incidents"
     (folder / "notes.txt").write_text("mine")
     (folder / "broken.incident").write_bytes(b"?")
-    assert prune(str(folder), "failstop", 2, 10**9) == [f"{IDS[0]}.incident"]
+    prune(str(folder), "failstop", 2, 10**9)
     left = {"notes.txt", "broken.incident", "20260930-000000-other.incident"}
     assert set(os.listdir(folder)) == left | {f"{identity}.incident" for identity in IDS[1:]}
-    assert prune(str(folder), "failstop", 2, 10**9) == []
+    prune(str(folder), "failstop", 2, 10**9)
+    assert len(os.listdir(folder)) == 5
 
 
 def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tmp_path: Path) -> None:
     folder = tmp_path / "state" / "incidents"
     size = os.stat(folder / f"{IDS[0]}.incident").st_size
-    assert prune(str(folder), "failstop", 50, size * 2 + size // 2) == [f"{IDS[0]}.incident"]
-    assert prune(str(folder), "failstop", 50, 1) == [f"{IDS[1]}.incident"]
+    prune(str(folder), "failstop", 50, size * 2 + size // 2)
+    assert set(os.listdir(folder)) == {f"{identity}.incident" for identity in (*IDS[1:], "20260930-000000-other")}
+    prune(str(folder), "failstop", 50, 1)
     assert Incident.read(files.find("last", "failstop", environ)).id == IDS[2]
 
 
 @pytest.mark.usefixtures("environ")
 @pytest.mark.slow
-def test_a_file_is_named_for_the_incident_and_none_is_written_over(
+def test_a_file_is_named_for_the_incident_or_as_it_was_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
     pytest.importorskip("mcap_ros2.writer")
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "there").mkdir()
     for action, suffix in (("plot", "png"), ("export", "mcap")):
         name = f"{IDS[-1]}.{suffix}"
         assert main(["incident", action]) == 0
         assert capsys.readouterr().out.startswith(f"wrote {name}")
-        made = (tmp_path / name).read_bytes()
-        (tmp_path / name).write_text("mine")
-        assert main(["incident", action]) == 1
-        assert capsys.readouterr().err == f"failstop: {name} is there already: -f writes over it, -o FILE another\n"
-        assert (tmp_path / name).read_text() == "mine"
-        assert main(["incident", action, "last", "-f"]) == 0
-        assert (tmp_path / name).read_bytes()[:4] == made[:4]
-        assert main(["incident", action, IDS[0], "-o", "there"]) == 0
-        assert (tmp_path / "there" / f"{IDS[0]}.{suffix}").stat().st_size > 1000
+        assert main(["incident", action, IDS[0], "-o", f"mine.{suffix}"]) == 0
+        for made in (name, f"mine.{suffix}"):
+            assert (tmp_path / made).stat().st_size > 1000
         capsys.readouterr()
+        other = tmp_path / "state" / "incidents" / f"{IDS[0]}.incident"
+        before = other.read_bytes()
+        assert main(["incident", action, "-o", str(other)]) == 1
+        assert f"{other}: " in capsys.readouterr().err
+        assert other.read_bytes() == before, "an incident is not written over"
 
 
 @pytest.mark.usefixtures("environ")

@@ -1,84 +1,99 @@
-"""A stop of a moment ago: its file is waited for, and nobody is shown an older one as the last."""
+"""A stop of a moment ago: its file is waited for, and nobody is shown an older one as the last without a word."""
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
-import msgpack
 import pytest
 
+from failstop.api.errors import NoService
+from failstop.api.snapshot import State
 from failstop.cli.commands import incident as command
 from failstop.cli.main import main
 from failstop.policy import causes
-from failstop.shm import layout, segment
+from tests.support.incident_parts import drive_and_die
+from tests.support.states import latched, state, stop
 
-RUN = 0x99
-DIED = causes.DIED("gate").pack()
-NOW_S = 1_790_000_000.0
-SAVED = {"run": f"{RUN:016x}", "epoch": 7}
-
-
-class Service:
-    """The supervisor's segment, and in it the last stop."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.memory = segment.memory(name, RUN)
-        segment.create(self.memory, layout.SUPERVISOR, RUN).close()
-        self._stop = segment.attach(self.memory, layout.SUPERVISOR, RUN, write=True).latest_writer("stop")
-
-    def stopped(self, **fields: Any) -> None:
-        stop = {"cause": DIED, "latched": DIED, "epoch": 7, "t": NOW_S - 1.0}
-        self._stop.write(msgpack.packb(stop | fields))
+DIED = causes.DIED("gate")
+STOPPED_S = 1_700_000_000.0
 
 
 @pytest.fixture
-def service() -> Iterator[Service]:
-    made = Service(f"pending{os.getpid()}")
-    yield made
-    segment.unlink_all(made.memory)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    return tmp_path / "incidents"
 
 
-def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:
-    assert command.unsaved(service.name, [], NOW_S) == "", "there was no stop"
-    service.stopped()
-    assert command.unsaved(service.name, [], NOW_S) == "gate died"
+def runs(monkeypatch: pytest.MonkeyPatch, told: State | None) -> None:
+    """A service that tells this of itself; None: there is none."""
+
+    class Reader:
+        def __init__(self, name: str) -> None:
+            if told is None:
+                raise NoService(name)
+
+        def read(self) -> State:
+            assert told is not None
+            return told
+
+    monkeypatch.setattr(command, "StateReader", Reader)
 
 
-@pytest.mark.parametrize(
-    ("heads", "fields"),
-    [
-        ([SAVED], {}),
-        ([SAVED | {"epoch": 8}], {}),
-        ([], {"t": NOW_S - command.RECENT_S - 1}),
-        ([], {"t": NOW_S + 60}),
-        ([], {"latched": causes.DIED("telemetry").pack()}),
-        ([], {"t": "junk"}),
-    ],
-)
-def test_nothing_is_to_come(service: Service, heads: list[dict[str, Any]], fields: dict[str, Any]) -> None:
-    service.stopped(**fields)
-    assert command.unsaved(service.name, heads, NOW_S) == ""
+def saved(folder: Path, after_s: float) -> None:
+    """An incident whose cause was so long after the stop."""
+    drive_and_die().save(folder, "20260921-143320-gate-died", unix_ns=round((STOPPED_S + after_s) * 1e9))
 
 
-@pytest.mark.parametrize("head", [SAVED | {"epoch": 6}, SAVED | {"run": "another"}])
-def test_another_stops_file_is_not_this_ones(service: Service, head: dict[str, Any]) -> None:
-    service.stopped()
-    assert command.unsaved(service.name, [head], NOW_S) == "gate died"
+STOPPED = latched(DIED, last_stop=stop(DIED, t=STOPPED_S))
+AGAIN = latched(DIED, last_stop=stop(causes.DIED("telemetry"), t=STOPPED_S))
+RESET = state(last_stop=stop(DIED, t=STOPPED_S))
 
 
-def test_without_a_service_nobody_waits() -> None:
-    assert command.unsaved("nobody-of-this-name", [], NOW_S) == ""
+@pytest.mark.parametrize("told", [STOPPED, RESET])
+def test_a_stop_that_is_in_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch, told: State) -> None:
+    runs(monkeypatch, told)
+    assert command.unsaved("failstop") == told.last_stop
+    saved(folder, -30.0)
+    assert command.unsaved("failstop") == told.last_stop, "that is another's file"
+    saved(folder, 0.002)
+    assert command.unsaved("failstop") is None
 
 
-def test_show_says_that_it_is_to_come(
-    service: Service, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("told", [None, state(), AGAIN])
+@pytest.mark.usefixtures("folder")
+def test_nothing_is_to_come(monkeypatch: pytest.MonkeyPatch, told: State | None) -> None:
+    runs(monkeypatch, told)
+    assert command.unsaved("failstop") is None
+
+
+def test_its_file_is_waited_for(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "PATIENCE_S", 0.0)
-    service.stopped(t=time.time())
-    assert main(["incident", "show", "--name", service.name]) == 1
-    told = "failstop: the stop (gate died) is not saved yet: again in a few seconds\n"
-    assert capsys.readouterr().err == told
+    runs(monkeypatch, STOPPED)
+    saved(folder, -30.0)
+    now_s = [STOPPED_S + 1.0]
+
+    def sleep(seconds: float) -> None:
+        now_s[0] += seconds
+        if now_s[0] > STOPPED_S + 2.4:
+            saved(folder, 0.0)
+
+    monkeypatch.setattr(command.time, "sleep", sleep)  # type: ignore[attr-defined]
+    monkeypatch.setattr(command.time, "time", lambda: now_s[0])  # type: ignore[attr-defined]
+    assert main(["incident", "show"]) == 0
+    shown = capsys.readouterr()
+    assert "Incident 20260921-143320-gate-died-2\n" in shown.out
+    assert shown.err == ""
+
+
+def test_an_older_one_is_not_shown_without_a_word(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs(monkeypatch, STOPPED)
+    saved(folder, -30.0)
+    assert time.time() > STOPPED_S + command.SAVED_S
+    assert main(["incident", "show"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.startswith("Incident ")
+    assert shown.err == "failstop: the last stop (gate died) is in no file so far: this is another\n"

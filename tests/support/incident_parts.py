@@ -129,7 +129,7 @@ class Recorder:
             rings = {ring: kept.entries for (segment, ring), kept in self.rings.items() if segment == name}
             segments[name] = {"words": words, "latest": {}, "rings": rings}
         settings = dict(line.split("=", 1) for line in self.settings.lines().splitlines())
-        machine = {"load": [0.5, 0.4, 0.3], "cores": 4, "available_mb": 3000, "pressure_cpu_percent": 12.5}
+        machine = {"cores": 4, "load": "0.50 0.40 0.30"}
         return {"segments": segments, "settings": settings, "machine": machine}
 
     def incident(self, identity: str = "20260921-143320-gate-died") -> Incident:
