@@ -122,7 +122,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     if not here(name):
         from failstop.api.errors import FailstopError
 
-        raise FailstopError(f"`failstop {name}` is not installed here; next: pip install 'failstop[lab]'")
+        raise FailstopError(f"`failstop {name}` is not installed here; next: install failstop-lab (docs/install.md)")
     module = __import__(f"failstop.{home}", fromlist=["main"])
     parser = argparse.ArgumentParser(
         prog=f"failstop {name}",
