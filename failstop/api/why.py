@@ -157,6 +157,8 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
+    if not all(process.early_news for process in state.processes.values() if process.pid):
+        found.append("this kernel tells of deaths late, and stops after one come later (`failstop doctor` says more)")
     if state.age_s > verdict.STALE_S:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:

@@ -102,6 +102,12 @@ def test_restarts_and_missing_rights_are_remarked() -> None:
     assert "none" in said
 
 
+def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
+    late = process(early_news=False)
+    assert "this kernel tells of deaths late" in shown(summary.lines(state(processes={"gate": late}), NOW_S, 120))
+    assert "deaths late" not in shown(summary.lines(state(processes={"gate": process()}), NOW_S, 120))
+
+
 def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
     found = Live("failstop")
     lines: list[style.Line] = []
