@@ -87,6 +87,37 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/gate/conditions.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
 )
 
+TELEMETRY = (
+    Reason("procs/telemetry/battery.py", r"PLUGGED if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
+    Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
+    Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
+    Reason(
+        "procs/telemetry/pad.py", r"\+\s+self\._hold_(frames_missing = 1|spent = True)$", "a hold that begins sets it"
+    ),
+    Reason("procs/telemetry/pad.py", r"\+.*abs\(side\) > \(?CHOOSES", "no whole number is 0.7 x 127, or half of it"),
+    Reason("procs/telemetry/pad.py", r"\+.*\+ \(1 if side >= 0 else", "in the middle it does not choose"),
+    Reason("procs/telemetry/pad.py", r"\+.*\(self\._raw\) or True else 0", "a frame has come before it is asked"),
+    Reason("procs/telemetry/pad.py", r"\+.*if self\._raw else 1$", "without a frame there is nothing to join"),
+    Reason(
+        "procs/telemetry/pad.py",
+        r"\+.*abs\(value\) > self\._dead_zone",
+        "127 is a prime: no axis lies on a setting of less than 16 digits",
+        same=False,
+    ),
+    Reason(
+        "procs/telemetry/still.py",
+        r"\+\s+self\._(begun|last)_ns = 1$",
+        "the first nanosecond of the machine, which no sample is of",
+    ),
+    Reason(
+        "procs/telemetry/still.py",
+        r"\+\s+self\._quiet_ns = \((0, 1|1, 0)\)$",
+        "the first sample sets both to zero; the second is read only behind the first, of a run",
+    ),
+    Reason("procs/telemetry/still.py", r"\+.*spread_y\) > self\._limit", "exact equality of a sum", same=False),
+    Reason("procs/telemetry/still.py", r"\+.*if not self\._quiet_ns\[1\]:", "both are zero, or none is"),
+)
+
 SHM: tuple[Reason, ...] = (
     Reason("shm/bell.py", r"\n\+.*os\.read\(self\.fd, 9\)", "an eventfd gives 8 bytes"),
     Reason("shm/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
@@ -220,4 +251,4 @@ SUPERVISOR = (
     Reason("supervisor/aftermath.py", r"max\(1, written_ns", "a nanosecond, of a time in microseconds", same=False),
 )
 
-REASONS = (*EVERYWHERE, *PROCS, *SHM, *SUPERVISOR)
+REASONS = (*EVERYWHERE, *PROCS, *TELEMETRY, *SHM, *SUPERVISOR)

@@ -199,6 +199,11 @@ def test_a_battery_that_stays_low_stops_once_until_it_was_charged() -> None:
     assert stops == [2 * LOW_READINGS - 1, len(readings) - 1]
 
 
+def test_who_finds_the_robot_stopped_reads_the_volts_that_stopped_it() -> None:
+    tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
+    assert [str(tested.take(10_490)) for _ in range(LOW_READINGS)][-1] == "the battery is at 10.49 V"
+
+
 def test_without_its_setting_no_battery_stops() -> None:
     tested = LowBattery(Settings())
     assert [tested.take(0) for _ in range(2 * LOW_READINGS)] == [None] * (2 * LOW_READINGS)
@@ -237,6 +242,15 @@ def test_after_a_silence_lines_are_not_made_up_for() -> None:
     assert tested.take(11_800, False, 95 * S, NOON)
     assert not tested.take(11_800, False, 104 * S, NOON)
     assert tested.take(11_800, False, 105 * S, NOON)
+
+
+def test_a_reading_at_the_very_time_of_the_next_line_writes_one_line() -> None:
+    """Else every such meeting puts a second line into the file, a reading later."""
+    tested = log()
+    tested.take(11_800, False, 0, NOON)
+    assert tested.take(11_800, False, 20 * S, NOON)
+    assert not tested.take(11_800, False, 30 * S - 1, NOON)
+    assert tested.take(11_800, False, 30 * S, NOON)
 
 
 def test_one_file_a_day() -> None:

@@ -69,8 +69,9 @@ def test_any_button_but_mode_stops_on_its_first_frame(held: Held) -> None:
     assert held.tap(MODE).cause is None
 
 
-def test_the_first_frame_of_all_stops_too() -> None:
-    assert str(Held().frame(X).cause) == "gamepad button 0x0100"
+@pytest.mark.parametrize("button", [1 << bit for bit in range(16) if 1 << bit != MODE])
+def test_the_first_frame_of_all_stops_too(button: int) -> None:
+    assert str(Held().frame(button).cause) == f"gamepad button 0x{button:04X}"
 
 
 @pytest.mark.parametrize("button", BUTTONS.values(), ids=BUTTONS.keys())
@@ -276,12 +277,13 @@ def test_the_hold_is_a_setting() -> None:
     assert resets(held.frames(30, MODE)) == [20]
 
 
-def test_a_button_held_into_a_silence_does_not_mask_the_next_tap(held: Held) -> None:
+@pytest.mark.parametrize("button", [1 << bit for bit in range(16) if 1 << bit != MODE])
+def test_a_button_held_into_a_silence_does_not_mask_the_next_tap_of_any(held: Held, button: int) -> None:
     assert held.frame(X).cause
     assert held.frame(X).cause is None
     held.silence(500)
     held.now_ns += 1
-    assert str(held.frame(X).cause) == "gamepad button 0x0100"
+    assert str(held.frame(button).cause) == f"gamepad button 0x{button:04X}"
 
 
 def test_a_silence_of_0_5_s_is_still_the_same_hold(held: Held) -> None:
@@ -349,3 +351,47 @@ def test_with_an_arm_there_is_a_third_mode_whose_sticks_choose_and_turn_a_joint(
     assert held.frame(X).arm == (0, 0.0), "a trip lets go"
     assert held.pad.mode == LOCKED
     assert held.frame().arm is None
+
+
+@pytest.fixture
+def armed() -> Held:
+    """A pad in the mode of the joints, of three."""
+    made = Held(**{"joints.base.servo": 1, "joints.elbow.servo": 2, "joints.wrist.servo": 4})
+    made.frame()
+    made.tap()
+    made.tap()
+    assert made.pad.mode == JOINT
+    return made
+
+
+def chosen(held: Held, *sticks: int) -> list[int]:
+    """The joint that is chosen after each of these positions of the left stick."""
+    return [news.arm[0] for news in (held.frame(lx=lx) for lx in sticks) if news.arm]
+
+
+def test_a_push_to_the_right_is_the_next_joint_and_one_to_the_left_the_one_before(armed: Held) -> None:
+    """Who pushes the wrong way turns a joint that is not the one he looks at."""
+    assert chosen(armed, 127, 0, 127, 0, 127, 0) == [1, 1, 2, 2, 0, 0]
+    assert chosen(armed, -128, 0, -127, 0, -127, 0) == [2, 2, 1, 1, 0, 0]
+
+
+def test_a_push_chooses_from_0_7_on_and_again_once_it_was_back_within_half_of_that(armed: Held) -> None:
+    """A thumb that trembles at the end of its way, or pushes slowly, chooses one joint, the one it means."""
+    assert chosen(armed, 45, 88, 89) == [0, 0, 1], "88/127 is 0.693"
+    assert chosen(armed, 88, 45, 127) == [1, 1, 1], "45/127 is 0.354"
+    assert chosen(armed, 44, 127) == [1, 2], "44/127 is 0.346"
+
+
+def test_a_push_that_enters_the_mode_of_the_joints_chooses_too() -> None:
+    held = Held(**{"joints.base.servo": 1, "joints.wrist.servo": 4})
+    held.frame()
+    held.tap()
+    assert held.frame(MODE, lx=127).arm == (1, 0.0)
+
+
+def test_mode_leads_from_the_joints_back_to_locked(armed: Held) -> None:
+    """Else no press of MODE takes the sticks off the arm."""
+    armed.tap()
+    assert armed.pad.mode == LOCKED
+    assert armed.tap().arm is None
+    assert armed.pad.mode == DRIVE

@@ -80,6 +80,21 @@ def test_shaking_on_either_axis_is_not_still(x_radps: float, y_radps: float) -> 
     assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
 
 
+@pytest.mark.parametrize(("x_radps", "y_radps"), [(0.0, 0.0036), (0.0036, 0.0)])
+def test_shaking_counts_while_the_other_axis_repeats_one_value(x_radps: float, y_radps: float) -> None:
+    """Wheels that go on turning after a stop are told of, and not taken for a sensor that has died."""
+    tested = Shaken()
+    tested.feed(200, x_radps, y_radps, bias_radps=0.1)
+    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
+
+
+@pytest.mark.parametrize(("x_radps", "y_radps"), [(0.002, 0.0036), (0.0036, 0.002)])
+def test_a_bias_hides_no_shaking_of_either_axis(x_radps: float, y_radps: float) -> None:
+    tested = Shaken()
+    tested.feed(200, x_radps, y_radps, bias_radps=0.1)
+    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
+
+
 @pytest.mark.parametrize(("std_radps", "still"), [(0.00346, True), (0.0035, False)])
 def test_the_limit_is_the_standard_deviation(std_radps: float, still: bool) -> None:
     tested = Shaken()
@@ -125,8 +140,10 @@ def test_shaking_ends_it_at_once_and_the_next_time_begins_after_it() -> None:
     assert tested.judge.still_ns == shaken_ns + STEP_NS
 
 
-@pytest.mark.parametrize(("gap_ns", "again"), [(GAP_NS, False), (GAP_NS + 1, True), (-STEP_NS - 1, True)])
-def test_a_gap_starts_anew(gap_ns: int, again: bool) -> None:
+@pytest.mark.parametrize(
+    ("gap_ns", "again"), [(0, False), (GAP_NS, False), (GAP_NS + 1, True), (-1, True), (-STEP_NS - 1, True)]
+)
+def test_a_gap_starts_anew_and_two_samples_of_one_read_do_not(gap_ns: int, again: bool) -> None:
     tested = Shaken()
     tested.feed(200, 0.002)
     tested.t_ns += gap_ns - STEP_NS
@@ -142,10 +159,35 @@ def test_a_gap_starts_anew(gap_ns: int, again: bool) -> None:
 def test_a_sensor_that_repeats_one_value_has_died_and_proves_nothing() -> None:
     tested = Shaken()
     tested.feed(200, 0.002)
-    tested.feed(FULL + 2, 0.0, bias_radps=0.1)
-    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, 0)
+    for _ in range(FULL + HELD + 2):
+        tested.feed(1, 0.0, bias_radps=0.1)
+        assert tested.judge.still_ns == 0
+    assert tested.judge.judged_ns == 0
     tested.feed(FULL + HELD + 2, 0.002)
     assert tested.still
+
+
+@pytest.mark.parametrize("clock_ns", [0, 5 * S])
+@pytest.mark.parametrize("lived", [0, 200])
+def test_a_sensor_that_has_died_and_lives_again_must_prove_rest_anew(lived: int, clock_ns: int) -> None:
+    """Else a stop is taken as proven by what the gyro said before it fell silent."""
+    tested = Shaken()
+    tested.t_ns = clock_ns
+    tested.feed(lived, 0.002)
+    tested.feed(FULL + HELD + 2, 0.0)
+    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, 0)
+    tested.feed(HELD, 0.002)
+    assert not tested.still
+    tested.feed(1, 0.002)
+    assert tested.still
+
+
+@pytest.mark.parametrize(("step_ms", "judged"), [(26, True), (27, False)])
+def test_twenty_samples_in_a_window_are_enough_to_prove_a_stop(step_ms: int, judged: bool) -> None:
+    tested = Shaken(step_ns=step_ms * MS)
+    tested.feed(100, 0.002)
+    assert (tested.judge.judged_ns == tested.t_ns) is judged
+    assert tested.still is judged
 
 
 def test_too_slow_an_imu_is_not_judged() -> None:

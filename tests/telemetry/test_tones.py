@@ -54,7 +54,18 @@ def test_what_was_latched_before_the_start_is_not_told_again() -> None:
     assert Tones(on=True).follow(True, pad.LOCKED) == b""
 
 
-@pytest.mark.parametrize("frame", [pad.LATCH, *pad.MODES])
+def test_who_stands_near_the_arm_hears_once_that_it_is_about_to_tuck(sounding: Tones) -> None:
+    tucks = [False, True, True, False, False, True]
+    heard = [sounding.follow(False, pad.LOCKED, tucks=each) for each in tucks]
+    assert heard == [b"", pad.TUCK, b"", b"", b"", pad.TUCK]
+
+
+def test_a_tuck_that_was_announced_before_the_start_is_heard_all_the_same() -> None:
+    """The arm has yet to move."""
+    assert Tones(on=True).follow(False, pad.LOCKED, tucks=True) == pad.TUCK
+
+
+@pytest.mark.parametrize("frame", [pad.LATCH, *pad.MODES, pad.TUCK])
 def test_every_tone_ends(frame: bytes) -> None:
     """An off time of 0 left one sounding forever: 100 ms."""
     assert frame[2] == BUZZER
