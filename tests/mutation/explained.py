@@ -92,7 +92,9 @@ TELEMETRY = (
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(
-        "procs/telemetry/pad.py", r"\+\s+self\._hold_(frames_missing = 1|spent = True)$", "a hold that begins sets it"
+        "procs/telemetry/pad.py",
+        r"\n\+    self\._hold_(frames_missing = 1|spent = True)$",
+        "a hold that begins sets it",
     ),
     Reason("procs/telemetry/pad.py", r"\+.*abs\(side\) > \(?CHOOSES", "no whole number is 0.7 x 127, or half of it"),
     Reason("procs/telemetry/pad.py", r"\+.*\+ \(1 if side >= 0 else", "in the middle it does not choose"),
@@ -111,8 +113,8 @@ TELEMETRY = (
     ),
     Reason(
         "procs/telemetry/still.py",
-        r"\+\s+self\._quiet_ns = \((0, 1|1, 0)\)$",
-        "the first sample sets both to zero; the second is read only behind the first, of a run",
+        r"\n\+(    self\._quiet_ns = \(1, 0\)|\s+self\._quiet_ns = \(0, 1\))$",
+        "the first sample clears it; of two that are not a run the second is not read",
     ),
     Reason("procs/telemetry/still.py", r"\+.*spread_y\) > self\._limit", "exact equality of a sum", same=False),
     Reason("procs/telemetry/still.py", r"\+.*if not self\._quiet_ns\[1\]:", "both are zero, or none is"),
