@@ -192,9 +192,11 @@ SUPERVISOR = (
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
         "supervisor/*.py",
-        r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing|minute|told)|started|excused)_ns = 1$",
+        r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
+    Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
+    Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
