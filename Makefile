@@ -74,11 +74,12 @@ vm-arm64: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm.arm64 $(TESTS)
 
 # What is made from tables of the code: tests compare each with its table.
-docs: $(VENV)/.installed
+docs: $(VENV)/.dev
 	$(BIN)/failstop config --example > examples/failstop.toml
 	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
 	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
 	$(BIN)/python packaging/reference.py > docs/python-reference.md
+	$(BIN)/python packaging/deb/commands.py > docs/commands.md
 	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
 	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md

@@ -28,6 +28,12 @@ def installed(name: str) -> str:
     return root.at(file_of(name))
 
 
+def chosen(name: str, path: str | None) -> str | None:
+    """The file that a person named, else the installed one of this instance; None: this user can't read one."""
+    default = installed(name)
+    return path or (default if os.access(default, os.R_OK) else None)
+
+
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
     """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
     return checked({**read(path), **(changed or {})}, path)
@@ -35,19 +41,15 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> Settings
 
 def checked(changed: dict[str, object], path: str | None = None) -> Settings:
     """The settings that a person wrote, by whole key. Raises SettingError, which names the file, if there is one."""
+    button = changed.get(MODE_BUTTON)
     try:
-        return _checked(changed)
+        # Two bits would be two buttons that do not stop.
+        if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
+            found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
+            raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
+        return Settings(changed)
     except SettingError as error:
         raise SettingError(f"{path}: {error}" if path else str(error)) from None
-
-
-def _checked(changed: dict[str, object]) -> Settings:
-    button = changed.get(MODE_BUTTON)
-    # Two bits would be two buttons that do not stop.
-    if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
-        found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
-        raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
-    return Settings(changed)
 
 
 def read(path: str | None) -> dict[str, object]:

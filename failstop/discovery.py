@@ -7,33 +7,30 @@ from collections.abc import Iterator
 # The board's USB serial chip (udev identity 1a86:55d4).
 BOARD_VID = 0x1A86
 BOARD_PID = 0x55D4
+BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
 LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 
 
-def board_there() -> bool:
-    """A controller board is plugged in."""
-    return any(rank == BOARDS for rank, *_ in _ranked())
+def usb_id(path: str) -> str:
+    """vendor:product of a device in hexadecimal; empty: it is no serial port on USB."""
+    return next((usb for device, _, usb in _ports() if device == path), "")
 
 
 def candidates() -> list[tuple[str, str]]:
     """(path, description) of each serial device: controller boards first, then other USB devices, then the rest."""
-    return [(path, description) for _, path, description in sorted(_ranked())]
+    found = []
+    for path, described, usb in _ports():
+        whose = ": the board's" if usb == BOARD_USB else ""
+        found.append((usb != BOARD_USB, not usb, path, f"{described}, USB {usb}{whose}" if usb else described))
+    return [(path, described) for _, _, path, described in sorted(found)]
 
 
-BOARDS, OTHER_USB, NO_USB = range(3)
-
-
-def _ranked() -> Iterator[tuple[int, str, str]]:
+def _ports() -> Iterator[tuple[str, str, str]]:
+    """(path, description, vendor:product if it is on USB) of each serial device."""
     # Imported here: listing is slow, and nothing on the stop path asks for it.
     from serial.tools import list_ports
 
     for port in list_ports.comports():
-        if port.vid is None or port.pid is None:
-            yield NO_USB, str(port.device), str(port.description)
-            continue
-        described = f"{port.description}, USB {port.vid:04x}:{port.pid:04x}"
-        if (port.vid, port.pid) == (BOARD_VID, BOARD_PID):
-            yield BOARDS, str(port.device), f"{described}: the board's"
-        else:
-            yield OTHER_USB, str(port.device), described
+        usb = "" if port.vid is None or port.pid is None else f"{port.vid:04x}:{port.pid:04x}"
+        yield str(port.device), str(port.description), usb

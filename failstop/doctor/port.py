@@ -6,11 +6,10 @@ import os
 import re
 
 from failstop import discovery
+from failstop.discovery import BOARD_USB, LINK
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
-from failstop.doctor.system import Node, User
 
-BOARD_USB = f"{discovery.BOARD_VID:04x}:{discovery.BOARD_PID:04x}"
-RULE = ("sudo failstop install", "it brings a rule for udev that sees to it")
+RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 UNKNOWN = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
@@ -30,9 +29,9 @@ def present(look: Look) -> list[Finding]:
         if board := next((path for path, what in candidates if BOARD_USB in what), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
-    if node.link and not look.device_path:
+    if not look.device_path and device != LINK and os.path.realpath(look.system.path(LINK)) == node.resolved:
         text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
-        advice = f"set device.path to {node.link}, which is the same board and stays it, and restart the service"
+        advice = f"set device.path to {LINK}, which is the same board and stays it, and restart the service"
         return warn(text, "", advice)
     behind = "" if node.resolved == node.path else f", which is {node.resolved}"
     return ok(f"{device}{behind} ({origin})")
@@ -45,50 +44,28 @@ def identity(look: Look) -> list[Finding]:
         return []
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
-    if not node.usb_id:
+    if not look.usb_id:
         text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
-        if look.device_path:
-            return skip(text, "", "the stop path says whether the board is behind it")
-        return warn(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the test")
-    if node.usb_id != BOARD_USB:
-        text = f"{node.path} is USB {node.usb_id} {node.product}; the board is {BOARD_USB}"
-        return fail(text, *SERIAL_BY_NAME)
-    return ok(f"USB {node.usb_id} {node.product}, the board's")
-
-
-def may_open(node: Node, user: User) -> bool:
-    """By owner, group and mode alone."""
-    shift = 6 if node.uid == user.uid else 3 if node.gid in user.gids else 0
-    return user.uid == 0 or node.mode >> shift & 0o6 == 0o6
+        return skip(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the stop test")
+    if look.usb_id != BOARD_USB:
+        return fail(f"{node.path} is USB {look.usb_id}; the board is {BOARD_USB}", *SERIAL_BY_NAME)
+    return ok(f"USB {look.usb_id}, the board's")
 
 
 def permission(look: Look) -> list[Finding]:
-    """This user and the service's may open it."""
-    node, who = look.node, look.service_user
+    """This user may open it, unless a service has it: that one says itself what it waits for."""
+    node, who = look.node, look.system.owner("/proc/self")
     if node is None:
         return []
-    found = []
-    whose = f"{node.path} is of the group {node.group}, mode {node.mode:04o}"
-    if who and may_open(node, who):
-        found = ok(f"the service's user {who.name} may open it")
-    elif who:
-        remedy = _let_in(node, who, "restart the service")
-        found = fail(f"the service's user {who.name} may not open it: {whose}", *remedy)
+    if look.state:
+        return ok(f"left to the service, whose port is {look.state.device.state}")
     if node.accessible:
-        return [*found, *ok(f"this user ({look.user.name}) may open it")]
-    text = f"this user ({look.user.name}) may not open it"
-    if look.service and not look.service.problem:
-        return [*found, *skip(f"{text}, and need not: the service has it")]
-    return [*found, *(warn if found else fail)(f"{text}: {whose}", *_let_in(node, look.user, "log in again"))]
-
-
-def _let_in(node: Node, who: User, then: str) -> tuple[str, str]:
-    """How somebody comes to open it; root's group gives more than that."""
-    if node.mode & 0o060 == 0o060 and node.gid:
-        return f"sudo usermod -aG {node.group} {who.name}", f"then {then}"
-    if node.usb_id == BOARD_USB:
-        return RULE
-    return "", "no group may: it takes a rule for udev that gives it the group dialout and the mode 0660"
+        return ok(f"{who} may open it")
+    text = f"{who} may not open {node.path}, which is of the group {node.group}"
+    # Root's group gives more than a port.
+    if node.group == "root":
+        return fail(text, *RULE)
+    return fail(text, f"sudo usermod -aG {node.group} {who}", "then log in again")
 
 
 def held(look: Look) -> list[Finding]:
@@ -111,18 +88,16 @@ def held(look: Look) -> list[Finding]:
         if not holder.instance:
             text = f"{holder} has the port open: what it writes goes past every check of failstop"
             found += fail(text, holder.end())
-    if found:
-        return found
-    if unseen:
+    if unseen and not found:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
-        return warn(text, f"sudo {look.again()}", "root sees them")
-    return ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
+        return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root sees them")
+    return found or ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
 
 
 def grabbers(look: Look) -> list[Finding]:
     """No program that opens serial ports by itself is near."""
     found = []
-    names = {look.system.holder(pid).name for pid in look.system.pids()}
+    names = {look.system.read(f"/proc/{pid}/comm") for pid in look.system.names("/proc")}
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
     if "ModemManager" in names and not left_alone:
         text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"

@@ -1,37 +1,31 @@
-"""The check of the stop path: a burst by each way there is, and the board's answer to a ping behind it.
+"""The check of the stop path: a burst, and the board's answer to a ping behind it.
 
-Without a service the port is opened here, as supervisor, stopper and stop tool each do it. With one, nobody else may
-write: a stop request goes the service's own way, latches, and is reset. What only a death brings about is the matter
-of `failstop prove`.
+Without a service the port is opened here, and written to as supervisor, stopper and stop tool each do it. With one,
+nobody else may write, and its own last stop says whether the board has answered. What only a death brings about is the
+matter of `failstop prove`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import time
 from collections.abc import Callable
 
 from failstop import stopping
-from failstop.api.errors import FailstopError
-from failstop.api.robot import Robot
+from failstop.api.snapshot import State
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
-from failstop.doctor.look import FAIL, Finding, Look, fail, ok, skip, warn
-from failstop.doctor.port import BOARD_USB
+from failstop.discovery import BOARD_USB
+from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
+from failstop.shm.instance import option
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
-SERVICE_ANSWER_S = 2.0
-REASON = "doctor: stop test"
-POLL_S = 0.002
-SLOW_ANSWER_MS = 100.0
-"""The burst takes 4 ms on the wire, ping and answer 0.2; a service leaves 50 ms between two pings."""
 CHUNK = 4096
-OPENING = "supervisor's opening"
-REQUEST = "port owner, by a stop request"
 
 
 class Tap:
@@ -64,145 +58,92 @@ class Tap:
         os.write(self.fd, BOARD.pings[index])
         return index, now_ns
 
-    def answer_ns(self, index: int, timeout_s: float) -> int | None:
-        """When the answer to that ping came; None: it did not. Raises OSError."""
+    def answered_ms(self, timeout_s: float) -> float | None:
+        """Ask the board; after how long it answered, which is behind all that was written before; None: it did not.
+        Raises OSError."""
+        index, asked_ns = self.ping()
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
             for now_ns, func, data in self.read():
                 if BOARD.pong(func, data) == index:
-                    return now_ns
+                    return (now_ns - asked_ns) / 1e6
         return None
 
 
 def stop_path(look: Look) -> list[Finding]:
     """The self-test where it is safe, else why it was left out."""
-    if look.stops is not None:
-        return look.stops
-    if obstacle := _of_service(look) if look.service else _of_port(look):
-        why, fix = obstacle
-        return (warn if look.stop_wanted else skip)(f"not tested: {why}", fix, "" if fix else "see to that first")
-    if not look.service:
-        return by_hand(look.device[0], look.again())
-    try:
-        return by_service(look.name, look.again())
-    except FailstopError as error:
-        return _broken(REQUEST, error, look.again())
-
-
-def _of_port(look: Look) -> tuple[str, str] | None:
-    """Why nothing is written to the port, and the command that changes it."""
+    if look.state:
+        return of_service(look.name, look.state)
     node, (holders, _) = look.node, look.holders
-    if node is None:
-        return "there is no port", ""
-    if not node.accessible:
-        return "this user may not open the port", ""
-    if holders:
-        return f"{holders[0]} has the port open", ""
-    if not (look.device_path or node.pseudo or node.usb_id == BOARD_USB):
-        return f"{node.path} may not be the board, and it is not written to", f"failstop doctor --device {node.path}"
-    return None
+    if look.service[-1]:
+        why = "the running service can't be asked"
+    elif node is None:
+        why = "there is no port"
+    elif not node.accessible:
+        why = "this user may not open the port"
+    elif holders:
+        why = f"{holders[0]} has the port open"
+    elif not (look.device_path or node.pseudo or look.usb_id == BOARD_USB):
+        text = f"not tested: {node.path} may not be the board, and it is not written to"
+        return skip(text, f"failstop doctor --device {node.path}")
+    else:
+        return by_hand(look.device[0], f"failstop {look.again()}")
+    return skip(f"not tested: {why}", "", "see to that first")
 
 
-def _of_service(look: Look) -> tuple[str, str] | None:
-    """Why the running service is not told to stop, and the command that changes it."""
-    test = f"failstop doctor --stop-test --name {look.name}"
-    if not (state := look.state):
-        return "the running service can't be asked", ""
-    if state.enabled:
-        return "motion is enabled", f"failstop disable --name {look.name}"
-    if state.cause:
-        return f"a stop is latched already ({state.cause})", f"failstop reset --name {look.name}"
-    if not look.stop_wanted:
-        return "the service runs, and would be stopped once and reset", test
-    try:
-        # It takes the right to clear the latch that the test leaves. Motion is disabled already: this changes nothing.
-        with Robot(look.name, client="doctor") as robot:
-            robot.disable()
-    except FailstopError as error:
-        return str(error), f"sudo {test}"
-    return None
-
-
-def _broken(writer: str, problem: object, again: str) -> list[Finding]:
-    return fail(f"{writer}: {problem}", again, "once that is seen to; wheels that turn: the POWER SWITCH")
-
-
-def judged(writer: str, written: bool, answered_ms: float | None, again: str) -> list[Finding]:
-    """One writer's burst. `answered_ms`: from before the burst to the board's answer to a ping behind it; None: there
-    was none. `again`: the command that tests once more."""
-    if not written:
-        return fail(f"{writer}: the burst could not be written", "", "unplug the board and plug it in again")
-    if answered_ms is None:
-        text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
-        return fail(text, again, "is it the board? if so, cut its power and try again")
-    text = f"{writer}: acknowledged by the board after {answered_ms:.1f} ms"
-    if answered_ms > SLOW_ANSWER_MS:
-        return warn(f"{text}, which is late", again, "once more on a quiet machine")
-    return ok(text)
+def of_service(name: str, state: State) -> list[Finding]:
+    """What became of the running service's last stop."""
+    stop = state.last_stop
+    if stop and stop.acknowledged_s is not None:
+        return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
+    text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
+    advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"
+    return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
 
 
 def by_hand(path: str, again: str) -> list[Finding]:
-    """Every writer's way, ended by the first that is not answered. Nobody else may have the port open."""
-    begun_ns = time.monotonic_ns()
-    try:
-        own = OwnPort.open_and_stop(path)
-    except PortError as error:
-        return _broken(OPENING, error, again)
-    tap = Tap(own.fd)
-    ways: dict[str, Callable[[], bool]] = {
-        OPENING: lambda: True,
-        "stopper's duplicate": lambda: on_duplicate(own),
-        "stop tool": lambda: _with_tool(own, path),
-    }
+    """Each writer's way to the board, ended by one that is not answered. Nobody else may have the port open. `again`:
+    the command that tests once more."""
     found: list[Finding] = []
     try:
-        for writer, write in ways.items():
-            written = write()
-            answer_ns = tap.answer_ns(tap.ping()[0], ANSWER_S)
-            found += judged(writer, written, None if answer_ns is None else (answer_ns - begun_ns) / 1e6, again)
-            if found[-1].level == FAIL:
-                break
-            begun_ns = time.monotonic_ns()
+        with contextlib.closing(OwnPort.open_and_stop(path)) as own:
+            if not own.stopped:
+                raise PortError("io", f"{path} takes no bytes")
+            tap = Tap(own.fd)
+            for writer, write in WRITERS.items():
+                write(own, path)
+                found += judged(writer, tap.answered_ms(ANSWER_S), again)
+                if found[-1].level != OK:
+                    break
+            return found
     except (OSError, PortError) as error:
-        found += _broken(writer, error, again)
-    finally:
-        own.close()
-    return found
+        advice = "once that is seen to; wheels that turn: the POWER SWITCH"
+        return [*found, *fail(f"no stop was written: {error}", again, advice)]
 
 
-def on_duplicate(own: OwnPort) -> bool:
-    """The burst as the stopper writes it; False: it could not be written."""
-    duplicate = StopPort(os.dup(own.fd))
-    try:
-        return duplicate.burst()
-    finally:
-        duplicate.close()
+def _on_duplicate(own: OwnPort, _: str) -> None:
+    with contextlib.closing(StopPort(os.dup(own.fd))) as duplicate:
+        duplicate.burst()
 
 
-def _with_tool(own: OwnPort, path: str) -> bool:
+def _with_tool(own: OwnPort, path: str) -> None:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    stopping.stop(path, lambda _: 0.0, lambda _: None)
-    return True
+    stopping.write(path)
 
 
-def by_service(name: str, again: str) -> list[Finding]:
-    """A stop request to the running service, its acknowledgement, and the reset. Raises FailstopError; the caller has
-    seen to it that motion is disabled, nothing latched, and the reset allowed."""
-    with Robot(name, client="doctor") as robot:
-        robot.estop(REASON)
-        until_s = time.monotonic() + SERVICE_ANSWER_S
-        written = False
-        answered_ms = None
-        while answered_ms is None and time.monotonic() < until_s:
-            time.sleep(POLL_S)
-            stop = robot.state.last_stop
-            if stop and stop.cause.named().get("words") == REASON:
-                written = stop.written_s is not None
-                answered_ms = None if stop.acknowledged_s is None else stop.acknowledged_s * 1e3
-        try:
-            robot.reset()
-        except FailstopError as error:
-            return _broken(REQUEST, f"the stop of the test stays latched ({error}): failstop reset", again)
-    return judged(REQUEST, written, answered_ms, again)
+WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
+    "supervisor's opening": lambda own, path: None,
+    "stopper's duplicate": _on_duplicate,
+    "stop tool": _with_tool,
+}
+"""Who writes a stop, and how; by the time of the first it is written."""
+
+
+def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:
+    """One writer's burst, by the board's answer to a ping behind it."""
+    if answered_ms is None:
+        text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
+        return fail(text, again, "is it the board? if so, cut its power and try again")
+    return ok(f"{writer}: acknowledged by the board after {answered_ms:.1f} ms")

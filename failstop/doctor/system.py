@@ -11,8 +11,6 @@ import grp
 import os
 import pwd
 import re
-import resource
-import select
 import shutil
 import stat
 import subprocess
@@ -20,27 +18,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from failstop import discovery
 from failstop.policy.processes import BY_NAME
 from failstop.shm import futex
-from failstop.supervisor import grant
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
 """Of the pseudo-terminals (the kernel's list of devices)."""
-TICKS_S = 2.5
-"""For each of the two priorities."""
+TICKS_S = 5.0
 PERIOD_S = 0.005
 """Four moments for each of the gate's ticks."""
-
-
-@dataclasses.dataclass(frozen=True)
-class User:
-    """An account, or a number without one."""
-
-    name: str
-    uid: int
-    gids: frozenset[int] = frozenset()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,19 +38,11 @@ class Node:
     """The path behind all links."""
     pseudo: bool
     """A pseudo-terminal, as the simulated board's."""
-    mode: int
-    uid: int
-    gid: int
     group: str
-    usb_id: str = ""
-    """vendor:product in hexadecimal; empty: nothing on USB."""
-    product: str = ""
     modem_ignored: bool = False
-    """udev tells ModemManager to leave it, or the whole USB device, alone."""
+    """udev tells ModemManager to leave it alone."""
     accessible: bool = False
     """This process may read and write it."""
-    link: str = ""
-    """The name that udev's rule gives this same device, if it is another; empty: none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +67,6 @@ class Holder:
 class System:
     """Reads below `root`."""
 
-    in_container = staticmethod(grant.in_container)
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
 
@@ -114,12 +91,19 @@ class System:
         except OSError:
             return []
 
-    def owner(self, path: str) -> str:
-        """The name of whom a path belongs to; empty when it is not there."""
+    def uid(self, path: str) -> int:
+        """Of whom a path belongs to; -1 when it is not there."""
         try:
-            return user(os.stat(self.path(path)).st_uid).name
+            return os.stat(self.path(path)).st_uid
         except OSError:
-            return ""
+            return -1
+
+    def owner(self, path: str) -> str:
+        """The name of whom a path belongs to, the number of one without an account; empty when it is not there."""
+        try:
+            return pwd.getpwuid(uid).pw_name if (uid := self.uid(path)) >= 0 else ""
+        except KeyError:
+            return str(uid)
 
     def room(self, path: str) -> int | None:
         """How many bytes may be put into a directory; None: none, or this process may not."""
@@ -139,46 +123,20 @@ class System:
         group = str(found.st_gid)
         with contextlib.suppress(KeyError):
             group = grp.getgrgid(found.st_gid).gr_name
-        resolved, link = os.path.realpath(path), self.path(discovery.LINK)
-        major, minor = os.major(found.st_rdev), os.minor(found.st_rdev)
+        # As failstop's rule for udev has it, which ModemManager reads.
+        told = self.read(f"/run/udev/data/c{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}") or ""
         return Node(
             path,
-            resolved,
-            major in PSEUDO_MAJORS,
-            stat.S_IMODE(found.st_mode),
-            found.st_uid,
-            found.st_gid,
+            os.path.realpath(path),
+            os.major(found.st_rdev) in PSEUDO_MAJORS,
             group,
-            *self.usb(f"/sys/dev/char/{major}:{minor}"),
+            "E:ID_MM_PORT_IGNORE=1" in told.splitlines(),
             os.access(path, os.R_OK | os.W_OK),
-            link if path != link and os.path.realpath(link) == resolved else "",
         )
-
-    def usb(self, place: str) -> tuple[str, str, bool]:
-        """Of a node, whose place in sysfs is given: vendor:product and the product's name of the USB device above it,
-        both empty where there is none; and whether udev tells ModemManager to leave the node or that device alone."""
-        below = Path(self.path(f"{place}/device")).resolve()
-        above = next((at for at in (below, *below.parents) if (at / "idVendor").exists()), None)
-        device = f"/{os.path.relpath(above, self.root)}" if above else ""
-        of_node, of_device = self._udev(place), self._udev(device)
-        ignored = "E:ID_MM_PORT_IGNORE=1" in of_node or "E:ID_MM_DEVICE_IGNORE=1" in (*of_node, *of_device)
-        if not device:
-            return "", "", ignored
-        vendor, product, name = (self.read(f"{device}/{what}") or "" for what in ("idVendor", "idProduct", "product"))
-        return f"{vendor}:{product}", name, ignored
-
-    def _udev(self, place: str) -> list[str]:
-        """The lines of udev's database for a place in sysfs."""
-        number = self.read(f"{place}/dev")
-        return (self.read(f"/run/udev/data/c{number}") or "").splitlines() if number else []
-
-    def pids(self) -> Iterator[int]:
-        """Every process."""
-        return (int(name) for name in self.names("/proc") if name.isdigit())
 
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         """The paths of what each other process has open; None where that is hidden from this user."""
-        for pid in self.pids():
+        for pid in (int(name) for name in self.names("/proc") if name.isdigit()):
             found = set()
             try:
                 for name in os.listdir(self.path(f"/proc/{pid}/fd")) if pid != os.getpid() else ():
@@ -214,15 +172,6 @@ class System:
             return None
         return done.stdout if done.returncode == 0 else None
 
-    def limit(self, which: int) -> int:
-        """A limit of this process (resource.RLIMIT_...); -1: there is none."""
-        return resource.getrlimit(which)[0]
-
-    def capable(self, capability: int) -> bool:
-        """This process has a capability."""
-        found = re.search(r"^CapEff:\s*(\w+)", self.read("/proc/self/status") or "", re.MULTILINE)
-        return bool(found and int(found[1], 16) >> capability & 1)
-
     @contextlib.contextmanager
     def realtime(self, priority: int = 1) -> Iterator[bool]:
         """Whether the kernel gives this process real-time priority when it asks, and has it meanwhile: whatever limits
@@ -238,26 +187,10 @@ class System:
         finally:
             os.sched_setscheduler(0, *before)
 
-    def ticks(self, seconds: float = TICKS_S) -> list[tuple[bool, list[int]]]:
-        """How late this process is woken, ns, each time: at ordinary priority, and at the gate's (True) if it is given
-        that."""
-        found = [(False, late_ns(seconds))]
+    def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
+        """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""
         with self.realtime(BY_NAME["gate"].priority) as granted:
-            if granted:
-                found.append((True, late_ns(seconds)))
-        return found
-
-
-def user(uid: int) -> User:
-    """Somebody with all groups."""
-    try:
-        found = pwd.getpwuid(uid)
-    except KeyError:
-        return User(str(uid), uid)
-    gids = set(os.getgrouplist(found.pw_name, found.pw_gid))
-    if uid == os.geteuid():
-        gids |= {os.getegid(), *os.getgroups()}
-    return User(found.pw_name, uid, frozenset(gids))
+            return granted, late_ns(seconds)
 
 
 def late_ns(seconds: float) -> list[int]:
@@ -267,9 +200,8 @@ def late_ns(seconds: float) -> list[int]:
     end_ns = due_ns + round(seconds * 1e9)
     late = []
     while due_ns < end_ns:
-        if (wait_ns := due_ns - time.monotonic_ns()) > 0:
-            select.select((), (), (), wait_ns / 1e9)
-        if (now_ns := time.monotonic_ns()) >= due_ns:
-            late.append(now_ns - due_ns)
-            due_ns = max(due_ns, now_ns - period_ns) + period_ns
+        time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+        now_ns = time.monotonic_ns()
+        late.append(max(0, now_ns - due_ns))
+        due_ns = max(due_ns, now_ns - period_ns) + period_ns
     return late

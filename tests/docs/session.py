@@ -92,7 +92,8 @@ class Session:
         return self._shown(text), int(code)
 
     def stay(self, command: str) -> None:
-        """Start a command in a terminal of its own, and wait until the simulated board or the service is there."""
+        """Start a command in a terminal of its own; wait until the board or the service is there, or the program has
+        said something."""
         output = self._directory / f"terminal-{len(self._terminals)}"
         with output.open("wb") as file:
             process = subprocess.Popen(
@@ -105,14 +106,16 @@ class Session:
             )
         self._terminals.append((process, output))
         until_s = time.monotonic() + READY_S
-        while not self._up(command):
+        while not self._up(command, output):
             assert process.poll() is None, output.read_text()
             assert time.monotonic() < until_s, output.read_text()
             time.sleep(0.01)
 
-    def _up(self, command: str) -> bool:
+    def _up(self, command: str, output: Path) -> bool:
         if " sim " in command:
             return os.path.exists(self.board)
+        if not command.startswith("failstop "):
+            return output.stat().st_size > 0
         try:
             with Robot(self.name) as robot:
                 self._runtime_directory = instance.find(self.name)
@@ -126,12 +129,22 @@ class Session:
 
     def python(self, code: str) -> str:
         """Run a program; what it printed."""
-        found = code.replace("Robot()", f'Robot("{self.name}")').replace(".connect()", f'.connect("{self.name}")')
         result = subprocess.run(
-            [sys.executable, "-c", found], capture_output=True, text=True, timeout=COMMAND_S, env=self._environment
+            [sys.executable, "-c", self._of_this(code)],
+            capture_output=True,
+            text=True,
+            timeout=COMMAND_S,
+            env=self._environment,
         )
         assert result.returncode == 0, result.stderr
         return self._shown(result.stdout)
+
+    def save(self, name: str, text: str) -> None:
+        """What a reader saves as a file of that name: settings, or a program."""
+        (self._directory / name).write_text(self._of_this(text))
+
+    def _of_this(self, code: str) -> str:
+        return code.replace("Robot()", f'Robot("{self.name}")').replace(".connect()", f'.connect("{self.name}")')
 
     def _own(self, command: str) -> str:
         return command.replace(BOARD, self.board)

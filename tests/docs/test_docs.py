@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.cli import main as cli
 from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 
 from .session import Session, differs
 
-MARKED = ("README.md", "quickstart.md", "robot.md", "architecture.md", "safety.md")
+MARKED = ("README.md", "quickstart.md", "robot.md", "architecture.md", "safety.md", "sources.md")
 """Pages on which every block of commands is marked."""
 ALONE = "run: in a terminal of its own"
+SAVED = "run: save as "
 _numbers = itertools.count()
 
 
@@ -70,12 +72,21 @@ def _options(parser: object) -> set[str]:
     return found
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_the_settings_in_a_block_are_accepted(page: Path, tmp_path: Path) -> None:
+    file = tmp_path / "page.toml"
+    for block in blocks(page):
+        if block.language == "toml":
+            file.write_text(block.text)
+            config.load(str(file))
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name in MARKED], ids=name_of)
 def test_every_block_of_commands_is_marked(page: Path) -> None:
     for block in blocks(page):
         if block.language in (*SHELL, "python"):
             assert block.mark is not None, f"{block}: run it, or say why it is only parsed"
-            assert re.fullmatch(r"run(: in a terminal of its own)?|parse: \w.*", block.mark), block
+            assert re.fullmatch(rf"run|{ALONE}|{SAVED}\w+\.\w+|parse: \w.*", block.mark), block
         assert block.language, f"{block}: which language?"
     assert not indented(page), "fence it, so that it is run or at least marked"
 
@@ -98,6 +109,8 @@ def test_what_a_page_shows_is_what_happens(page: Path, tmp_path: Path) -> None:
                 ((command, shown),) = block.steps()
                 session.stay(command)
                 terminals.append((block, shown))
+            elif block.mark and block.mark.startswith(SAVED):
+                session.save(block.mark.removeprefix(SAVED), block.text)
             elif block.mark == "run" and block.language == "python":
                 session.python(block.text)
             elif block.mark == "run":
@@ -124,6 +137,7 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
         path, _, anchor = target.partition("#")
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), target
+        assert page == ROOT / "README.md" or ROOT / "docs" in file.parents, f"{target} is not on the site"
         if anchor:
             heads = re.findall(r"^#+ (.*)$", file.read_text(), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}, target
@@ -184,4 +198,4 @@ def test_commands_are_found_in_shell_lines() -> None:
         ["failstop", "enable"],
     ]
     assert commands_in("sudo systemctl restart failstop; usermod -aG failstop me") == []
-    assert commands_in("ssh -t robot failstop watch | cat") == [["failstop", "watch"]]
+    assert commands_in("ssh -t robot failstop status -w | cat") == [["failstop", "status", "-w"]]

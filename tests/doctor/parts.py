@@ -3,82 +3,58 @@
 from __future__ import annotations
 
 import dataclasses
-import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from failstop.doctor.look import Look, Service, ok
-from failstop.doctor.machine import PROCESSORS, RUNTIME
-from failstop.doctor.system import Node, System, User
+from failstop.api.snapshot import State
+from failstop.discovery import BOARD_USB
+from failstop.doctor.look import Look
+from failstop.doctor.machine import PROCESSORS
+from failstop.doctor.system import Node, System
 from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
-from tests.support.states import process, state
+from tests.support.states import process, state, stop
 
-SERVER = User("failstop", 998, frozenset({998, 20}))
-PERSON = User("anna", 1000, frozenset({1000, 20}))
-NODE = Node(
-    path="/dev/ttyACM0",
-    resolved="/dev/ttyACM0",
-    pseudo=False,
-    mode=0o660,
-    uid=0,
-    gid=20,
-    group="dialout",
-    usb_id="1a86:55d4",
-    product="USB Single Serial",
-    modem_ignored=True,
-    accessible=True,
-)
-STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)})
-SERVICE = Service(100, VERSION, "failstop", STATE)
+NODE = Node("/dev/ttyACM0", "/dev/ttyACM0", pseudo=False, group="dialout", modem_ignored=True, accessible=True)
+STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)}, last_stop=stop())
+SERVICE = (STATE, VERSION, "")
+NOBODY = (None, "", "")
+"""No service."""
 UNIT = {
     "LoadState": "loaded",
     "ActiveState": "active",
     "SubState": "running",
     "UnitFileState": "enabled",
     "Result": "success",
-    "User": "failstop",
-    "NeedDaemonReload": "no",
     "MainPID": "100",
     "NRestarts": "0",
 }
-TICKS = [(False, [60_000] * 500), (True, [20_000] * 500)]
-MIB = 1 << 20
+TICKS = (True, [20_000] * 500)
 FILES = {
-    RUNTIME: "950000",
     f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
-    f"{PROCESSORS}/cpu0/cpuidle/state1/name": "C1",
-    f"{PROCESSORS}/cpu0/cpuidle/state1/latency": "2",
 }
 KERNEL: dict[str, Any] = {
     "room": 1 << 30,
-    "capable": False,
-    "in_container": False,
     "early_news": True,
     "ticks": TICKS,
 }
 """What the functions of System say, whatever they are asked."""
-SAYS: dict[str, str | None] = {"systemd-analyze": ""}
+SAYS: dict[str, str | None] = {"busctl": "b true\n"}
 """What a command prints."""
-LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
+UIDS = {"root": 0, "failstop": 998, "anna": 1000}
+OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
 SHARED: dict[str, Any] = {
     "quick": False,
-    "stop_wanted": False,
     "device_path": None,
     "settings": ("", Settings(), ""),
     "service": SERVICE,
-    "systemd": True,
     "unit": UNIT,
-    "user": PERSON,
-    "service_user": SERVER,
     "device": ("/dev/ttyACM0", "the default of device.path"),
     "node": NODE,
+    "usb_id": BOARD_USB,
     "holders": ((), 0),
-    "others": [],
-    "command": "failstop",
-    "stops": ok("stop tool: acknowledged"),
 }
 """What was asked, and what checks share (Look)."""
 
@@ -91,16 +67,14 @@ class Made(System):
         files: dict[str, str | None] | None = None,
         owners: dict[str, str] | None = None,
         opens: dict[int, set[str]] | None = None,
-        limits: dict[int, int] | None = None,
         says: dict[str, str | None] | None = None,
         realtime: bool = True,
         **kernel: Any,
     ) -> None:
         super().__init__("/nowhere")
         self._files = {path: text for path, text in (FILES | (files or {})).items() if text is not None}
-        self._owners = owners or {}
+        self._owners = OWNERS | (owners or {})
         self._opens = opens or {}
-        self._limits = LIMITS | (limits or {})
         self._says = SAYS | (says or {})
         self._realtime = realtime
         for name, says in (KERNEL | kernel).items():
@@ -116,6 +90,9 @@ class Made(System):
     def owner(self, path: str) -> str:
         return self._owners.get(path, "")
 
+    def uid(self, path: str) -> int:
+        return UIDS.get(self.owner(path), -1)
+
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         return iter(self._opens.items())
 
@@ -125,9 +102,6 @@ class Made(System):
     @contextmanager
     def realtime(self, priority: int = 1) -> Iterator[bool]:
         yield self._realtime
-
-    def limit(self, which: int) -> int:
-        return self._limits[which]
 
 
 def look(name: str = "failstop", **changed: Any) -> Look:
@@ -143,9 +117,9 @@ def on(comm: str, pid: int = 9) -> dict[str, str | None]:
     return {f"/proc/{pid}/comm": comm}
 
 
-def serving(**changed: Any) -> Service:
+def serving(**changed: Any) -> tuple[State, str, str]:
     """The service, in a state but for this."""
-    return dataclasses.replace(SERVICE, state=dataclasses.replace(STATE, **changed))
+    return dataclasses.replace(STATE, **changed), VERSION, ""
 
 
 def but(part: Any, **changed: Any) -> Any:

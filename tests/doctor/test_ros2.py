@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
 from failstop.api.snapshot import Client
 from failstop.doctor import service
-from failstop.doctor.system import System, user
-from tests.doctor.parts import look, serving
+from failstop.doctor.system import System
+from tests.doctor.parts import NOBODY, look, serving
 
-ME = user(os.getuid()).name
+ME = System().owner("/proc/self")
+HERE = "the bridge to ROS 2 is connected"
 
 
 @pytest.mark.parametrize(
     ("pid", "environment", "says"),
     [
-        (0, "", f"ROS 2 nodes of {ME} run here (or have left files), and no bridge is connected"),
-        (7, "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0", f"the bridge is connected (pid 7, user {ME})"),
-        (7, "HOME=/\0", f"the bridge is connected (pid 7, user {ME}), by UDP alone"),
-        (8, "", "the bridge is connected (pid 8, user ), by UDP alone"),
+        (0, "", "no bridge to ROS 2 is connected"),
+        (
+            7,
+            "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0",
+            f"{HERE} (pid 7, user {ME})",
+        ),
+        (7, "HOME=/\0", f"{HERE} (pid 7, user {ME}), by UDP alone"),
+        (8, "", f"{HERE} (pid 8, user ), by UDP alone"),
     ],
     ids=["none", "own profile", "UDP", "gone meanwhile"],
 )
@@ -32,6 +36,6 @@ def test_what_is_seen_of_it(tmp_path: Path, pid: int, environment: str, says: st
     process = tmp_path / "proc/7"
     process.mkdir(parents=True)
     (process / "environ").write_text(environment)
-    found = look(service=serving(clients=(Client(0, "ros2", pid, False),)) if pid else None)
+    found = look(service=serving(clients=(Client(0, "ros2", pid, False),)) if pid else NOBODY)
     found.system = System(str(tmp_path))
     assert [row.text for row in service.bridge(found)] == [says]

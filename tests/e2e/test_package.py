@@ -61,7 +61,8 @@ def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Pat
 
     refused = demo()
     assert refused.returncode == 1
-    assert refused.stderr == "failstop: `failstop demo` is not installed here; next: pip install 'failstop[lab]'\n"
+    where = "next: install failstop-lab (docs/install.md)"
+    assert refused.stderr == f"failstop: `failstop demo` is not installed here; {where}\n"
     subprocess.run([*pip, str(next((built / "lab").glob("*.whl")))], check=True, timeout=280)
     shown = demo()
     assert shown.returncode == 0, shown.stdout + shown.stderr

@@ -48,7 +48,8 @@ TABLE = (
     Row("have root write through a link that is planted", NOBODY, "no link is followed", "plant_link"),
     Row(
         "keep a user without a session from starting a service", EVERYONE,
-        "by `/dev/shm/failstop-UID`; never root. Told by path and owner, the stop is written first", "be_in_the_way",
+        "by `/dev/shm/failstop-UID`; never root. The service writes the stop first, and names path and owner",
+        "be_in_the_way",
     ),
     Row(
         "keep the service from starting, by filling `/dev/shm`", EVERYONE, "the stop is written first",

@@ -43,7 +43,6 @@ def attempts(folder: Path) -> dict[str, Callable[[], object]]:
     return {
         "stop": lambda: bell.open_pipe_to_write(instance.stop_path(path)),
         "the service's end": lambda: bell.open_pipe(instance.stop_path(path)),
-        "running": lambda: instances.running(path),
         "claims": lambda: claim.open_claims(instance.claims_path(path)),
         "make": lambda: bell.make_pipe(instance.bell_path(path), 0o622),
         "publish": lambda: instance.publish(path, 7),
@@ -91,6 +90,7 @@ def test_a_directory_that_somebody_else_may_write(folder: Path, reader: int, whi
         return
     else:
         victim.chmod(0o777 if trap == "everyone's" else 0o775)
+    assert not instances.running(str(folder))
     for said in refused(folder):
         assert said.startswith(str(victim))
         assert (f"uid {OTHER}" in said) == (trap == "another user's")
@@ -117,8 +117,9 @@ def test_a_stop_pipe_that_is_none(folder: Path, reader: int, tmp_path: Path, tra
         with pytest.raises(IsADirectoryError):
             bell.open_pipe_to_write(str(pipe))
         return
-    for said in refused(folder, "stop", "running", "the service's end"):
+    for said in refused(folder, "stop", "the service's end"):
         assert said.startswith(str(pipe))
+    assert not instances.running(str(folder))
     assert victim.read_text() == "precious"
     if trap == "regular file":
         assert pipe.read_text() == "precious"
@@ -151,7 +152,8 @@ def test_what_root_alone_could_put_there_is_its_owner_s(folder: Path) -> None:
         assert call(lambda: instances.running(str(folder)), NOBODY)
         # But not its word for what is another user's.
         os.chown(folder / "stop", NOBODY, NOBODY)
-        refused(folder, "stop", "running")
+        refused(folder, "stop")
+        assert not instances.running(str(folder))
     finally:
         os.close(reading)
 

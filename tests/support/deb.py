@@ -11,6 +11,7 @@ HERE = ROOT / "packaging" / "deb"
 
 sys.path.insert(0, str(HERE))
 try:
-    build, completion, man, tree = map(importlib.import_module, ("build", "completion", "man", "tree"))
+    modules = ("build", "commands", "completion", "man", "tree")
+    build, commands, completion, man, tree = map(importlib.import_module, modules)
 finally:
     sys.path.remove(str(HERE))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
 import sys
 from argparse import ArgumentParser, Namespace
 
@@ -19,7 +18,6 @@ from failstop.shm.instance import check_name
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s
 failstop doctor --quick
-sudo failstop doctor --stop-test        # makes a running service stop
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 """
 
@@ -43,7 +41,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
     add("--quick", action="store_true", help="without the timing self-test, which takes 5 s")
-    add("--stop-test", action="store_true", help="consent: a running service may be stopped once and reset")
     add("--json", action="store_true", help="for programs")
     add_name(parser)
 
@@ -51,7 +48,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
     name = check_name(arguments.name)
-    found = table.examine(Look(name, arguments.config, arguments.device, arguments.quick, arguments.stop_test))
+    found = table.examine(Look(name, arguments.config, arguments.device, arguments.quick))
     worst = found[0][1].level
     if arguments.json:
         records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
@@ -62,32 +59,17 @@ def main(arguments: Namespace) -> int:
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
-    """For people, wrapped to so many columns."""
+    """For people, wrapped to so many columns; but for the commands, which stay whole to be pasted."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []
-    shown = ("", "")
     for name, finding in found:
-        title = name if (name, finding.level) != shown else ""
-        role = SHOWN[finding.level][0]
-        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{title:<{width + GAP}}", PLAIN)]
+        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", SHOWN[finding.level][0]), (f"{name:<{width + GAP}}", PLAIN)]
         lines += style.wrap([*head, (finding.text, PLAIN)], columns, indent)
         if finding.fix:
-            lines += _command(finding.fix, columns, indent)
+            left = indent if indent + len(ARROW + finding.fix) <= columns else LEVEL_COLUMNS
+            lines.append([(" " * left + ARROW, PLAIN), (finding.fix, style.STRONG)])
         if finding.advice:
             lines += style.wrap([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
-        shown = (name, finding.level)
     counts = [(sum(finding.level == level for _, finding in found), words) for level, (_, words) in SHOWN.items()]
     return [*lines, [], [(", ".join(f"{count} {words}" for count, words in counts if count), PLAIN)]]
-
-
-def _command(fix: str, columns: int, indent: int) -> list[style.Line]:
-    """As it can be pasted: a line may end only where the shell waits for the rest, after a pipe or an `&&`. What is
-    longer stands further left, and is then the terminal's to break."""
-    room = len(ARROW) + len(fix)
-    if indent + room <= columns:
-        return [[(" " * indent + ARROW, PLAIN), (fix, style.STRONG)]]
-    parts = [fix] if LEVEL_COLUMNS + room <= columns else re.split(r"(?<=\|) |(?<=&&) ", fix)
-    marks = [ARROW] + [" " * len(ARROW)] * (len(parts) - 1)
-    left = " " * max(0, min(LEVEL_COLUMNS, columns - len(ARROW) - max(map(len, parts))))
-    return [[(left + mark, PLAIN), (part, style.STRONG)] for mark, part in zip(marks, parts, strict=True)]

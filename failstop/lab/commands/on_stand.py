@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 
 from failstop import config, instances
 from failstop.api.errors import FailstopError, Refused
-from failstop.doctor.look import settings_of
 from failstop.lab.commands import check_json, matching
 from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
@@ -34,7 +33,8 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     chosen = _chosen(arguments.only)
     if not os.path.exists(device):
         raise FailstopError(f"no device {device}: plug the board in, or name another")
-    path, _ = settings_of(DEFAULT_NAME, arguments.config)
+    path = config.chosen(DEFAULT_NAME, arguments.config)
+    config.load(path)
     check_free(device, DEFAULT_NAME, *instances.listening())
     check_json(arguments.json)
     sys.stderr.write(WARNING.format(device=device))

@@ -13,7 +13,6 @@ from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.doctor.look import settings_of
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
@@ -89,8 +88,8 @@ def main(arguments: Namespace) -> int:
             with SimBoard(link) as board:
                 evidence = taken(link, config.read(arguments.config), board)
         else:
-            path, settings = settings_of(arguments.name, arguments.config)
-            device = arguments.device or settings.text("device.path")
+            path = config.chosen(arguments.name, arguments.config)
+            device = arguments.device or config.load(path).text("device.path")
             check_free(device, arguments.name)
             evidence = taken(device, config.read(path), None)
     _show(arguments, evidence)

@@ -1,0 +1,80 @@
+"""The page of all commands, from their parsers: `python packaging/deb/commands.py > docs/commands.md`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator
+
+import completion
+import man
+
+from failstop.cli import main as cli
+
+HEAD = """# Commands
+
+Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same.
+`demo`, `sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
+"""
+
+SECOND = "The same as "
+"""What the help of a second name begins with."""
+
+
+def main() -> None:
+    """Print the page."""
+    sys.stdout.write(page())
+
+
+def page() -> str:
+    """The page."""
+    parts = [HEAD]
+    for title, names in cli.GROUPS.items():
+        parts.append(f"## {title.capitalize()}\n")
+        parts += [part for name in names for below in completion.walk(cli.load(name)[0]) for part in command(below)]
+    parts += ["## Exit codes\n", *_table("code", man.EXITS)]
+    parts += ["## Files\n", *_table("file", ((f"`{name}`", text) for name, text in man.FILES))]
+    parts += ["## Environment\n", *_table("variable", ((f"`{name}`", text) for name, text in man.ENVIRONMENT))]
+    return "\n".join(parts)
+
+
+def command(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """What the page has of one command."""
+    what = " ".join((parser.description or "").split())
+    yield f"### {parser.prog}\n"
+    yield f"{what[:1].upper()}{what[1:].rstrip('.')}.\n"
+    if what.startswith(SECOND):
+        return
+    if parser._subparsers is None and not all(action.option_strings for action in completion.arguments(parser)):
+        yield f"`{' '.join(_synopsis(parser))}`\n"
+    formatter = parser._get_formatter()
+    rows = []
+    for action in completion.arguments(parser):
+        text = " ".join(formatter._expand_help(action).split()) if action.help else ""
+        value = completion.value(action)
+        rows.append((", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",)), text))
+    yield from _table("argument", rows)
+    if parser.epilog:
+        examples = [line.strip() for line in parser.epilog.removeprefix(cli.EXAMPLES).strip().splitlines()]
+        yield "\n".join(["```sh", *examples, "```\n"])
+
+
+def _synopsis(parser: argparse.ArgumentParser) -> Iterator[str]:
+    yield f"{parser.prog} [OPTION ...]"
+    for action in completion.arguments(parser):
+        if not action.option_strings:
+            shown = completion.value(action) + (" ..." if action.nargs in ("*", "+", argparse.REMAINDER) else "")
+            yield f"[{shown}]" if action.nargs in ("?", "*") else shown
+
+
+def _table(head: str, rows: Iterable[tuple[str, str]]) -> Iterator[str]:
+    if cells := [f"| {name} | {text} |" for name, text in ((_cell(name), _cell(text)) for name, text in rows)]:
+        yield "\n".join([f"| {head} | meaning |", "|---|---|", *cells, ""])
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    main()
