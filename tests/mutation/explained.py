@@ -25,8 +25,12 @@ EVERYWHERE = (
 )
 
 PROCS: tuple[Reason, ...] = (
-    Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port, 1\) & GONE", "1 is none of GONE's bits"),
-    Reason("procs/stopper/main.py", r"\+.*\*self\._due\[:2\],", "they are in order, and min() takes the first"),
+    Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port\.fd, 1\) & GONE", "1 is none of GONE's bits"),
+    Reason(
+        "procs/stopper/main.py",
+        r"\+.*StopPort\(.*settings\.servos\(\), \)",
+        "it looks at what is unsent only in drain(), which the stopper never calls",
+    ),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
     Reason("stopping.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
     Reason("stopping.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
@@ -35,14 +39,6 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
-    Reason("stopping.py", r"\+.*if \(left\) or True else", "a write of no bytes writes nothing"),
-    Reason(
-        "stopping.py",
-        r"\+.*time\.monotonic\(\) >= until_s",
-        "it gives up one look earlier at most",
-        same=False,
-    ),
-    Reason("stopping.py", r"\+.*error\.errno or 1\)", "what the system raises has a number"),
     Reason("procs/port_owner/main.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
     Reason("procs/port_owner/main.py", r"\+.*if found \| READ and", "it reads more often", same=False),
     Reason("procs/port_owner/main.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"),
@@ -80,11 +76,28 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/port_owner/wire.py", r"\+.*os\.read\(self\.fd, 4097\)", "one byte more at a time", same=False),
     Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
     Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
-    Reason("procs/gate/core.py", r"\+\s+if want >= now:", "at equality both branches return it"),
-    Reason("procs/gate/core.py", r"\+\s+self\.latched_in = 1$", "it is set with every latch, and read while latched"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
-    Reason("procs/gate/conditions.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
+    Reason(
+        "procs/gate/conditions.py",
+        r"\+.*(\.get\(name, 1\)|\.get\(session, \(1, \"\"\)\)|default=1\))",
+        "one nanosecond after the boot is as long ago",
+    ),
+    Reason(
+        "procs/gate/conditions.py",
+        r"\+\s+age_s = .* if (\(self\.delivered_ns\) or True else 0\.0|self\.delivered_ns else 1\.0)$",
+        "the age of a scan that never came is not told",
+    ),
+    Reason(
+        "procs/gate/requests.py", r"\+.*_limit_word\.get\(\) or 101\)", "101 is refused, and 100 is what the core has"
+    ),
+    Reason("procs/gate/requests.py", r"\+.*_replied = \[\((1, 0|0, 1)\)\]", "no session is 0, and no number below 0"),
+    Reason("procs/gate/requests.py", r"\+.*_, percent = .* or \(1, 0\)", "when it was left is not looked at"),
+    Reason(
+        "procs/gate/requests.py",
+        r"\+.*_asked_ns\.get\((verb|each), 1\)",
+        "one nanosecond after the boot is as long ago",
+    ),
 )
 
 TELEMETRY = (
