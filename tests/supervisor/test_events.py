@@ -14,7 +14,7 @@ import msgpack
 import pytest
 
 from failstop.procs.world import World
-from failstop.shm import instance, layout, segment
+from failstop.shm import layout, segment
 from failstop.shm.cell import RingReader
 from failstop.supervisor import kinds
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, Outbox, journal_entry, pack, say
@@ -188,18 +188,6 @@ def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene) -> Non
     scene.events.flush()
     assert [(event["kind"], event["level"]) for event in scene.ring()] == [("note", "info"), ("scan", "info")]
     assert b"PRIORITY=6\n" in scene.journal()[1]
-
-
-def test_who_waits_for_news_of_the_run_is_woken_by_an_event_and_not_by_none(tmp_path: Path) -> None:
-    published = instance.publish(str(tmp_path), 7)
-    os.ftruncate(published, 0)
-    events = Events(World(), "x", published=published)
-    events.flush()
-    assert os.fstat(published).st_size == 0, "there is nothing to look at"
-    events.tell("note", "here")
-    events.flush()
-    assert os.fstat(published).st_size > 0
-    os.close(published)
 
 
 @pytest.mark.parametrize("size", [1, 47, 200, 5_000, 100_000])

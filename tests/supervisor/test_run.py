@@ -128,16 +128,6 @@ def test_only_who_may_gives_files_to_the_group(
     assert client_gid() == given
 
 
-def test_who_waits_for_news_of_the_run_is_woken_by_what_it_tells(made: Run) -> None:
-    """They watch the file that names it."""
-    path = Path(instance.run_path(made.runtime_dir))
-    before = path.read_bytes()
-    os.truncate(path, instance.RUN_DIGITS)
-    made.events.tell("note", "here")
-    made.events.flush()
-    assert path.read_bytes() == before
-
-
 def test_what_a_dead_run_left_is_replaced(made: Run, tmp_path: Path) -> None:
     fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
     bell.send(fd, b"old\n")
