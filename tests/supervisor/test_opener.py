@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from failstop.board.finder import Finder
 from failstop.procs.world import World
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
+from tests.support.children import Child
 from tests.support.ptys import Pty, new_pty, open_fds
 from tests.support.waiting import until
 
@@ -67,6 +68,7 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pt
 
 
 def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty: Pty) -> None:
+    before = open_fds()
     opener = Opener(World(), Finder(pty.link), bell)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest = os.dup(bell.fd)
@@ -86,6 +88,7 @@ def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         os.close(opener._spare) if opener._spare >= 0 else None
+    assert open_fds() == before, "who has no number to give back closes no other's"
 
 
 class Slow(Finder):
@@ -128,3 +131,37 @@ def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_l
         os.close(found[-1][0])
     assert slept == [LOOK_NS / 1e9] * 3
     assert finder.looked == 5, "and it rests when it has opened one"
+
+
+class Scheduled(Finder):
+    """It tells the scheduling of the thread that opens."""
+
+    def __init__(self, path: str, told: Callable[[object], None]) -> None:
+        super().__init__(path)
+        self.told = told
+
+    def open(self, now_ns: int) -> int:
+        self.told((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+        return super().open(now_ns)
+
+
+def test_its_thread_has_the_supervisor_s_rights_to_run(bell: EventBell, pty: Pty) -> None:
+    """The kernel takes them from what a process starts; without them a busy machine would delay the stop."""
+    own = (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 3)
+
+    def opens(send: Callable[[object], None], wait: Callable[[], None]) -> None:
+        try:
+            os.sched_setscheduler(0, own[0], os.sched_param(own[1]))
+        except PermissionError:
+            send(None)
+            return
+        opener = Opener(World(), Scheduled(pty.link, send), bell)
+        opener.begin()
+        opener.look()
+        wait()
+
+    with Child(opens) as child:
+        found = child.receive()
+    if found is None:
+        pytest.skip("needs the right to real-time scheduling")
+    assert found == own
