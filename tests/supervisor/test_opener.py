@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import queue
 import resource
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -16,7 +18,7 @@ from failstop.board.finder import Finder
 from failstop.procs.world import World
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
-from tests.support.children import Child
+from tests.support.children import scheduled
 from tests.support.ptys import Pty, new_pty, open_fds
 from tests.support.waiting import until
 
@@ -133,35 +135,22 @@ def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_l
     assert finder.looked == 5, "and it rests when it has opened one"
 
 
-class Scheduled(Finder):
-    """It tells the scheduling of the thread that opens."""
+def test_its_thread_has_the_supervisor_s_rights_to_run(bell: EventBell, tmp_path: Path) -> None:
+    """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
+    found: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
 
-    def __init__(self, path: str, told: Callable[[object], None]) -> None:
-        super().__init__(path)
-        self.told = told
+    def sleep(_seconds: float) -> NoReturn:
+        """The thread has looked once; this was all."""
+        found.put((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+        sys.exit()
 
-    def open(self, now_ns: int) -> int:
-        self.told((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
-        return super().open(now_ns)
-
-
-def test_its_thread_has_the_supervisor_s_rights_to_run(bell: EventBell, pty: Pty) -> None:
-    """The kernel takes them from what a process starts; without them a busy machine would delay the stop."""
-    own = (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 3)
-
-    def opens(send: Callable[[object], None], wait: Callable[[], None]) -> None:
-        try:
-            os.sched_setscheduler(0, own[0], os.sched_param(own[1]))
-        except PermissionError:
-            send(None)
-            return
-        opener = Opener(World(), Scheduled(pty.link, send), bell)
-        opener.begin()
-        opener.look()
-        wait()
-
-    with Child(opens) as child:
-        found = child.receive()
-    if found is None:
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it
+    opener = Opener(World(sleep=sleep), Finder(str(tmp_path / "board")), bell)
+    try:
+        with scheduled(policy, 3):
+            opener.begin()
+    except PermissionError:
         pytest.skip("needs the right to real-time scheduling")
-    assert found == own
+    opener.look()
+    assert found.get(timeout=20.0) == (policy, 3)
+    os.close(opener._spare)
