@@ -23,8 +23,8 @@ from bench import report, stats
 from bench.carriers import Carriers
 from bench.report import progress
 from failstop.api.errors import FailstopError
-from failstop.cli.commands.ros2 import find_rclpy
 from failstop.lab.trial import Trial, TrialError, wait_for
+from failstop.ros2.command import find_rclpy
 from failstop.ros2.contract import IMU, ODOMETRY, STATE
 from failstop.ros2.stage import Process, bridge, environment, publisher
 

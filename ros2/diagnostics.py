@@ -16,7 +16,11 @@ ERROR = 2
 STALE = 3
 
 Status = dict[str, Any]
-LINK_LEVELS = {"alive": OK, "unproven": WARN, "deaf": ERROR}
+LINKS = {
+    "alive": (OK, "alive: the board answers"),
+    "unproven": (WARN, "unproven: the board has not answered a ping yet, so nobody knows that it hears"),
+    "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
+}
 
 
 def statuses(
@@ -84,8 +88,7 @@ def _port(state: State) -> Status:
 
 
 def _link(state: State) -> Status:
-    found = state.device.link
-    return _status("link", LINK_LEVELS.get(found, ERROR), summary.LINKS[found][0] if found in summary.LINKS else found)
+    return _status("link", *LINKS.get(state.device.link, (ERROR, state.device.link)))
 
 
 def _battery(state: State) -> Status:

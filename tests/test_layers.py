@@ -20,6 +20,8 @@ BELOW = {
 }
 """What each room may import of failstop; the face (failstop, ros2) knows all of them."""
 EVERYBODYS = {"version"}
+FEATURES = {"fleet", "web", "ros2", "lab"}
+"""What a robot may do without, each with its commands."""
 MACHINE = {
     "time": {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"},
     "os": {"fork", "kill", "killpg", "pidfd_open", "posix_spawn", "posix_spawnp", "wait", "waitid", "waitpid"},
@@ -70,6 +72,18 @@ def test_a_robot_needs_nothing_of_the_laboratory() -> None:
     wrong = [
         (str(path.relative_to(ROOT)), name) for path in robots for name in imported(path) if name.startswith("lab")
     ]
+    assert not wrong
+
+
+def test_the_command_line_knows_features_by_the_names_of_their_commands_alone() -> None:
+    """A command lies in the room of what it is for; `cli/main.py` imports it when it is asked for."""
+    wrong = [
+        (str(path.relative_to(ROOT)), name)
+        for path in modules("failstop/cli")
+        for name in imported(path)
+        if name.partition(".")[0] in FEATURES
+    ]
+    assert modules("failstop/cli")
     assert not wrong
 
 

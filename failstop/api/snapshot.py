@@ -106,6 +106,8 @@ class Process:
     """It has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
     """Its memory can't be swapped out."""
+    early_news: bool = True
+    """The kernel tells it of a death before it takes the dead process's memory down."""
 
 
 @dataclasses.dataclass(frozen=True)

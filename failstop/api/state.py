@@ -243,6 +243,7 @@ class StateReader(Run):
                 worst_s=round(beat.worst_ns.get() / 1e9, 4),
                 realtime=bool(granted & heartbeat.REALTIME),
                 memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+                early_news=bool(granted & heartbeat.EARLY_NEWS),
             )
         return found
 

@@ -116,26 +116,32 @@ def _proof(state: State, now_s: float) -> str:
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
-        return f"{which}{_proofs(stop, state, now_s)}"
+        told = ", ".join(text for text, _ in proofs(stop, now_s))
+        if stop.written_s is None and not verdict.doubt(state):
+            told += " at first; the port is open now, and the board is told zero"
+        return f"{which}{told}"
     hears = {"alive": "the board answers", "deaf": "the board does NOT answer"}
     told = hears.get(state.device.link, "the board has not answered yet")
     return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 
-def _proofs(stop: Stop, state: State, now_s: float) -> str:
-    """The three levels."""
+def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
+    """Its three proofs in words, each with whether it is one (None: there was nothing to see, as the wheels did not
+    shake before the stop either); of a stop that was not written, that alone."""
     if stop.written_s is None:
-        later = "" if verdict.doubt(state) else " at first; the port is open now, and the board is told zero"
-        return f"it could NOT be written{later}"
+        return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
-    found = [written if stop.sent else NOT_SENT]
-    if stop.acknowledged_s is None:
-        found.append(f"NOT acknowledged by the board{yet}")
-    else:
-        found.append(f"acknowledged by the board after {words.took(stop.acknowledged_s)}")
-    found.append(f"NOT seen still by the IMU{yet}" if stop.observed_s is None else wheels_seen(stop.observed_s))
-    return ", ".join(found)
+    heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by the IMU{yet}"
+    if stop.acknowledged_s is not None:
+        heard = f"acknowledged by the board after {words.took(stop.acknowledged_s)}"
+    if stop.observed_s is not None:
+        seen = wheels_seen(stop.observed_s)
+    return [
+        (written if stop.sent else NOT_SENT, stop.sent),
+        (heard, stop.acknowledged_s is not None),
+        (seen, None if stop.observed_s == 0 else stop.observed_s is not None),
+    ]
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
@@ -151,6 +157,8 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
+    if not all(process.early_news for process in state.processes.values() if process.pid):
+        found.append("this kernel tells of deaths late, and stops after one come later (`failstop doctor` says more)")
     if state.age_s > verdict.STALE_S:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:

@@ -27,12 +27,11 @@ GROUPS = {
     },
     "look": {
         "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-        "watch": ("cli.commands.status", "the same as status --watch"),
         "why": ("cli.commands.status", "what holds the wheels, since when, and what to do, in plain words"),
         "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
         "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
-        "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
-        "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
+        "metrics": ("fleet.metrics_command", "the state as Prometheus reads it, once or over HTTP"),
+        "fleet": ("fleet.command", "all robots of a broker: see them, stop them, publish this one"),
     },
     "check": {
         "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
@@ -44,15 +43,17 @@ GROUPS = {
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
         "sim": ("lab.commands.sim", "a simulated board on a pty"),
-        "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
-        "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+        "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
+        "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
     },
 }
 """What `failstop --help` shows together: each command with its module and what it is for."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
-HIDDEN = frozenset(("watch", "estop", "chaos"))
-"""What it leaves out: second names, and what is for those who change failstop."""
+HIDDEN = frozenset(("estop", "chaos"))
+"""What it leaves out: a second name, and what is for those who change failstop."""
 
+LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of standard output: nobody reads it, its disk is full, its terminal has gone."""
 EXAMPLES = "examples:"
 """The first line below a command's options."""
 DESCRIPTION = """The layer that makes a robot stop.
@@ -74,16 +75,15 @@ def _usage() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
-    standard.watch()
     code = 0
     try:
         code = _main(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
-    except standard.Lost as lost:
-        standard.let_go()
-        code = code or 1
-        if lost.errno != errno.EPIPE:
-            standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        failed = _told(error)
+        return code or failed
     return code
 
 
@@ -99,17 +99,9 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        standard.say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}; `failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
-
-
-def _meant(word: str) -> str:
-    """The command that looks most like a mistyped one."""
-    from difflib import get_close_matches
-
-    found = get_close_matches(word, COMMANDS, 1)
-    return f" (did you mean `failstop {found[0]}`?)" if found else ""
 
 
 def here(name: str) -> bool:
@@ -152,25 +144,37 @@ def examples(module: ModuleType, name: str) -> list[str]:
 def _run(name: str, words: list[str]) -> int:
     import argparse
 
+    parser, module = load(name)
     try:
-        parser, module = load(name)
-        try:
-            arguments = parser.parse_args(words, argparse.Namespace(command=name))
-        except SystemExit as end:
-            # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
-            return 1 if end.code else 0
-        code: int = module.main(arguments)
-    except KeyboardInterrupt:
-        return 130
-    except Exception as error:
-        if lacking := _lack(error):
-            standard.say(lacking)
-            return 1
-        if not _expected(error):
-            raise
+        arguments = parser.parse_args(words, argparse.Namespace(command=name))
+    except SystemExit as end:
+        # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+        return 1 if end.code else 0
+    code: int = module.main(arguments)
+    return code
+
+
+def _told(error: Exception) -> int:
+    """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
+    again."""
+    from failstop.api.errors import FailstopError
+    from failstop.board.port import PortError
+    from failstop.policy.settings import SettingError
+    from failstop.shm.instance import InstanceError
+    from failstop.shm.segment import AttachError
+
+    if lacking := _lack(error):
+        standard.say(lacking)
+    elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError)):
         standard.say(str(error))
         return getattr(error, "exit_code", 1)
-    return code
+    elif isinstance(error, OSError) and error.errno in LOST:
+        standard.let_go()
+        if error.errno != errno.EPIPE:
+            standard.say(f"standard output takes no more ({error.strerror}): what is missing there was not written")
+    else:
+        raise error
+    return 1
 
 
 def _lack(error: BaseException | None) -> str:
@@ -185,14 +189,3 @@ def _lack(error: BaseException | None) -> str:
             return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
         error = error.__cause__ or error.__context__
     return ""
-
-
-def _expected(error: Exception) -> bool:
-    """Errors with a message made for people; anything else is a defect and shows its traceback."""
-    from failstop.api.errors import FailstopError
-    from failstop.board.port import PortError
-    from failstop.policy.settings import SettingError
-    from failstop.shm.instance import InstanceError
-    from failstop.shm.segment import AttachError
-
-    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))

@@ -9,11 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from io import BufferedWriter, FileIO, TextIOWrapper
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
 
 
 def fill() -> None:
@@ -49,34 +44,6 @@ def tell(text: str) -> None:
     except (OSError, ValueError):
         let_go()
         say(text)
-
-
-class Lost(OSError):
-    """Standard output takes no more. In the midst of a command it would look like an error of anything else."""
-
-
-class Output(FileIO):
-    """Descriptor 1, whose errors are Lost."""
-
-    def write(self, data: Any, /) -> Any:
-        """As it does. Raises Lost."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise Lost(error.errno, error.strerror) from None
-
-
-def watch() -> None:
-    """From here on stdout is an Output, if it is descriptor 1."""
-    buffer = getattr(sys.stdout, "buffer", None)
-    raw = getattr(buffer, "raw", buffer)  # python -u has no buffer between
-    if type(raw) is FileIO and raw.fileno() == 1:
-        sys.stdout = TextIOWrapper(
-            BufferedWriter(Output(1, "w", closefd=False)),
-            encoding=sys.stdout.encoding,
-            errors=sys.stdout.errors,
-            line_buffering=bool(sys.stdout.line_buffering) or raw is buffer,
-        )
 
 
 def let_go() -> None:

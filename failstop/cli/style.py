@@ -22,11 +22,9 @@ DIM = "dim"
 STRONG = "strong"
 PLAIN = ""
 
-_FINE = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
+_COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 """Of the 256 colours, which terminals show alike whatever their theme: each is legible on black and on white (contrast
-of at least 3.8; a theme's own yellow is 1.1 on white)."""
-_COARSE = {OK: "32", WARN: "35", FAIL: "1;31", DIM: "", STRONG: "1"}
-"""For terminals with 8 or 16 colours, which belong to the theme: neither yellow nor grey can be relied on there."""
+of at least 3.8; a theme's own yellow is 1.1 on white). A console with fewer shows the nearest that it has."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
@@ -35,11 +33,8 @@ _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
     """What each role is on this terminal, as the parameters of an SGR sequence; empty: no colours at all."""
-    term = environ.get("TERM", "")
-    if not terminal or environ.get("NO_COLOR") or term in ("", "dumb"):
-        return {}
-    fine = environ.get("COLORTERM") or any(word in term for word in ("256", "kitty", "alacritty", "direct"))
-    return _FINE if fine else _COARSE
+    wanted = terminal and not environ.get("NO_COLOR") and environ.get("TERM", "dumb") not in ("", "dumb")
+    return _COLOURS if wanted else {}
 
 
 @cache

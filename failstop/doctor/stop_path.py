@@ -1,7 +1,8 @@
 """The check of the stop path: a burst, and the board's answer to a ping behind it.
 
-Without a service the port is opened here, as supervisor and stop tool each do it. With one, nobody else may write, and
-its own last stop says whether the board has answered. What only a death brings about is the matter of `failstop prove`.
+Without a service the port is opened here, and written to as supervisor, stopper and stop tool each do it. With one,
+nobody else may write, and its own last stop says whether the board has answered. What only a death brings about is the
+matter of `failstop prove`.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import contextlib
 import os
 import select
 import time
+from collections.abc import Callable
 
 from failstop import stopping
 from failstop.api.snapshot import State
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, release_exclusive
+from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.shm.instance import option
@@ -100,22 +103,42 @@ def of_service(name: str, state: State) -> list[Finding]:
 
 
 def by_hand(path: str, again: str) -> list[Finding]:
-    """Either way to the board, ended by one that is not answered. Nobody else may have the port open. `again`: the
-    command that tests once more."""
+    """Each writer's way to the board, ended by one that is not answered. Nobody else may have the port open. `again`:
+    the command that tests once more."""
+    found: list[Finding] = []
     try:
         with contextlib.closing(OwnPort.open_and_stop(path)) as own:
             if not own.stopped:
                 raise PortError("io", f"{path} takes no bytes")
             tap = Tap(own.fd)
-            found = judged("supervisor's opening", tap.answered_ms(ANSWER_S), again)
-            if found[0].level == OK:
-                # As ExecStopPost runs it, when the service has let the port go.
-                release_exclusive(own.fd)
-                stopping.write(path)
-                found += judged("stop tool", tap.answered_ms(ANSWER_S), again)
+            for writer, write in WRITERS.items():
+                write(own, path)
+                found += judged(writer, tap.answered_ms(ANSWER_S), again)
+                if found[-1].level != OK:
+                    break
             return found
     except (OSError, PortError) as error:
-        return fail(f"no stop was written: {error}", again, "once that is seen to; wheels that turn: the POWER SWITCH")
+        advice = "once that is seen to; wheels that turn: the POWER SWITCH"
+        return [*found, *fail(f"no stop was written: {error}", again, advice)]
+
+
+def _on_duplicate(own: OwnPort, _: str) -> None:
+    with contextlib.closing(StopPort(os.dup(own.fd))) as duplicate:
+        duplicate.burst()
+
+
+def _with_tool(own: OwnPort, path: str) -> None:
+    # It opens the port as ExecStopPost does, when the service has let it go.
+    release_exclusive(own.fd)
+    stopping.write(path)
+
+
+WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
+    "supervisor's opening": lambda own, path: None,
+    "stopper's duplicate": _on_duplicate,
+    "stop tool": _with_tool,
+}
+"""Who writes a stop, and how; by the time of the first it is written."""
 
 
 def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:

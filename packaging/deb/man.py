@@ -18,7 +18,7 @@ DESCRIPTION = (
     "command is older than its source's timeout (0.3 s unless the settings say otherwise).",
     "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
     "A service, \x01failstop run\x02, owns the board's port. The commands enable, disable, reset, drive, teleop, "
-    "status, watch, why and events talk to the service of the same name; the others need none.",
+    "status, why and events talk to the service of the same name; the others need none.",
 )
 
 EXITS = (

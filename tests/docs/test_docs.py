@@ -198,4 +198,4 @@ def test_commands_are_found_in_shell_lines() -> None:
         ["failstop", "enable"],
     ]
     assert commands_in("sudo systemctl restart failstop; usermod -aG failstop me") == []
-    assert commands_in("ssh -t robot failstop watch | cat") == [["failstop", "watch"]]
+    assert commands_in("ssh -t robot failstop status -w | cat") == [["failstop", "status", "-w"]]

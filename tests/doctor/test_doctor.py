@@ -55,9 +55,10 @@ def test_every_way_to_the_board_is_acknowledged(board: SimBoard, name: str) -> N
     said = stop_path(found)
     assert [line.partition(": acknowledged")[0] for line in said] == [
         "ok: supervisor's opening",
+        "ok: stopper's duplicate",
         "ok: stop tool",
     ]
-    assert sum(event.is_stop for event in board.events()) == 8, "two bursts of four stop frames"
+    assert sum(event.is_stop for event in board.events()) == 12, "three bursts of four stop frames"
     assert not any(event.is_motion for event in board.events(since=0))
 
 

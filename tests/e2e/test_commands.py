@@ -45,7 +45,7 @@ def test_a_session(trial: Trial) -> None:
 
 def test_a_speed_limit_holds_for_every_driver_until_it_is_lifted(trial: Trial) -> None:
     at = ("--name", trial.name)
-    assert failstop("limit", *at).stdout == "no speed limit but the settings'\n"
+    assert "limit  " not in failstop("status", *at).stdout
     assert failstop("limit", "50", *at).stdout == "speed limited to 50 % of the settings'\n"
     assert "limit     speed limited to 50 %" in failstop("status", *at).stdout
     trial.enable()
@@ -53,11 +53,13 @@ def test_a_speed_limit_holds_for_every_driver_until_it_is_lifted(trial: Trial) -
     assert "no faster than 0.10 m/s forward" in driven
     refused = failstop("limit", "2", *at)
     assert (refused.returncode, refused.stderr) == (2, "failstop: refused: a speed limit of 2 %: must be 5 to 100\n")
-    assert failstop("limit", "0", *at).returncode == 1
+    for words in (("limit", "0"), ("drive", "nan", "0", "0")):
+        wrong = failstop(*words, *at)
+        assert (wrong.returncode, wrong.stderr.count("\n")) == (1, 1), wrong.stderr
     os.kill(trial.robot.state.processes["gate"].pid, signal.SIGKILL)
     wait_for("the next gate", lambda: trial.robot.state.processes["gate"].restarts == 1)
     wait_for("its word", lambda: not trial.robot.state.waiting_for)
-    assert failstop("limit", *at).stdout == "speed limited to 50 % of the settings'\n", "a death lifts nothing"
+    assert "limit     speed limited to 50 %" in failstop("status", *at).stdout, "a death lifts nothing"
     assert failstop("limit", "100", *at).stdout == "speed limit lifted\n"
     told = failstop("events", "--kind", "limit", *at).stdout
     assert "speed limited to 50 % of the settings' by failstop limit (pid" in told

@@ -16,7 +16,6 @@ from failstop.api.client import send_stop
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
 from failstop.shm import instance
-from failstop.shm.records import ASKED_BYTES
 from failstop.supervisor.events import ASKED_BYTES as ASKED_ROOM
 from tests.support.children import NOBODY, become
 from tests.support.commands import failstop
@@ -191,10 +190,9 @@ def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(trial: Trial) -> N
 
 
 @pytest.mark.parametrize("letter", ["x", "\u20ac"])
-def test_a_reason_of_5000_characters_is_cut_and_said_to_be(trial: Trial, letter: str) -> None:
+def test_a_reason_of_5000_characters_is_cut_to_what_the_service_takes(trial: Trial, letter: str) -> None:
     result = failstop("estop", "--name", trial.name, 5000 * letter)
-    assert (result.returncode, result.stdout.count("\n")) == (0, 1)
-    assert result.stderr == f"failstop: the reason is cut to {ASKED_BYTES} bytes\n"
+    assert (result.returncode, result.stdout.count("\n"), result.stderr) == (0, 1, "")
     latch = trial.robot.state.estop or ""
     assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(failstop estop, pid \d+\)", latch)
     assert latch in result.stdout

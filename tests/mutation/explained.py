@@ -43,22 +43,33 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("stopping.py", r"\+.*error\.errno or 1\)", "what the system raises has a number"),
-    Reason("procs/port_owner/main.py", r"\+.*ready\.get\(self\.wire\.fd, 1\)", "it reads more often", same=False),
-    Reason("procs/port_owner/main.py", r"\+.*if events \| READ and", "it reads more often", same=False),
+    Reason("procs/port_owner/main.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
+    Reason("procs/port_owner/main.py", r"\+.*if found \| READ and", "it reads more often", same=False),
     Reason("procs/port_owner/main.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"),
-    Reason("procs/port_owner/main.py", r"\+.* / 10+1\.0:\.", "a millionth of a time that people read", same=False),
+    Reason(
+        "procs/port_owner/main.py", r"\+.*slept_ns / 10+1\.0\)", "a billionth of a time that people read", same=False
+    ),
     Reason("procs/port_owner/main.py", r"\+\s+return slept_ns > 1$", "a sleep is 0 or at least SLEPT_NS"),
-    Reason("procs/port_owner/main.py", r"\+\s+motion = None$", "both are false"),
-    Reason("procs/port_owner/main.py", r"\+\s+motion_(ns|epoch) = 1$", "it is read only with a frame, which sets it"),
-    Reason("procs/port_owner/main.py", r"\+.*self\._finder\.open\(now_ns\)\) (> 0|>= 1):", "no descriptor here is 0"),
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._moved_ns = 1$", "it is read only while moving, and motion sets it"
     ),
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._stuck = True$", "no port is stuck at the first look, which clears it"
     ),
-    Reason("procs/port_owner/main.py", r"\+\s+self\._watched = \((\+1|-2), 0\)$", "no port has that number either"),
-    Reason("procs/port_owner/main.py", r"\+\s+self\._watched = \(-1, 1\)$", "no port has the number -1"),
+    Reason("procs/port_owner/main.py", r"\+\s+self\._watched.* = \((\+1|-2), 0\)", "no port has that number either"),
+    Reason("procs/port_owner/main.py", r"\+\s+self\._watched.* = \(-1, 1\)", "no port has the number -1"),
+    Reason(
+        "procs/port_owner/main.py", r"\+\s+self\._arm_moved = True$", "the first burst clears it, before anybody looks"
+    ),
+    Reason(
+        "procs/port_owner/main.py",
+        r"\+.*_bytes_alone = None if \(self\.wire\.unsent\) and False",
+        "the rest of a write goes out at WRITE, with a whole turn; all else is looked at at the tick",
+        same=False,
+    ),
+    Reason("procs/port_owner/*.py", r"\+.*causes\.(HANGS|MUTE)\(.*\) / MS\)", "a cause makes it whole"),
+    Reason("procs/port_owner/admission.py", r"\+\s+self\._(free|rest)_ns = 1$", "the first nanosecond of the machine"),
+    Reason("procs/port_owner/wire.py", r"\+\s+self\._refused = True$", "the burst that follows sets it"),
     Reason(
         "procs/port_owner/wire.py",
         r"^-    self\._handed = 0\n\+    self\._handed = 1$",

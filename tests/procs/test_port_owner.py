@@ -543,6 +543,16 @@ def test_a_gate_that_beats_but_sends_nothing_is_a_cause(scene: Scene) -> None:
     assert scene.turn(MS) == b""
 
 
+def test_it_wakes_just_when_the_gate_has_sent_nothing_for_too_long_and_not_at_the_tick_after(scene: Scene) -> None:
+    scene.drive()
+    for _ in range(39):
+        scene.turn(10 * MS)
+    assert scene.next_ns() == scene.clock() + 10 * MS + 1
+    assert scene.turn(10 * MS) == b""
+    assert scene.turn(1) == BURST
+    assert scene.reasons() == ["gate beats but sends nothing: 400 ms"]
+
+
 def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     scene.drive()
     scene.turn(300 * MS)
@@ -575,4 +585,8 @@ def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take(
     scene.put(SLOWER)
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]
+    kernel.room = 50
+    scene.ask_to_stop(b"x")
+    scene.turn()
+    assert scene.kept() == [(box.BURST, len(BURST), 50)], "a stop is told from the rest of one"
     scene.close()

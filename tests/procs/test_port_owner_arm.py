@@ -13,7 +13,7 @@ from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.procs.port_owner.admission import MOST_WAITING
 from failstop.shm import layout, records
-from tests.support.port_scene import MOTION, Scene
+from tests.support.port_scene import MOTION, Kernel, Scene
 from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
@@ -65,6 +65,21 @@ def test_a_move_goes_out_and_a_stop_ends_it(scene: Scene) -> None:
     assert scene.word("moving") == 0
     scene.put(b"held", kind=records.STOP)
     assert scene.turn(5 * MS) == STOP
+
+
+def test_a_stop_of_the_gate_s_soon_after_another_one_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
+    settle(scene)
+    scene.put(b"held", kind=records.STOP)
+    assert scene.turn() == STOP
+    assert arm(scene) == MOVE
+    scene.put(b"held", kind=records.STOP)
+    assert scene.turn(5 * MS) == STOP
+
+
+def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
+    settle(scene)
+    scene.world.play("unsent_bytes", lambda fd: 1)
+    assert arm(scene) == MOVE
 
 
 def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
@@ -222,6 +237,39 @@ def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene, mon
     monkeypatch.setattr(type(scene.owner.wire), "frame", lambda _, data, backlog=0: frame(data, backlog))
     assert arm(scene) == MOVE
     assert seen[0] == 1
+    assert scene.word("moving") == 0
+
+
+def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    settle(scene)
+    Kernel(monkeypatch).room = 5
+    assert arm(scene) == MOVE[:5]
+    assert scene.word("moving") == 1
+
+
+def test_the_word_moving_stays_up_when_the_plug_is_pulled_under_a_move(scene: Scene) -> None:
+    """Nobody has stopped the servos."""
+    settle(scene)
+    scene.pty.unplug()
+    scene.put(MOVE, kind=records.ARM)
+    scene.owner.turn({})
+    assert scene.reasons() == ["device lost"]
+    assert scene.word("moving") == 1
+
+
+def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a whole burst does."""
+    scene.drive()
+    kernel = Kernel(monkeypatch)
+    kernel.room = 100
+    scene.raise_epoch(2)
+    scene.turn()
+    kernel.room = None
+    scene.turn()
+    assert arm(scene, epoch=2) == MOVE
+    assert scene.word("moving") == 1
+    scene.raise_epoch(3)
+    assert scene.turn() == STOP
     assert scene.word("moving") == 0
 
 

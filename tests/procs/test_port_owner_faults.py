@@ -300,6 +300,36 @@ def test_a_frame_for_a_device_that_has_just_gone_is_a_device_lost(scene: Scene) 
     assert not scene.owner.admission.wheels_move
 
 
+def test_a_pulled_plug_is_told_at_the_wake_up_that_it_makes_and_not_a_tick_later(scene: Scene) -> None:
+    scene.drive()
+    scene.pty.unplug()
+    news: dict[int, int] = {}
+
+    def hung_up() -> bool:
+        news.update(scene.owner.loop.wait(0))
+        return bool(news)
+
+    until(hung_up, "the hang-up")
+    assert scene.owner.turn(news)
+    assert scene.reasons() == ["device lost"]
+    assert scene.port_state() == records.PORT_LOST
+
+
+def test_a_plug_pulled_under_a_stop_that_is_half_written_does_not_keep_it_awake_for_ever(
+    scene: Scene, kernel: Kernel
+) -> None:
+    """Others hold the device still, as the supervisor does: the kernel would tell of the hang-up at every wait."""
+    scene.drive()
+    kernel.room = 50
+    scene.ask_to_stop(b"x")
+    scene.turn()
+    scene.pty.unplug()
+    until(lambda: scene.owner.loop.wait(0), "the hang-up")
+    scene.turn()
+    assert scene.port_state() == records.PORT_LOST
+    assert scene.owner.loop.wait(0) == {}
+
+
 @pytest.mark.parametrize("frame", [True, False])
 def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(
     scene: Scene, frame: bool
@@ -320,14 +350,19 @@ def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lo
     assert scene.turn() == b"", "its epoch is over"
 
 
+def held_open(path: str) -> int:
+    """How many descriptors of this process are of that device."""
+    return sum(os.path.realpath(f"/proc/self/fd/{fd}") == path for fd in os.listdir("/proc/self/fd"))
+
+
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_port_that_is_known_already_changes_nothing(scene: Scene, number: int) -> None:
+def test_a_port_that_is_known_already_changes_nothing_and_is_not_kept_open(scene: Scene, number: int) -> None:
     """Sent twice, or to the one before this process."""
     scene.drive()
-    before = open_fds()
+    before = held_open(scene.pty.link)
     scene.control.send(scene.pty.slave, number, "/dev/other")
     assert scene.turn() == b""
-    assert open_fds() == before
+    assert held_open(scene.pty.link) == before
     assert scene.reasons() == []
     assert scene.owner.admission.wheels_move
 
@@ -390,6 +425,24 @@ def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: 
     scene.clock.now_ns = tick_ns
     assert scene.turn() == BURST
     assert beat.get() == tick_ns
+
+
+@pytest.mark.parametrize(("early_ns", "whole"), [(main.EARLY_NS + 1, False), (main.EARLY_NS, True)])
+def test_a_tick_that_is_due_soon_is_taken_with_the_board_s_bytes_and_saves_a_wake_up(
+    scene: Scene, early_ns: int, whole: bool
+) -> None:
+    scene.turn()
+    board_sends(scene)
+    scene.clock.now_ns = scene.next_ns() - early_ns
+    scene.turn()
+    assert (scene.word("beat_ns") == scene.clock()) is whole
+
+
+def test_bytes_of_the_board_do_not_end_the_port_owner(scene: Scene) -> None:
+    scene.turn()
+    board_sends(scene)
+    scene.turn(MS)
+    assert scene.stays
 
 
 def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:

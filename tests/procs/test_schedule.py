@@ -97,6 +97,28 @@ def test_the_port_owner_asks_after_each_stop(scene: Scene, monkeypatch: pytest.M
     assert scene.word(f"ping_{index}") >= scene.word("written_ns")
 
 
+def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scene: Scene) -> None:
+    scene.turn()
+    scene.turn(GAP_NS - 5 * MS)
+    scene.ask_to_stop(b"x")
+    scene.turn()
+    assert scene.next_ns() == scene.clock() + 5 * MS
+    before = len(scene.asked)
+    scene.turn(5 * MS)
+    assert len(scene.asked) == before + 1
+
+
+def test_a_board_without_pings_keeps_the_port_owner_no_more_awake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(BOARD), "pings", ())
+    scene = Scene(tmp_path, monkeypatch)
+    scene.turn()
+    scene.turn()
+    assert scene.next_ns() == scene.clock() + TICK
+    scene.close()
+
+
 def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.turn()
     asked = list(scene.asked)

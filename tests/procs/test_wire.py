@@ -18,6 +18,7 @@ from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
 from failstop.procs.world import World
+from failstop.shm import box
 from tests.support.played import PlayedWorld
 from tests.support.ptys import Board, Pty, new_pty
 from tests.support.stand_ins import before_write
@@ -163,6 +164,24 @@ def test_a_port_that_has_gone_gets_no_early_stop(pty: Pty, wire: Wire) -> None:
     wire.early_stop()
     assert pty.read() == b""
     Wire(-1, World()).early_stop()
+
+
+def test_an_early_stop_for_a_port_that_has_gone_is_not_in_the_black_box_as_written(pty: Pty, wire: Wire) -> None:
+    kept: list[bytes] = []
+
+    class Ring:
+        put = kept.append
+
+    wire.keep(Ring())  # type: ignore[arg-type]
+    wire.lost = True
+    wire.early_stop()
+    with new_pty() as other:
+        wire.adopt(other.slave)
+        pty.slave = other.slave = -1
+        kept.clear()
+        wire.heed()
+    assert kept == [box.pack_wire(box.BURST, BOARD.first_stop, 0)]
+    wire.close()
 
 
 # A full port.
@@ -513,9 +532,9 @@ def test_close_lets_the_port_go_at_once(pty: Pty, wire: Wire) -> None:
     wire.close()
 
 
-def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel, held: Held) -> None:
+def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, world: PlayedWorld, kernel: Kernel, held: Held) -> None:
     with new_pty() as old:
-        wire = Wire(old.slave, World())
+        wire = Wire(old.slave, world)
         kernel.room = 10
         wire.frame(MOTION)
         kernel.room = None

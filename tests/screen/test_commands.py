@@ -44,7 +44,7 @@ def test_status_through_its_states(trial: Trial) -> None:
     assert "stop latched: stop request: hand near (trial, pid" in shown
     named = f"--name {trial.name}`"
     assert f"`failstop reset {named}, then `failstop enable {named}" in " ".join(shown.split())
-    assert "written after" in shown
+    assert "written by the port owner after" in " ".join(shown.split())
     assert "link alive" in shown
     assert "\x1b" not in shown, "no colours in a pipe"
     assert max(map(len, shown.splitlines())) <= 80

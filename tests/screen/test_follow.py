@@ -63,7 +63,7 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     trial.service.start()
     wait_for("the incident", lambda: "incident show" in run(trial, "status").stdout)
     status, why = run(trial, "status"), run(trial, "why")
-    assert "before it supervisor died (`failstop incident show " in said(status.stdout)
+    assert "the run before this one: supervisor died (`failstop incident show " in said(status.stdout)
     assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
     assert follow.left(trial.name) is None
 

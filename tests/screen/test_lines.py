@@ -60,7 +60,7 @@ def test_what_the_screen_says() -> None:
     for part in (
         "wheels    STOPPED  stop latched: stop request: hand near the left wheel (failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
-        "written after 0.21 ms, acknowledged after 4.40 ms, still after about 0.3 s",
+        "written by the port owner after 0.21 ms, acknowledged by the board after 4.40 ms, wheels still after about",
         "/dev/ttyACM0 open, link alive",
         "12.00 V",
         "supervisor  4711  running  5 ms  20 ms         0  realtime locked",
@@ -68,7 +68,7 @@ def test_what_the_screen_says() -> None:
         assert part in said
     said = shown(summary.lines(STATES["process down"], NOW_S, 120))
     assert "gate           -  down" in said
-    assert "gate died too often and is down for a minute; it was killed by SIGKILL" in said
+    assert "gate died too often and is down for a minute, after it was killed by SIGKILL" in said
     assert "said nothing for 9.0 s" in said
     said = shown(summary.lines(STATES["waiting for the port"], NOW_S, 120))
     assert "wheels    MAY TURN" in said
@@ -85,13 +85,13 @@ def test_what_the_screen_says() -> None:
 
 def test_proofs_that_are_missing_are_seen() -> None:
     unseen = stop(causes.KEY(1), acknowledged_s=None, observed_s=None)
-    assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
+    assert "written by the port owner after 0.21 ms, NOT acknowledged by the board, NOT seen still by the IMU" in shown(
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )
     held = latched(last_stop=stop(sent=False, acknowledged_s=None))
-    assert "NOT sent: the board takes no bytes, not acknowledged" in shown(summary.last_stop(held, NOW_S))
+    assert "NOT sent: the board takes no bytes, NOT acknowledged" in shown(summary.last_stop(held, NOW_S))
     unwritten = latched(last_stop=stop(written_s=None))
-    assert "NOT written" in shown(summary.last_stop(unwritten, NOW_S))
+    assert "could NOT be written" in shown(summary.last_stop(unwritten, NOW_S))
 
 
 def test_restarts_and_missing_rights_are_remarked() -> None:
@@ -100,6 +100,12 @@ def test_restarts_and_missing_rights_are_remarked() -> None:
     assert "gate was restarted 2 times; it was killed by SIGKILL" in said
     assert "without real-time rights" in said
     assert "none" in said
+
+
+def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
+    late = process(early_news=False)
+    assert "this kernel tells of deaths late" in shown(summary.lines(state(processes={"gate": late}), NOW_S, 120))
+    assert "deaths late" not in shown(summary.lines(state(processes={"gate": process()}), NOW_S, 120))
 
 
 def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
@@ -140,15 +146,14 @@ def test_a_silent_imu_is_not_still() -> None:
 def test_a_service_that_has_gone_is_said_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(host, "unit", lambda _name: "")
     found, _ = _live()
-    said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
+    said = shown(found.gone("no service named 'failstop' is running", 80))
     for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`failstop run`"):
         assert part in said
     assert "journalctl" not in said
     monkeypatch.setattr(host, "unit", lambda name: "failstop")
-    said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
+    said = shown(found.gone("no service named 'failstop' is running", 80))
     assert "`journalctl -u failstop -e`" in said
     assert "`sudo systemctl start failstop`" in said
-    assert "5.0 s ago" in shown(found.gone("x", NOW_S + 5, 80))
 
 
 def test_only_changed_lines_are_written() -> None:
@@ -163,8 +168,6 @@ def test_only_changed_lines_are_written() -> None:
 def test_sparklines() -> None:
     assert spark([0.0, 0.5, 1.0, 2.0, None], 1.0, 7) == "  ▁▅██ "
     assert spark([1.0, 0.0], 1.0, 1) == "▁"
-    assert spark([1.0, 0.0], 1.0, 0) == ""
-    assert spark([1.0], 0.0, 1) == "▁"
 
 
 def _event(text: str = "STOP latched: key1", kind: str = "stop") -> Event:
@@ -197,22 +200,9 @@ def test_since_an_age(text: str, age_s: float) -> None:
     assert events.since(text, NOW_S) == NOW_S - age_s
 
 
-def test_since_a_time() -> None:
-    form = "%Y-%m-%d %H:%M:%S"
-    noon_s = time.mktime(time.strptime("2025-06-01 12:00:00", form))
-    for text, when in (
-        ("11:30", "2025-06-01 11:30:00"),
-        ("11:30:15", "2025-06-01 11:30:15"),
-        ("14:03", "2025-05-31 14:03:00"),
-        ("2025-05-01", "2025-05-01 00:00:00"),
-        ("2025-05-01 14:03", "2025-05-01 14:03:00"),
-    ):
-        assert events.since(text, noon_s) == time.mktime(time.strptime(when, form)), text
-
-
-@pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "٣m"])
+@pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "14:03", "٣m"])
 def test_since_nonsense(text: str) -> None:
-    with pytest.raises(FailstopError, match="allowed are"):
+    with pytest.raises(FailstopError, match="allowed is"):
         events.since(text, NOW_S)
 
 

@@ -12,7 +12,7 @@ from failstop.api.errors import NoService, Refused
 from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands.teleop import Pilot
-from failstop.cli.screen.keys import ENDS_S, EVENTS, PRESS, RELEASE, Key
+from failstop.cli.screen.keys import ENDS_S, SPACE
 from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
@@ -20,7 +20,7 @@ from tests.support.states import arm, driving, latched, state
 
 ENABLED = driving(sources=(), body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
 RIVAL = driving()
-W: list[Key] = [("w", PRESS)]
+FULL = (0.2, 0.2, 1.0)
 
 
 class Scribe:
@@ -57,11 +57,11 @@ def scribe() -> Scribe:
 
 @pytest.fixture
 def pilot(scribe: Scribe) -> Pilot:
-    return Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+    return Pilot(cast("Robot", scribe), "cmd_vel", FULL)
 
 
 def press(pilot: Pilot, *names: str, late: bool = False, now_s: float = 1.0, seen: Any = ENABLED) -> None:
-    pilot.keys([(name, PRESS) for name in names], seen, now_s, late=late)
+    pilot.keys(list(names), seen, now_s, late=late)
 
 
 def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
@@ -119,7 +119,7 @@ def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None
 def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:
     press(pilot, "w")
     scribe.asked.clear()
-    press(pilot, "w", "e", "space")
+    press(pilot, "w", "e", SPACE)
     assert scribe.asked == ["estop"]
     assert pilot.note[1] == FAIL
 
@@ -127,7 +127,7 @@ def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe:
 def test_of_what_comes_late_only_what_stops_counts(pilot: Pilot, scribe: Scribe) -> None:
     press(pilot, "e", "w", "r", "+", late=True)
     assert scribe.asked == []
-    press(pilot, "w", "space", late=True)
+    press(pilot, "w", SPACE, late=True)
     assert scribe.asked == ["estop"]
     press(pilot, "q", late=True)
     assert pilot.leaving
@@ -153,7 +153,7 @@ def test_beside_another_publisher_not_even_a_zero_goes_out(pilot: Pilot, scribe:
 
 
 def test_another_source_is_no_rival(scribe: Scribe) -> None:
-    pilot = Pilot(cast("Robot", scribe), "teleop", 0.2, 1.0)
+    pilot = Pilot(cast("Robot", scribe), "teleop", FULL)
     press(pilot, "w", seen=RIVAL)
     assert scribe.asked == [(0.1, 0.0, 0.0, "teleop")]
 
@@ -166,19 +166,11 @@ def test_nothing_is_commanded_while_it_could_not_move(pilot: Pilot, scribe: Scri
 
 
 def test_what_was_held_through_a_stop_drives_nothing_after_it(pilot: Pilot, scribe: Scribe) -> None:
-    pilot.hold.releases = True
     press(pilot, "w")
     scribe.asked.clear()
     press(pilot, now_s=1.1, seen=state())
     press(pilot, now_s=1.2)
     assert scribe.asked == [(0.0, 0.0, 0.0, "cmd_vel")]
-
-
-def test_releases_are_believed_once_the_terminal_has_answered(pilot: Pilot, scribe: Scribe) -> None:
-    press(pilot, EVENTS)
-    press(pilot, "w")
-    pilot.keys([("w", RELEASE)], ENABLED, 1.1, late=False)
-    assert scribe.asked[-1] == (0.0, 0.0, 0.0, "cmd_vel")
 
 
 def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot, scribe: Scribe) -> None:
@@ -203,9 +195,6 @@ class WithArm(Scribe):
     def jog(self, rates: dict[str, float]) -> None:
         self.asked.append({name: round(rate, 3) for name, rate in rates.items()})
 
-    def hold(self) -> None:
-        self.asked.append("hold")
-
     def enable(self, told: Any = None) -> str:
         told("on its way")
         self.let.wait(10)
@@ -217,19 +206,18 @@ ARM = state(arm=arm("base"))
 
 def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held() -> None:
     scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
     press(pilot, "\u00b2", "1", "]", "[", seen=ARM)
-    pilot.keys([("[", RELEASE)], ARM, 1.1, late=False)
-    assert scribe.asked == [{"base": 0.5}, {"base": -0.5}, "hold"]
+    assert scribe.asked == [{"base": 0.5}, {"base": -0.5}]
     press(pilot, "]", seen=ARM, late=True)
-    assert scribe.asked[3:] == [], "what was typed a while ago turns nothing"
+    assert scribe.asked[2:] == [], "what was typed a while ago turns nothing"
 
 
 def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time() -> None:
     scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
     press(pilot, "e", seen=ARM)
-    press(pilot, "space", seen=ARM)
+    press(pilot, SPACE, seen=ARM)
     assert scribe.asked == ["estop"]
     scribe.let.set()
     assert pilot._enabling

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator
 
@@ -143,24 +142,7 @@ def test_speed_steps(pilot: Typist, trial: Trial) -> None:
     pilot.wait("10 %: 0.02 m/s, 0.10 rad/s")
 
 
-def test_a_terminal_that_tells_releases(pilot: Typist, trial: Trial) -> None:
-    """One press, no repeat for longer than the command timeout, and the release."""
-    assert "\x1b[?u" in pilot.raw
-    pilot.type(b"\x1b[?15u")
-    pilot.wait("it ends with the key's release")
-    pilot.type(b"\x1b[101;1:1u\x1b[101;1:3u")
-    pilot.wait("motion enabled")
-    trial.board.events()
-    pressed_ns = pilot.type(b"\x1b[119;1:1u")
-    first = trial.board.wait_for(lambda event: event.is_motion, 5.0)
-    trial.board.wait_for(lambda event: event.is_motion and event.arrival_ns > pressed_ns + 450_000_000, 5.0)
-    stops = [event for event in trial.board.events() if event.arrival_ns > first.arrival_ns and not any(event.speeds)]
-    assert not [event for event in stops if event.is_motor], "it drove without a gap"
-    released_ns = pilot.type(b"\x1b[119;1:3u")
-    stopped_in_time(trial, released_ns)
-
-
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP])
 def test_signals_stop_and_disable(pilot: Typist, trial: Trial, end: signal.Signals) -> None:
     typed_ns = drive(pilot, trial)
     pilot.process.send_signal(end)
@@ -170,9 +152,14 @@ def test_signals_stop_and_disable(pilot: Typist, trial: Trial, end: signal.Signa
     assert not trial.robot.state.enabled
 
 
-def test_ctrl_c_is_a_signal_in_both_languages(pilot: Typist, trial: Trial) -> None:
-    pilot.type(b"\x1b[99;5u")
-    assert pilot.end() == 128 + signal.SIGINT
+@pytest.mark.parametrize(("key", "end"), [(b"\x03", signal.SIGINT), (b"\x1a", signal.SIGTSTP)])
+def test_ctrl_c_and_ctrl_z_end_it(pilot: Typist, trial: Trial, key: bytes, end: signal.Signals) -> None:
+    typed_ns = drive(pilot, trial)
+    pilot.type(key)
+    assert pilot.end() == 128 + end
+    assert pilot.restored()
+    stopped_in_time(trial, typed_ns)
+    assert not trial.robot.state.enabled
 
 
 def test_a_terminal_that_goes_away(pilot: Typist, trial: Trial) -> None:
@@ -223,29 +210,10 @@ def test_another_program_that_drives_is_not_driven_over(pilot: Typist, trial: Tr
     assert trial.robot.state.estop is None
 
 
-def test_ctrl_z_disables_and_gives_the_terminal_back(trial: Trial) -> None:
-    """In a real shell, as only one with job control can stop a program."""
-    with Typist(["sh", "-i"], environ={"PS1": "PROMPT> ", "ENV": ""}) as pilot:
-        pilot.wait("PROMPT>")
-        pilot.type(f"{sys.executable} -m failstop teleop --name {trial.name}\n".encode())
-        pilot.wait("e enables it")
-        typed_ns = drive(pilot, trial)
-        pilot.type(b"\x1a")
-        wait_for("the main screen", lambda: bool(pilot.look(0.02)) and pilot.raw.rstrip().endswith("PROMPT>"))
-        assert pilot.raw.rfind("\x1b[?1049l") > pilot.raw.rfind("\x1b[?1049h")
-        stopped_in_time(trial, typed_ns)
-        assert not trial.robot.state.enabled
-        pilot.type(b"fg\n")
-        pilot.wait("motion was disabled while this was stopped")
-        enable(pilot, trial)
-        pilot.type(b"q")
-        wait_for("the shell", lambda: bool(pilot.look(0.02)) and pilot.raw.rstrip().endswith("PROMPT>"))
-
-
 def test_refusals_are_said_before_the_screen_changes(trial: Trial) -> None:
     for words, code, said in (
         (["--name", "nobody-here"], 3, "no service named 'nobody-here'"),
-        (["--name", trial.name, "--speed", "0"], 1, "allowed is more than 0"),
+        (["--name", trial.name, "--source", "nobody"], 1, "no source 'nobody'"),
     ):
         with Typist.failstop("teleop", *words) as typist:
             assert typist.end() == code

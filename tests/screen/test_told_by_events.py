@@ -86,7 +86,8 @@ def _incident(run: str, reason: str = "supervisor died") -> tuple[Event, str]:
 def test_the_run_before_this_one_is_told_of_with_its_incident() -> None:
     saved, identity = _incident("before")
     events = [told("ready", t=NOW_S - 8), saved]
-    assert f"before it supervisor died (`failstop incident show {identity}`)" in shown(state(), events)
+    said = " ".join(shown(state(), events).split())
+    assert f"the run before this one: supervisor died (`failstop incident show {identity}`)" in said
     assert f"(`failstop incident show {identity} --name left`)" in why(state(name="left"), events)
     assert "supervisor died" in why(state(), events)
     assert identity not in why(BLOCKED, events), "somebody has enabled motion since"

@@ -1,4 +1,4 @@
-"""`failstop watch` in a real terminal."""
+"""`failstop status -w` in a real terminal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BUSY = 2.0
 
 @pytest.fixture
 def watch(trial: Trial) -> Iterator[Typist]:
-    with Typist.failstop("watch", "--name", trial.name) as typist:
+    with Typist.failstop("status", "-w", "--name", trial.name) as typist:
         typist.wait("STOPPED  blocked: disabled")
         typist.wait("telemetry")
         yield typist
@@ -53,7 +53,7 @@ def test_only_changed_lines_are_written(watch: Typist, trial: Trial) -> None:
     assert len(written) / 2.0 < 6000, "bytes a second, for a slow connection"
 
 
-@pytest.mark.parametrize("how", ["q", "Q", signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("how", ["q", "Q", signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
 def test_the_terminal_is_given_back(watch: Typist, how: str | signal.Signals) -> None:
     if isinstance(how, str):
         watch.type(how.encode())
@@ -81,7 +81,7 @@ def test_another_size(watch: Typist) -> None:
 
 
 def test_the_end_of_the_service_and_its_return() -> None:
-    with Trial(f"screen-{os.getpid()}-watch") as own, Typist.failstop("watch", "--name", own.name) as watch:
+    with Trial(f"screen-{os.getpid()}-watch") as own, Typist.failstop("status", "-w", "--name", own.name) as watch:
         watch.wait("STOPPED  blocked: disabled")
         watch.wait("port_owner")
         pid = own.service.pids()[layout.SUPERVISOR]
@@ -100,10 +100,10 @@ def test_the_end_of_the_service_and_its_return() -> None:
 
 
 def test_without_a_service_or_a_terminal(trial: Trial) -> None:
-    with Typist.failstop("watch", "--name", "nobody-here") as watch:
+    with Typist.failstop("status", "-w", "--name", "nobody-here") as watch:
         assert watch.end() == 3
         assert "\x1b[?1049h" not in watch.raw
-    command = [*FAILSTOP, "watch", "--name", trial.name]
+    command = [*FAILSTOP, "status", "-w", "--name", trial.name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20, stdin=subprocess.DEVNULL)
     assert done.returncode == 1
     assert "needs a terminal" in done.stderr

@@ -11,11 +11,10 @@ from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState
 from failstop.api.words import span
-from failstop.cli import style
+from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.commands.requests import REPEAT_S, say
 from failstop.cli.screen import summary
-from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
 failstop arm                           # where each joint is, what is wrong
@@ -58,7 +57,7 @@ def main(arguments: Namespace) -> int:
         }
         try:
             if verb in verbs:
-                print(fitted(verbs[verb](), 1, 2))
+                standard.tell(verbs[verb]())
                 return 0
             if verb == "read":
                 arm.read()
@@ -95,7 +94,8 @@ def _values(words: list[str]) -> dict[str, float]:
 def _lines(arm: ArmState) -> list[style.Line]:
     """All of the arm, its joints in a table."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
-    head += [("wrong", text) for text in summary.arm_wrong(arm)]
+    head += [("wrong", text) for text in arm.wrong]
+    head += [("refused", arm.refused)] if arm.refused else []
     rows = [("joint", " servo", " angle", " pulses", " commanded", " read", "torque")]
     for name, joint in arm.joints.items():
         angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"

@@ -99,10 +99,7 @@ def main(arguments: Namespace) -> int:
                 robot.estop("space")
             if b"q" in keys:
                 return 0
-            if terminal.stopped:
-                robot.leave()
-                terminal.suspend()
-            elif now_s is not None:
+            if now_s is not None:
                 terminal.draw(_lines(robot, who, terminal.columns))
                 if terminal.takes():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))

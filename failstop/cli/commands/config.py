@@ -6,8 +6,6 @@ import json
 import os
 import sys
 from argparse import ArgumentParser, Namespace
-from itertools import groupby
-from shutil import get_terminal_size
 from textwrap import indent
 
 from failstop import config
@@ -20,9 +18,6 @@ failstop config --config robot.toml
 failstop config --check robot.toml
 failstop config --example > robot.toml
 """
-
-# From this many columns on, a row has room for what the setting means.
-WIDE = 100
 
 GROUPS = {
     "device": "The board's port.",
@@ -72,7 +67,6 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop config`."""
     parser.add_argument("--config", metavar="FILE", help="the TOML file to read over the defaults")
-    parser.add_argument("--device", metavar="PATH", help="as for `failstop run`: over the setting device.path")
     parser.add_argument("--json", action="store_true", help="the same for programs")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
@@ -93,51 +87,44 @@ def main(arguments: Namespace) -> int:
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:
-        found = rows(arguments.config, arguments.device)
+        found = rows(arguments.config)
         if arguments.json:
             print(json.dumps(found, indent=2, ensure_ascii=False))
         else:
-            style.show(table(found, get_terminal_size((120, 24)).columns))
+            style.show(table(found))
     return 0
 
 
-def rows(path: str | None, device: str | None) -> dict[str, dict[str, float | str]]:
-    """Of every setting, by its whole key: value, unit, origin and what is allowed; the origin is "default", the file's
-    path or "--device". Raises SettingError."""
-    changed: dict[str, object] = {"device.path": BY_KEY["device.path"].check(device, "--device")} if device else {}
+def rows(path: str | None) -> dict[str, dict[str, float | str]]:
+    """Of every setting, by its whole key: value, unit, origin and what is allowed; the origin is "default" or the
+    file's path. Raises SettingError."""
     read = config.read(path)
-    origins = {**dict.fromkeys(read, path or ""), **dict.fromkeys(changed, "--device")}
     return {
         key: {
             "value": value,
             "unit": (setting := declaration(key)).unit,
-            "origin": origins.get(key, "default"),
+            "origin": path if path and key in read else "default",
             "allowed": setting.range(),
         }
-        for key, value in config.checked({**read, **changed}, path).flat().items()
+        for key, value in config.checked(read, path).flat().items()
     }
 
 
-def table(found: dict[str, dict[str, float | str]], columns: int) -> list[style.Line]:
+def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
     """The rows as lines, an empty one between two groups."""
-    wide = columns >= WIDE
     cells = []
     for key, row in found.items():
         setting = declaration(key)
         value = row["value"] if row["value"] and isinstance(row["value"], str) else literal(setting, row["value"])
-        doc = [setting.doc] if wide else []
-        cells.append([key, f" {value}", setting.unit, os.path.basename(str(row["origin"])), *doc])
-    left = sum(max(len(row[column].strip()) for row in cells) + 2 for column in range(4))
-    aligned = style.table([[(cell, style.PLAIN) for cell in row] for row in cells])
+        cells.append([key, f" {value}", setting.unit, os.path.basename(str(row["origin"]))])
     lines: list[style.Line] = []
-    for _, group in groupby(zip(found, aligned, strict=True), key=lambda pair: pair[0].partition(".")[0]):
-        lines += [[]] if lines else []
-        for _, line in group:
-            lines += style.wrap(line, columns, left) if wide else [line]
-    if not wide:
-        more = f"What each of them means: from {WIDE} columns on, or `failstop config --example`."
-        lines += [[], [(more, style.PLAIN)]]
-    return lines
+    group = ""
+    for key, line in zip(found, style.table([[(cell, style.PLAIN) for cell in row] for row in cells]), strict=True):
+        if lines and key.partition(".")[0] != group:
+            lines.append([])
+        group = key.partition(".")[0]
+        lines.append(line)
+    return [*lines, [], [("What each of them means, and what is allowed: `failstop config --example`.", style.PLAIN)]]
 
 
 def example() -> str:

@@ -8,9 +8,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from contextlib import suppress
-from datetime import datetime, timedelta
 
-from failstop.api import host
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
@@ -29,14 +27,13 @@ failstop events --json | jq -r .text   # for programs
 AGAIN_S = 0.5
 """How often it looks for a service that is not there."""
 UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
-FORMS = ("%H:%M", "%H:%M:%S", "%Y-%m-%d", "%Y-%m-%d %H:%M", "%Y-%m-%d %H:%M:%S")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop events`."""
     add = parser.add_argument
     add("-f", "--follow", action="store_true", help="go on with what comes, over restarts of the service too")
-    add("--since", metavar="WHEN", help="an age (30s, 10m, 2h, 1d) or a time (14:03, 2026-11-21 14:03)")
+    add("--since", metavar="AGE", help="no older than 30s, 10m, 2h, 1d")
     add("--kind", metavar="KIND,...", help="these alone, such as stop,died,enabled")
     add("--json", action="store_true", help="one object a line")
     add_name(parser)
@@ -63,8 +60,7 @@ def main(arguments: Namespace) -> int:
     except NoService as error:
         # What a service told that has died and was not started again.
         show(left[1] if (left := follow.left(name)) else [])
-        journal = host.journal(name)
-        raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
+        raise follow.refusal(name, error) from None
     while arguments.follow:
         try:
             for event in log.follow():
@@ -99,17 +95,9 @@ def kinds(text: str) -> frozenset[str]:
 
 
 def since(text: str, now_s: float) -> float:
-    """`10m`, `1.5h`, `14:03`, `2026-11-21 14:03` as Unix time. A time of the day is the last one that has been.
-    Raises FailstopError."""
-    number = text.rstrip("abcdefghijklmnopqrstuvwxyz")
+    """The Unix time of an age: `30s`, `10m`, `1.5h`. Raises FailstopError."""
+    number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():
         return now_s - float(number) * unit_s
-    for form in FORMS:
-        with suppress(ValueError):
-            then, now = datetime.strptime(text, form), datetime.fromtimestamp(now_s)
-            if not form.startswith("%Y"):
-                then = datetime.combine(now, then.time())
-                then -= timedelta(days=then > now)
-            return then.timestamp()
-    raise FailstopError(f"--since {text}: allowed are an age (30s, 10m, 2h, 1d) and a time (14:03, 2026-11-21 14:03)")
+    raise FailstopError(f"--since {text}: allowed is an age, such as 30s, 10m, 2h, 1d")

@@ -6,13 +6,12 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 
-from failstop.api.errors import Refused
+from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
-from failstop.api.state import StateReader
 from failstop.api.verdict import next_step
-from failstop.api.words import limited, velocity
+from failstop.api.words import velocity
+from failstop.cli import standard
 from failstop.cli.commands import add_name
-from failstop.supervisor.fold import fitted
 
 EXAMPLES = {
     "enable": """\
@@ -30,7 +29,6 @@ failstop reset && failstop enable
     "limit": """\
 failstop limit 30   # of every driver, until another is set
 failstop limit 100  # lift it
-failstop limit      # what it is now
 """,
     "drive": """\
 failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s
@@ -40,15 +38,15 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 }
 
 REPEAT_S = 0.05
-RESTARTED_S = 1.0
-POLL_S = 0.01
+RESTARTED_S = 0.5
+"""A process that died is there again by then, and nobody needs to be told to wait for it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of one of them, whose name ends the parser's."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
-        add("percent", nargs="?", type=float, metavar="PERCENT", help="5 to 100")
+        add("percent", type=float, metavar="PERCENT", help="5 to 100")
     if command == "drive":
         add("vx", type=float, help="m/s forward")
         add("vy", type=float, help="m/s left")
@@ -60,10 +58,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused, with what to do first."""
     command = arguments.command
-    if command == "limit" and arguments.percent is None:
-        share = StateReader(arguments.name).read().speed_limit
-        print(limited(share) if share < 1 else "no speed limit but the settings'")
-        return 0
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
             "enable": lambda: robot.enable(say),
@@ -73,12 +67,14 @@ def main(arguments: Namespace) -> int:
             "drive": lambda: _drive(robot, (arguments.vx, arguments.vy, arguments.wz), arguments.seconds),
         }
         try:
-            print(fitted(verbs[command](), 1, 2))
+            standard.tell(verbs[command]())
         except Refused as refused:
             state = robot.state
             if command != "drive" and (state.estop or state.waiting_for):
                 raise Refused(f"{refused.args[0]}; next: {next_step(state)}") from None
             raise
+        except ValueError as error:  # out of bounds, or not finite
+            raise FailstopError(str(error)) from None
     return 0
 
 
@@ -100,19 +96,12 @@ def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> s
         robot.drive(*asked, manual=True)
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
         if reason := _blocked(robot):
-            raise Refused(_settled(robot) or reason)
+            time.sleep(RESTARTED_S)
+            raise Refused(_blocked(robot) or reason)
         reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
     return f"drove for {seconds:g} s{held}; the wheels stop"
-
-
-def _settled(robot: Robot) -> str:
-    """What blocks when the process that died is there again, which is quick: nobody needs to be told to wait for it."""
-    until_s = time.monotonic() + RESTARTED_S
-    while robot.state.waiting_for and time.monotonic() < until_s:
-        time.sleep(POLL_S)
-    return _blocked(robot)
 
 
 def _blocked(robot: Robot) -> str:

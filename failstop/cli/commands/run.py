@@ -51,7 +51,8 @@ def main(arguments: Namespace) -> int:
             told = f"the stop is written to {device}" if written else f"{device} takes no bytes: use the POWER SWITCH"
             port.close()
         raise FailstopError(f"{_why(error)}; {told}") from None
-    raise FailstopError(f"{lost}{_others(lost)}")
+    absent = lost is not None and lost.kind == "absent"
+    raise FailstopError(f"{lost}{'; `failstop doctor --quick` lists the ports that are there' if absent else ''}")
 
 
 def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
@@ -83,13 +84,3 @@ def _why(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
-
-
-def _others(error: PortError | None) -> str:
-    """The serial devices that are there, when the one that was asked for is not."""
-    if error is None or error.kind != "absent":
-        return ""
-    from failstop import discovery
-
-    found = ", ".join(f"{path} ({what})" for path, what in discovery.candidates())
-    return f"; here there is {found}" if found else ""

@@ -1,4 +1,4 @@
-"""`failstop status`, one screen, live as `failstop watch`; `failstop why`, what holds the wheels in a few lines."""
+"""`failstop status`, one screen, live as `failstop status -w`; `failstop why`, what holds the wheels in a few lines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import hypot
 
@@ -19,7 +19,7 @@ from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import follow, summary
-from failstop.cli.screen.follow import WINDOW, Vibration
+from failstop.cli.screen.follow import Vibration
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.policy.settings import BY_KEY
 
@@ -29,10 +29,6 @@ failstop status                        # one screen
 failstop status -w                     # live; q or Ctrl-C ends it
 ssh -t robot failstop status -w        # from elsewhere
 failstop status --json | jq .blocked   # for programs
-""",
-    "watch": """\
-failstop watch                        # q or Ctrl-C ends it
-ssh -t robot failstop watch           # from elsewhere
 """,
     "why": """\
 failstop why                           # what holds the wheels, since when
@@ -46,7 +42,6 @@ LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
 """Values a sparkline can show; a wider terminal leaves a gap."""
-MOST_EVENTS = 12
 SLOW_S = 0.5
 """Ages and the process table are drawn again this often: digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
@@ -58,23 +53,20 @@ BARS = "▁▂▃▄▅▆▇█"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of the three."""
-    command = parser.prog.rpartition(" ")[2]
-    parser.set_defaults(watch=command == "watch")
-    how = parser.add_mutually_exclusive_group() if command == "status" else parser
-    if command == "status":
+    """Options of the two."""
+    how = parser.add_mutually_exclusive_group()
+    if parser.prog.endswith("status"):
         live = "live, with velocity and vibration, until q or Ctrl-C"
         how.add_argument("-w", "--watch", action="store_true", help=live)
-    if command != "watch":
-        how.add_argument("--json", action="store_true", help="for programs")
+    how.add_argument("--json", action="store_true", help="for programs")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Print what is asked for, or watch. Raises NoService with what is left of a service that died."""
-    if arguments.watch:
-        return _watch(arguments.name)
-    return (_why if arguments.command == "why" else _status)(arguments.name, as_json=arguments.json)
+    if arguments.command == "why":
+        return _why(arguments.name, as_json=arguments.json)
+    return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
 
 
 def _status(name: str, *, as_json: bool) -> int:
@@ -114,23 +106,20 @@ def _watch(name: str) -> int:
         for typed, now_s in terminal.turns(PERIOD_S):
             if b"q" in typed.lower():
                 return 0
-            if terminal.stopped:
-                terminal.suspend()
-            elif now_s is not None:
+            if now_s is not None:
                 state, unix_s = follower.read(now_s), time.time()
                 if state is None:
-                    terminal.draw(live.gone(follower.note, unix_s, terminal.columns))
+                    terminal.draw(live.gone(follower.note, terminal.columns))
                 else:
                     size = terminal.columns, terminal.rows
                     terminal.draw(live.lines(state, now_s, unix_s, *size, follower.events))
     return 128 + terminal.ended
 
 
-def spark(values: Sequence[float | None], top: float, columns: int) -> str:
+def spark(values: Iterable[float | None], top: float, columns: int) -> str:
     """The newest `columns` values as bars, the newest at the right; `top` and above is a full bar, None a gap."""
-    shown = values[-columns:] if columns > 0 else []
-    parts = [None if value is None else min(1.0, max(0.0, value / top if top else 0.0)) for value in shown]
-    return "".join(" " if part is None else BARS[round(part * (len(BARS) - 1))] for part in parts).rjust(columns)
+    bars = (" " if value is None else BARS[round(min(1.0, value / top) * (len(BARS) - 1))] for value in values)
+    return "".join(bars)[-columns:].rjust(columns)
 
 
 class Live:
@@ -142,7 +131,6 @@ class Live:
         self._vibration = Vibration()
         self._slow: list[Line] = []
         self._key: object = None
-        self._gone_s = 0.0
         self._device: str | None = None
 
     def lines(
@@ -150,56 +138,48 @@ class Live:
     ) -> list[Line]:
         """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
         call. `rows`: of the terminal, which the last events fill. `events`: of this run, oldest first."""
-        self._gone_s = 0.0
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         said = (state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
         if (key := (int(mono_s / SLOW_S), columns, said)) != self._key:
             self._key = key
             self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
-        body = [self._title(unix_s, columns), *wheels, [], *self._bars(state, columns), [], *self._slow]
+        title = self._title(words.clock(unix_s, unix_s), columns)
+        body = [title, *wheels, [], *self._bars(state, columns), [], *self._slow]
         return [*body, *_news(events, unix_s, rows - len(body))]
 
-    def _title(self, unix_s: float, columns: int) -> Line:
-        left, right = f"failstop {self._name}", f"{words.clock(unix_s, unix_s)}   q quits"
+    def _title(self, clock: str, columns: int) -> Line:
+        left, right = f"failstop {self._name}", f"{clock}   q quits"
         return [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
 
     def _bars(self, state: State, columns: int) -> list[Line]:
         vx, vy, wz = state.body_vel
         speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
+        shakes = shake is not None and shake > STILL_RADPS
+        text = "not known" if shake is None else f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
         moves = OK if state.moving else PLAIN
-        if shake is None:
-            silent = state.imu is None or len(self._history.get("vibration", ())) >= WINDOW
-            text, role = "IMU silent" if silent else "measuring", DIM
-        else:
-            shakes = shake > STILL_RADPS
-            text = f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
-            role = WARN if shakes and not state.moving else PLAIN
         return [
             self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),
             self._bar("turn", turn, f"{turn:.2f} rad/s", TOP_RADPS, moves, columns),
-            self._bar("vibration", shake, text, 3 * STILL_RADPS, role, columns),
+            self._bar(
+                "vibration", shake, text, 3 * STILL_RADPS, WARN if shakes and not state.moving else PLAIN, columns
+            ),
         ]
 
     def _bar(self, name: str, value: float | None, text: str, top: float, role: str, columns: int) -> Line:
         values = self._history.setdefault(name, deque(maxlen=REMEMBERED))
         values.append(value)
-        top = max([top, *(known for known in values if known is not None)])
-        bars = spark(list(values), top, columns - NAMES)
-        return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (bars, role)]
+        top = max(top, *(known or 0.0 for known in values))
+        return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (spark(values, top, columns - NAMES), role)]
 
-    def gone(self, note: str, unix_s: float, columns: int) -> list[Line]:
-        """The screen while there is no service; the history shows the gap."""
-        if not self._gone_s:
-            self._gone_s = unix_s
-            for values in self._history.values():
-                values.append(None)
+    def gone(self, note: str, columns: int) -> list[Line]:
+        """The screen while there is no service."""
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
-            self._title(unix_s, columns),
+            self._title("", columns),
             [],
             [("NO SERVICE  ", FAIL), (note, STRONG)],
-            [(f"since {words.ago(self._gone_s, unix_s)}; waiting for it to come back", PLAIN)],
+            [("waiting for it to come back", PLAIN)],
             [],
             [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
             [("what happened:       ", PLAIN), (told, STRONG)],
@@ -210,6 +190,6 @@ class Live:
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
     """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
-    count = max(0, min(room - 2, len(events), MOST_EVENTS))
+    count = max(0, min(room - 2, len(events)))
     shown = [replace(it, text=it.text.partition("; next: ")[0]) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -7,6 +7,7 @@ import contextlib
 import os
 import time
 from argparse import ArgumentParser, Namespace
+from functools import cached_property
 from math import inf
 
 from failstop import config, instances, stopping
@@ -17,6 +18,10 @@ from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
 from failstop.shm import instance
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
@@ -30,18 +35,12 @@ STALLED_S = 1.0
 REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
 
-EXAMPLES = {
-    "stop": """\
+EXAMPLES = """\
 failstop stop
 failstop stop hand near wheel
 failstop stop --device /dev/ttyACM1 --wait 60
 failstop stop --config /etc/failstop/failstop.toml
-""",
-    "estop": """\
-failstop estop
-failstop estop hand near wheel
-""",
-}
+"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -104,46 +103,35 @@ def _every_service(reason: str, who: str) -> int:
 
 
 def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
-    """Ask a service that runs; True when a stop is out."""
-    names, unseen = _services(wanted, port.wanted())
-    if not names and not unseen:
+    """Ask the services that have the port that is named, whatever they are called; where none is named, the one of this
+    name. True when a stop is out."""
+    device = port.wanted()
+    names = instances.listening() if device else [wanted] if instances.listens(wanted) else []
+    if not names:
         return False
-    # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
+    # For a service alone: the stop tool, where nothing runs, need not wait for all that this imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
-    from failstop.shm import records
 
     for name in names:
-        done, problem = ask.stop(name, reason, who)
-        if done:
-            standard.tell(done)
-        if problem:
-            standard.say(problem if done else f"{problem}: writing to the port itself")
-        if done:
-            if len(reason.encode("utf-8", "replace")) > records.ASKED_BYTES:
-                standard.say(f"the reason is cut to {records.ASKED_BYTES} bytes")
-            port.complain()
-            return True
-        port.known = port.known or ask.port_of(name)
-    for name in unseen:
-        with contextlib.suppress(FailstopError):
-            send_stop(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
-    port.asked = names + unseen
+        its = ask.port_of(name) if device else ""
+        if device and not its and name == wanted:
+            with contextlib.suppress(FailstopError):
+                send_stop(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
+        elif device and not (its and ask.same(its, device)):
+            continue
+        else:
+            done, problem = ask.stop(name, reason, who)
+            if done:
+                standard.tell(done)
+            if problem:
+                standard.say(problem if done else f"{problem}: writing to the port itself")
+            if done:
+                port.complain()
+                return True
+            port.known = port.known or ask.port_of(name)
+        port.asked.append(name)
     return False
-
-
-def _services(name: str, device: str) -> tuple[list[str], list[str]]:
-    """Which services to ask: those that have the port that is wanted, whatever they are called; without one, the one of
-    this name. And the one of this name when its port can't be read."""
-    if not device:
-        return [name] if instances.listens(name) else [], []
-    if not (names := instances.listening()):
-        return [], []
-    from failstop.api import ask
-
-    ports = {found: ask.port_of(found) for found in names}
-    unseen = [name] if ports.get(name) == "" else []
-    return [found for found, port in ports.items() if port and ask.same(port, device)], unseen
 
 
 class Port:
@@ -158,11 +146,10 @@ class Port:
         }
         self._name = arguments.name
         self._config = arguments.config
-        self._table: dict[str, object] | None = None
-        self._unread = ""
-        self._problems: dict[str, str] = {}
-        """What is wrong with the values of the file that were asked for."""
-        self._said: set[str] = set()
+        self._problems: list[str] = []
+        """What is wrong with the file, and not told yet."""
+        self._unknown = False
+        """The file may have named a port: it can't be read, or its port is none."""
         self.known = ""
         """What a service that runs says of its port."""
         self.asked: list[str] = []
@@ -170,33 +157,30 @@ class Port:
 
     def wanted(self) -> str:
         """The port that the user has named, by an option or by a file; empty: none."""
-        return str(self._given.get(DEVICE) or (self._of_file(DEVICE) if self._config else None) or "")
+        return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def device(self) -> str:
         """The port to write to."""
-        return self.wanted() or self.known or str(self._of_file(DEVICE) or DEFAULTS[DEVICE])
+        return self.wanted() or self.known or str(self._file.get(DEVICE, DEFAULTS[DEVICE]))
 
-    def _file(self) -> dict[str, object]:
-        """What the file sets, unchecked; nothing where there is none, or it can't be read."""
-        if self._table is None:
-            self._table = {}
-            path = self._config or config.installed(self._name)
-            try:
-                self._table = config.read(path) if self._config or os.path.exists(path) else {}
-            except SettingError as error:
-                self._unread = str(error)
-        return self._table
-
-    def _of_file(self, key: str) -> float | str | None:
-        """A value, if the file has it and it is allowed."""
+    @cached_property
+    def _file(self) -> dict[str, Any]:
+        """What the file sets, of these two what is allowed; nothing where there is none, or it can't be read."""
+        path = self._config or config.installed(self._name)
+        table: dict[str, Any] = {}
         try:
-            if key in (table := self._file()):
-                return BY_KEY[key].check(table[key])
+            table = config.read(path) if self._config or os.path.exists(path) else {}
         except SettingError as error:
-            self._problems[key] = str(error)
-        if self._unread:
-            self._problems[key] = self._unread
-        return None
+            self._problems.append(str(error))
+            self._unknown = True
+        for key in (key for key in DEFAULTS if key in table):
+            try:
+                table[key] = BY_KEY[key].check(table[key])
+            except SettingError as error:
+                self._problems.append(str(error))
+                self._unknown |= key == DEVICE
+                del table[key]
+        return table
 
     def stop(self, most_s: float = inf) -> float:
         """Write the stop, trying for `most_s` seconds at most; returns after how many. Raises FailstopError."""
@@ -204,18 +188,17 @@ class Port:
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
                 standard.say(self._explained(error))
-            found = self._given.get(WAIT)
-            found = self._of_file(WAIT) if found is None else found
+            found = {**DEFAULTS, **self._file, **self._given}[WAIT]
             self.complain()
             least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
-            return min(float(DEFAULTS[WAIT] if found is None else found), most_s, least_s)
+            return min(float(found), most_s, least_s)
 
         try:
             after_s = stopping.stop(self.device(), wait_s, standard.say)
             self.complain()
             # The servos of the arm, if there are any: which ones is in a file, and the wheels come first.
-            joints = [key for key in self._file() if key.startswith("joints.") and key.endswith(".servo")]
-            found = [value for key in joints if type(value := self._file()[key]) is int and 0 < value <= HIGHEST_ID]
+            joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
+            found = [value for key in joints if type(value := self._file[key]) is int and 0 < value <= HIGHEST_ID]
             if servos := sorted({*found})[:MOST_OF_A_FAMILY]:
                 stopping.write(self.device(), tuple(servos))
         except PortError as error:
@@ -225,16 +208,14 @@ class Port:
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
-        for problem in self._problems.values():
-            if problem not in self._said:
-                self._said.add(problem)
-                standard.say(f"{problem}; going on without it")
+        while self._problems:
+            standard.say(f"{self._problems.pop(0)}; going on without it")
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
-        if self.wanted() or self.known or self._of_file(DEVICE):
+        if self.wanted() or self.known or DEVICE in self._file:
             return False
-        if DEVICE not in self._problems and self._name == instance.DEFAULT_NAME:
+        if not self._unknown and self._name == instance.DEFAULT_NAME:
             return False
         standard.say(f"it went to {self.device()}, the default: is this the board? Name it with --device")
         return True
@@ -248,17 +229,11 @@ class Port:
 
         device = self.device()
         holders, _ = System().holders(device)
-        services = dict.fromkeys(holder.instance for holder in holders if holder.instance)
-        others = [f"{holder.name} (pid {holder.pid})" for holder in holders if not holder.instance]
-        who = ", ".join([f"the service {name!r}" for name in services] or others or ["another process"])
-        remedies = ["use the POWER SWITCH"]
-        if os.geteuid():
-            remedies.append(f"`sudo failstop stop --device {device}` writes all the same")
-        remedies += [f"`failstop stop --name {name}` asks it" for name in services if name not in self.asked]
-        if others and not services:
-            remedies.append(f"`{' && '.join(dict.fromkeys(holder.end() for holder in holders))}` ends it")
-        also = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
-        return f"{device} is held exclusively by {who}{also}: {', or '.join(remedies)}"
+        who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
+        asked = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
+        sudo = f", or `sudo failstop stop --device {device}`, which writes all the same" if os.geteuid() else ""
+        by = ", ".join(who) or "another process"
+        return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{sudo}"
 
 
 def _end_service() -> bool:

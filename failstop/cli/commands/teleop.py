@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 import threading
 import time
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.api import words
@@ -18,37 +17,22 @@ from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState, State
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.keys import (
-    ASK,
-    AXES,
-    COMMAND_S,
-    EVENTS,
-    FOCUS_OUT,
-    PRESS,
-    RELEASE,
-    UNASK,
-    Decoder,
-    Hold,
-    Key,
-    Velocity,
-)
+from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Decoder, Hold, Velocity
 from failstop.cli.screen.summary import row
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
-from failstop.policy.settings import BY_KEY
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import blocks
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves
-failstop teleop --speed 0.1 --turn 0.5  # slower at most
 failstop teleop --source teleop         # as one of the settings' [sources]
 ssh -t robot failstop teleop            # from elsewhere
 """
 
-SPEED_MPS = float(BY_KEY["limits.vx_mps"].default)
-TURN_RADPS = float(BY_KEY["limits.wz_radps"].default)
+LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
+"""The settings that are 100 %."""
 TURN_S = 0.05
 LATE_S = 0.25
 """After a turn that took this long - the program was stopped, the terminal or the machine was held up - what was typed
@@ -57,47 +41,33 @@ CLIENT = "failstop teleop"
 LATCHED = ("a stop is latched: r resets it, then e enables motion", FAIL)
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
-LEAVE = ("q", "ctrl+d")
+LEAVE = ("q", CTRL_D)
 TURNS = {"[": -1, "]": 1}
 """These turn the chosen joint of the arm, which a digit chooses, while they are held."""
-URGENT = ("space", *LEAVE, "ctrl+c", "ctrl+z", EVENTS, FOCUS_OUT)
-"""These count however late they come."""
-SIGNALS = {"ctrl+c": signal.SIGINT, "ctrl+z": signal.SIGTSTP}
-"""Terminals that tell all keys as events send these too, which the kernel then makes no signals of."""
-KEYS = (
-    ("w s", "\u2191 \u2193", "forward, backward", "space", "STOP, latched"),
-    ("a d", "\u2190 \u2192", "turn left, right", "e", "enable motion"),
-    ("j l", "", "slide left, right", "r", "reset a latched stop"),
-    ("+ -", "", "faster, slower", "q", "stop, disable, leave"),
-)
-"""Two columns of keys: letters, arrows, what they do; another key, what it does."""
-REPEATS = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
-RELEASES = "hold a key to drive: it ends with the key's release"
+KEYS = """\
+w s  \u2191 \u2193    forward, backward     space  STOP, latched
+a d  \u2190 \u2192    turn left, right      e      enable motion
+j l         slide left, right     r      reset a latched stop
++ -         faster, slower        q      stop, disable, leave
+"""
+JOINTS = "[ ]         turn the chosen joint {digits:<7}choose a joint of the arm"
+HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop teleop`."""
-    add = parser.add_argument
-    add("--speed", type=_positive, default=SPEED_MPS, metavar="M/S", help=f"at 100 %% (default: {SPEED_MPS:g})")
-    add("--turn", type=_positive, default=TURN_RADPS, metavar="RAD/S", help=f"at 100 %% (default: {TURN_RADPS:g})")
-    add("--source", default=DEFAULT_SOURCE, help=f"command as this source (default: {DEFAULT_SOURCE})")
+    parser.add_argument("--source", default=DEFAULT_SOURCE, help=f"command as this source (default: {DEFAULT_SOURCE})")
     add_name(parser)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value <= 10.0:
-        raise ArgumentTypeError(f"{text}: allowed is more than 0, to 10")
-    return value
 
 
 def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     Run(arguments.name).check("source", arguments.source)
-    terminal = Terminal(on=ASK, off=UNASK)
+    terminal = Terminal()
     with Robot(arguments.name, client=CLIENT) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
-        pilot = Pilot(robot, arguments.source, arguments.speed, arguments.turn)
+        vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
+        pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps, wz_radps))
         try:
             with terminal:
                 _drive(terminal, pilot)
@@ -109,36 +79,19 @@ def main(arguments: Namespace) -> int:
 
 
 def _drive(terminal: Terminal, pilot: Pilot) -> None:
-    decoder, name = Decoder(), pilot.robot.name
+    decoder = Decoder()
     turned_s, held_up = time.monotonic(), False
     for typed, due_s in terminal.turns(TURN_S):
-        keys = decoder.feed(typed)
-        try:
-            state = pilot.robot.state
-        except NoService:
-            raise NoService(f"no service named {name!r} is running: begin again") from None
-        if terminal.stopped:
-            _pause(terminal, pilot)
-            turned_s = 0.0  # what was typed meanwhile is late
-            continue
+        keys, state = decoder.feed(typed), pilot.robot.state
         now_s = time.monotonic()
         late = now_s - turned_s > LATE_S
-        # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too. Ctrl-Z
-        # leaves nothing that was typed.
-        before, held_up, turned_s = held_up, late and turned_s > 0.0, now_s
-        pilot.keys(keys, state, now_s, late=late or before)
+        # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too.
+        pilot.keys(keys, state, now_s, late=late or held_up)
+        held_up, turned_s = late, now_s
         if pilot.leaving:
             return
         if due_s is not None:
             terminal.draw(pilot.lines(state, now_s, terminal.columns))
-
-
-def _pause(terminal: Terminal, pilot: Pilot) -> None:
-    """Ctrl-Z: the robot stands while nobody is at the keys."""
-    _disable(pilot.robot)
-    pilot.hold.let_go()
-    terminal.suspend()
-    pilot.note = ("motion was disabled while this was stopped: e enables it", WARN)
 
 
 def _disable(robot: Robot) -> str:
@@ -153,8 +106,8 @@ class Pilot:
     """Keys in, requests and commands out. A request that fails is a note on the screen; a service that has gone is
     raised as NoService."""
 
-    def __init__(self, robot: Robot, source: str, speed_mps: float, turn_radps: float) -> None:
-        """The speeds are those at 100 %."""
+    def __init__(self, robot: Robot, source: str, full: Velocity) -> None:
+        """`full`: the velocity at 100 %, m/s forward, m/s left, rad/s counter-clockwise."""
         self.robot = robot
         self.source = source
         self.percent = FIRST_PERCENT
@@ -164,7 +117,7 @@ class Pilot:
         self.leaving = False
         self.joint = 0
         """The chosen joint of the arm, by its place in the settings."""
-        self._full = (speed_mps, speed_mps, turn_radps)
+        self._full = full
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
         self._enabling: threading.Thread | None = None
@@ -174,35 +127,34 @@ class Pilot:
         """Who else commands as this source."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
-    def keys(self, keys: list[Key], state: State, now_s: float, *, late: bool) -> None:
-        """Act on key events, and on what is due without any. `late`: they may have waited somewhere; then only what
-        stops counts."""
+    def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
+        """Act on keys, and on what is due without any. `late`: they may have waited somewhere; then only what stops
+        counts."""
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
-        if ("space", PRESS) in keys:
+        if SPACE in keys:
             self.hold.let_go()
             with self._noted():
                 self.robot.estop("space key")
                 self.note = LATCHED
             late = True  # what was typed before it, or with it, must not undo it
         if late:
-            self._send(self.hold.let_go(), now_s)
-            keys = [key for key in keys if key[0] in URGENT]
-        if not state.enabled:
-            self._send(self.hold.let_go(), now_s)  # nothing drives on that something else has stopped
+            keys = [key for key in keys if key in LEAVE]
+        if late or not state.enabled:
+            self._send(self.hold.let_go(), now_s)  # nor does anything drive on that something else has stopped
         moving = []
-        for name, kind in keys:
-            if name in AXES or name == FOCUS_OUT:
-                moving.append((name, kind))
-            elif not (state.arm and self._turn(name, kind, state.arm)) and kind != RELEASE and name != "space":
-                self._press(name, state, now_s)
-        if any(name in AXES and kind != RELEASE for name, kind in moving):
+        for key in keys:
+            if key in AXES:
+                moving.append(key)
+            elif not (state.arm and self._turn(key, state.arm)):
+                self._press(key, state, now_s)
+        if moving:
             if against := self._against(state):
                 self.note, moving = against, []
                 self.hold.let_go()
             elif self.note[1] in (WARN, FAIL) and state.blocked in (None, blocks.NO_COMMAND):
                 self.note = ("", PLAIN)
-        self._send(self.hold.events(moving, now_s), now_s)
+        self._send(self.hold.pressed(moving, now_s), now_s)
         if state.estop != self._latched:
             self._latched = state.estop
             self.note = LATCHED if state.estop else self.note
@@ -216,23 +168,19 @@ class Pilot:
         except FailstopError as error:
             self.note = (str(error), FAIL)
 
-    def _press(self, name: str, state: State, now_s: float) -> None:
+    def _press(self, key: str, state: State, now_s: float) -> None:
         """A key that is none of motion; one that means nothing lets go of those that are."""
-        if name == EVENTS:
-            self.hold.releases = True
-        elif name in STEPS_PERCENT:
-            self.percent = max(10, min(100, self.percent + STEPS_PERCENT[name]))
-        elif name in SIGNALS:
-            os.kill(os.getpid(), SIGNALS[name])
+        if key in STEPS_PERCENT:
+            self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:
             self._send(self.hold.let_go(), now_s)
-            self.leaving = self.leaving or name in LEAVE
+            self.leaving = self.leaving or key in LEAVE
             with self._noted():
-                if name == "r":
+                if key == "r":
                     self.note = (self.robot.reset(), WARN)
-                elif name == "e" and not state.arm:
+                elif key == "e" and not state.arm:
                     self.note = (self.robot.enable(), OK)
-                elif name == "e" and not (self._enabling and self._enabling.is_alive()):
+                elif key == "e" and not (self._enabling and self._enabling.is_alive()):
                     self._enabling = threading.Thread(target=self._enable, daemon=True)
                     self._enabling.start()
 
@@ -247,23 +195,20 @@ class Pilot:
         except FailstopError as error:
             self.note = (str(error), FAIL)
 
-    def _turn(self, name: str, kind: int, seen: ArmState) -> bool:
+    def _turn(self, key: str, seen: ArmState) -> bool:
         """True when the key is one of the arm's: acted on."""
         joints = list(seen.joints)
         digits = [str(number) for number in range(1, len(joints) + 1)]
-        if name in digits:
-            self.joint = digits.index(name)
+        if key in digits:
+            self.joint = digits.index(key)
             self.note = (f"joint {joints[self.joint]}: [ and ] turn it", PLAIN)
             return True
-        if name not in TURNS:
+        if key not in TURNS:
             return False
         joint = joints[min(self.joint, len(joints) - 1)]
         with self._noted():
             arm = self.robot.arm
-            if kind == RELEASE:
-                arm.hold()
-                return True
-            arm.jog({joint: TURNS[name] * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
+            arm.jog({joint: TURNS[key] * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
             against = arm.state.closed or arm.state.refused
             self.note = (against or f"joint {joint}", WARN if against else PLAIN)
         return True
@@ -290,15 +235,14 @@ class Pilot:
         """The screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
-        keys = list(KEYS)
+        keys = KEYS.splitlines()
         if state.arm:
-            digits = f"1 - {len(state.arm.joints)}"
-            keys.append(("[ ]", "", "turn the chosen joint", digits, "choose a joint of the arm"))
-        head: list[Line] = [[("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)], []]
-        for letters, arrows, moves, other, does in keys:
-            left = [(f"{letters}  {arrows:<5}", STRONG), (f"{moves:<22}", PLAIN)]
-            head.append([*left, (f"{other:<7}", STRONG), (does, FAIL if other == "space" else PLAIN)])
-        body = [
+            keys.append(JOINTS.format(digits=f"1 - {len(state.arm.joints)}"))
+        rows: list[Line] = [
+            [("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)],
+            [],
+            *([(text, PLAIN)] for text in keys),
+            [],
             row("keys", *(("held", OK) if self.hold.active else ("none held", PLAIN))),
             row("speed", f"{self.percent} %: {speed_mps:.2f} m/s, {turn_radps:.2f} rad/s"),
             row("command", "none" if command is None else words.velocity(*command) or "zero"),
@@ -306,10 +250,11 @@ class Pilot:
             *(self._arm(state.arm) if state.arm else []),
             summary.battery(state),
             summary.device(state),
+            [],
+            [self.note],
+            [(HOW, DIM)],
         ]
-        foot: list[Line] = [[], [self.note], [(RELEASES if self.hold.releases else REPEATS, DIM)]]
-        above, below = (summary.wrapped(rows, columns, 0) for rows in ([*head, []], foot))
-        return [*above, *summary.wrapped(body, columns), *below]
+        return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
         """What the arm does, and the chosen joint: where it is, or was sent."""

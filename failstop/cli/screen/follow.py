@@ -65,22 +65,21 @@ class Vibration:
     """How much the gyro's x and y vary: wheels that turn shake it."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
-        self._last: Sequence[float] | None = None
+        self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)
 
     def add(self, rate_radps: Sequence[float] | None) -> float | None:
         """A new reading; returns the standard deviation in rad/s, None while too little is known."""
-        if rate_radps is None or rate_radps == self._last:
+        if rate_radps is None or (self._samples and rate_radps == self._samples[-1]):
             self._samples.clear()  # a sensor that repeats itself is silent
-            return None
-        self._last = rate_radps
-        self._samples.append((rate_radps[0], rate_radps[1]))
+        if rate_radps is not None:
+            self._samples.append(rate_radps)
         if len(self._samples) < WINDOW:
             return None
-        return sqrt(sum(map(_variance, zip(*self._samples, strict=True))) / 2)
+        x, y, _ = (_variance(values) for values in zip(*self._samples, strict=True))
+        return sqrt((x + y) / 2)
 
 
-def _variance(values: tuple[float, ...]) -> float:
+def _variance(values: Sequence[float]) -> float:
     mean = sum(values) / len(values)
     return sum((value - mean) ** 2 for value in values) / (len(values) - 1)
 
@@ -109,17 +108,16 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9
     what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
     steps = [host.start(name, device), words.named("`failstop incident show last`, for what came before it", name)]
-    also = ["its black box is in memory, and is saved as an incident when it is started again"]
-    if not host.unit(name):
-        also.append("if it had a configuration file, name that with --config")
     if stop:
         proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
     else:
         what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
-    why = Why(what, proof, tuple(steps), tuple(also), ended_s)
-    return why, [event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))]
+    also = ("its black box is in memory, and is saved as an incident when it is started again",)
+    return Why(what, proof, tuple(steps), also, ended_s), [
+        event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
+    ]
 
 
 def refusal(name: str, error: NoService) -> NoService:

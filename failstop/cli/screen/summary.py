@@ -1,4 +1,4 @@
-"""Summary: the state in one screen, for `failstop status` and as the body of `failstop watch`; an event in a line."""
+"""Summary: the state in one screen, for `failstop status` and live; an event in a line."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from failstop.api import verdict, words
 from failstop.api.events import Event
-from failstop.api.snapshot import ArmState, Process, State, Stop
+from failstop.api.snapshot import ArmState, State
+from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
 from failstop.supervisor.kinds import KINDS
-from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -21,12 +21,13 @@ BATTERY_LOW_V = 10.5
 LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
 LINKS = {
-    "alive": ("alive: the board answers", OK),
-    "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
-    "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
+    "alive": ("alive", OK),
+    "unproven": ("unproven", WARN),
+    "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
 }
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
+PROOFS = {True: OK, None: PLAIN, False: WARN}
 PROCESSES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
 LEVELS = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
 KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
@@ -35,19 +36,19 @@ KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
     """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
     oldest first."""
+    also = explain(state, events, now_s).also
     rows = wheels(state)
     rows += _drivers(state, verdict.left_off(events), now_s)
-    rows += last_stop(state, now_s, verdict.before(events))
+    rows += last_stop(state, now_s)
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
     if state.arm:
-        rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
+        rows.append(row("arm", arm_headline(state.arm)))
     rows += [device(state), battery(state), _sensors(state)]
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
-    for who, sees, wrong in words.said(state):
-        rows += [row("says", f"{who}: {sees}"), *([row("wrong", f"{who}: {wrong}", WARN)] if wrong else [])]
-    remarks = _remarks(state, verdict.ends(state, events))
-    below = [part for remark in remarks for part in style.wrap([remark], columns, 0)]
+    said = ((who, sees) for who, sees, _ in words.said(state) if f"{who} says: {sees}" not in also)
+    rows += [row("says", f"{who}: {sees}") for who, sees in said]
+    below = wrapped([*([(text, WARN)] for text in also), *_remarks(state, events)], columns, 0)
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
 
@@ -73,8 +74,6 @@ def wheels(state: State) -> list[Line]:
     rows = [headline(state)]
     if step := verdict.next_step(state):
         rows.append(row("next", "") + commands(step))
-    if state.waiting_for and not state.blocked:
-        rows.append(row("waits for", state.waiting_for, WARN))
     return rows
 
 
@@ -96,29 +95,17 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     return rows
 
 
-def last_stop(state: State, now_s: float, before: str = "") -> list[Line]:
-    """The last stop and its three proofs. `before`: what ended the run before this one, if that was not in order."""
+def last_stop(state: State, now_s: float) -> list[Line]:
+    """The last stop and its three proofs."""
     stop = state.last_stop
     if stop is None:
-        rows = [row("last stop", "none since the service was started")]
-        return [*rows, row("before it", "") + commands(words.named(before, state.name))] if before else rows
+        return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
-    return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], row("", "") + _proofs(stop)]
-
-
-def _proofs(stop: Stop) -> Line:
-    """The three levels of a stop, each with its time or that it is not known."""
-    if stop.written_s is None:
-        return [("NOT written: the board did not get it", FAIL)]
-    written = (f"written after {words.took(stop.written_s)}", OK) if stop.sent else (NOT_SENT, FAIL)
-    heard, seen = ("not acknowledged", WARN), ("not seen still", WARN)
-    if stop.acknowledged_s is not None:
-        heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
-    if stop.observed_s is not None:
-        # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        text = wheels_seen(stop.observed_s).replace("wheels still", "still").replace("less than", "<")
-        seen = (text, OK if stop.observed_s else PLAIN)
-    return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
+    line = row("", "")
+    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+        unwritten = number == 0 and not proven
+        line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
+    return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
 
 
 def device(state: State) -> Line:
@@ -153,34 +140,26 @@ def processes(state: State) -> list[Line]:
         row: Line = [(name, PLAIN), (f" {process.pid or '-'}", PLAIN)]
         row += [(process.state, PROCESSES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
         row.append((f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN))
-        row += [(f" {process.restarts}", WARN if process.restarts else PLAIN), _rights(process)]
+        granted = ["realtime"] * process.realtime + ["locked"] * process.memory_locked
+        rights = " ".join(granted) or "none" if process.pid else "-"
+        row.append((f" {process.restarts}", WARN if process.restarts else PLAIN))
+        row.append((rights, PLAIN if len(granted) == 2 or not process.pid else WARN))
         rows.append(row)
     return style.table(rows)
 
 
-def _rights(process: Process) -> style.Span:
-    if not process.pid:
-        return "-", PLAIN
-    granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
-    return " ".join(granted) or "none", PLAIN if len(granted) == 2 else WARN
-
-
-def _remarks(state: State, ends: dict[str, str]) -> list[style.Span]:
-    """What is wrong beside the wheels. `ends`: how the processes before these have ended."""
-    found = []
-    running = [process for process in state.processes.values() if process.pid]
+def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
+    """What the process table says, in words."""
+    found: list[Line] = []
+    ends = verdict.ends(state, events)
     for name, process in state.processes.items():
-        if process.state == "down":
-            found.append((f"{name} died too often and is {verdict.until(name)}; it {ends[name]}", FAIL))
-        elif process.last_exit:
+        if process.state == "running" and process.last_exit:
             times = "once" if process.restarts == 1 else f"{process.restarts} times"
-            found.append((f"{name} was restarted {times}; it {ends[name]}", WARN))
-    if state.age_s > verdict.STALE_S:
-        found.append((f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL))
-    if state.starved:
-        found.append((f"{state.starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
-    elif not all(process.realtime for process in running):
-        found.append(("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM))
+            found.append([(f"{name} was restarted {times}; it {ends[name]}", WARN)])
+    running = [process for process in state.processes.values() if process.pid]
+    if not state.starved and not all(process.realtime for process in running):
+        text = "without real-time rights stops come later on a busy machine; `failstop doctor` says more"
+        found.append([(text, DIM)])
     return found
 
 
@@ -199,8 +178,3 @@ def arm_headline(arm: ArmState) -> str:
         return "released: its torque is off"
     pose = f", in the {arm.pose} pose" if arm.pose else ""
     return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
-
-
-def arm_wrong(arm: ArmState) -> list[str]:
-    """What is wrong with it, and what was refused last."""
-    return [*arm.wrong, *([f"the last goal was refused: {arm.refused}"] if arm.refused else [])]

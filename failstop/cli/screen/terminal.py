@@ -21,55 +21,51 @@ from failstop.cli.style import Line
 IN = 0
 OUT = 1
 CLEAR = "\x1b[H\x1b[2J"
-ENTER = f"\x1b[?1049h\x1b[?25l{CLEAR}"
-LEAVE = "\x1b[0m\x1b[?25h\x1b[?1049l"
-ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
+"""The alternate screen, no cursor, and what is pasted comes marked as such."""
+LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+"""Ctrl-Z too: nobody drives or attends a robot with a command that is put aside."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """A context manager. Signals only set fields here and end a wait(); whoever waits acts on them."""
+    """A context manager. Signals only set fields here; whoever waits acts on them when its wait is over."""
 
-    def __init__(self, *, on: str = "", off: str = "") -> None:
-        """`on` and `off`: sequences for more modes of the terminal, written after entering and before leaving.
-        Raises FailstopError when standard output is no terminal."""
+    def __init__(self) -> None:
+        """Raises FailstopError when standard output is no terminal."""
         if not os.isatty(OUT):
             raise FailstopError("this needs a terminal; `failstop status --json` is for programs")
-        self._on = ENTER + on
-        self._off = off + LEAVE
         self._shown: list[str] | None = None
         """What is on the screen, line by line; None: it may show anything."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
-        self._pipe = (-1, -1)
         self.ended = 0
         """The signal that asks to end; 0: none does."""
-        self.stopped = False
-        """Ctrl-Z was pressed: call suspend()."""
         self.columns = self.rows = 0
 
     def __enter__(self) -> Terminal:
-        self._pipe = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
-        signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
-        for number in (*ENDS, signal.SIGTSTP, signal.SIGCONT, signal.SIGWINCH):
+        for number in (*ENDS, signal.SIGCONT, signal.SIGWINCH):
             self._handlers[number] = signal.signal(number, self._note)
-        self._enter()
+        with contextlib.suppress(termios.error):
+            self._saved = termios.tcgetattr(IN)
+            tty.setcbreak(IN)  # what was typed before is forgotten
+        self._measure()
+        self.write(ENTER)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._leave()
-        signal.set_wakeup_fd(-1)
+        self.write(LEAVE)
+        if self._saved is not None:
+            with contextlib.suppress(termios.error):  # the terminal may have gone
+                termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        for fd in self._pipe:
-            os.close(fd)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         if number in ENDS:
             self.ended = self.ended or number
-        elif number == signal.SIGTSTP:
-            self.stopped = True
         else:
             self._measure()
 
@@ -79,29 +75,6 @@ class Terminal:
             size = os.get_terminal_size(OUT)
             self.columns = max(style.LEAST_COLUMNS, size.columns or style.NO_TERMINAL_COLUMNS)
             self.rows = max(2, size.lines or 24)
-
-    def _enter(self) -> None:
-        with contextlib.suppress(termios.error):
-            self._saved = termios.tcgetattr(IN)
-            tty.setcbreak(IN)  # what was typed before, or while this was stopped, is forgotten
-        self._measure()
-        self.write(self._on)
-
-    def _leave(self) -> None:
-        """Best effort: the terminal may have gone."""
-        self.write(self._off)
-        if self._saved is not None:
-            with contextlib.suppress(termios.error):
-                termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
-
-    def suspend(self) -> None:
-        """Give the terminal back, stop this process as Ctrl-Z does, and go on here when it is continued."""
-        self._leave()
-        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
-        os.kill(os.getpid(), signal.SIGTSTP)
-        signal.signal(signal.SIGTSTP, self._note)
-        self.stopped = False
-        self._enter()
 
     def write(self, text: str) -> None:
         """Write to the terminal; one that has gone ends this as a hang-up does."""
@@ -128,13 +101,8 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """What was typed; empty when nothing was until the time is over or a signal came."""
-        fds = [self._pipe[0], *([IN] if self._keyboard else [])]
-        ready = select.select(fds, (), (), max(0.0, timeout_s))[0]
-        if self._pipe[0] in ready:
-            with contextlib.suppress(BlockingIOError):
-                os.read(self._pipe[0], MOST_BYTES)
-        if IN not in ready:
+        """What was typed; empty when nothing was until the time is over."""
+        if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
             typed = os.read(IN, MOST_BYTES)
@@ -145,8 +113,7 @@ class Terminal:
         return typed
 
     def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
-        """Until a signal asks to end: what was typed, and the time (monotonic, s) where it is time to draw again.
-        A signal to stop is for the caller to act on."""
+        """Until a signal asks to end: what was typed, and the time (monotonic, s) where it is time to draw again."""
         next_s = time.monotonic()
         while not self.ended:
             typed = self.wait(next_s - time.monotonic())

@@ -8,9 +8,9 @@ import time
 from argparse import ArgumentParser, Namespace
 
 from failstop.cli import style
-from failstop.cli.commands.ros2 import find_rclpy
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.lab.trial import Stopped, Trial
+from failstop.ros2.command import find_rclpy
 from failstop.shm import layout
 
 TYPE_CHECKING = False

@@ -124,8 +124,6 @@ def _watch(arguments: Namespace) -> int:
         while not terminal.ended:
             if b"q" in terminal.wait(0.0).lower():
                 break
-            if terminal.stopped:
-                terminal.suspend()
             _listen(broker, WATCH_S)
             now = time.monotonic(), time.time()
             size = terminal.columns, terminal.rows
