@@ -90,12 +90,6 @@ def publish(runtime_dir: str, incarnation: int) -> int:
     return fd
 
 
-def touch(published: int) -> None:
-    """Wake everybody who waits for news of the run (failstop/api/events.py). `published`: from publish()."""
-    with contextlib.suppress(OSError):
-        os.pwrite(published, b"\n", RUN_DIGITS)
-
-
 def clear(runtime_dir: str) -> None:
     """Take away what a run has put into its directory, all but the lock; as far as it is there."""
     try:

@@ -79,20 +79,12 @@ class Outbox:
 class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
-    def __init__(
-        self,
-        world: World,
-        name: str,
-        ring: RingWriter | None = None,
-        journal: Outbox | None = None,
-        published: int = -1,
-    ) -> None:
-        """`name`: the instance's; `published`: the descriptor of its run's file, by which whoever waits is woken."""
+    def __init__(self, world: World, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
+        """`name`: the instance's."""
         self._now_ns, self._unix_s = world.now_ns, world.unix_s
         self._name = name
         self._ring = ring
         self._journal = journal
-        self._published = published
         self._waiting: list[Told] = []
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
@@ -131,8 +123,6 @@ class Events:
         waiting, self._waiting = self._waiting, []
         for told in waiting:
             self._send(*told)
-        if waiting and self._published >= 0:
-            instance.touch(self._published)
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""

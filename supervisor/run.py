@@ -74,7 +74,7 @@ class Run:
             raise
         for run in dead:
             segment.unlink_all(run)
-        self.events = Events(world, name, self.own.ring_writer("events"), journal, self.published)
+        self.events = Events(world, name, self.own.ring_writer("events"), journal)
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:

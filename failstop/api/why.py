@@ -152,7 +152,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     for name, process in state.processes.items():
         if process.state != "running":
             how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
-            found.append(f"{name.replace('_', ' ')} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
+            found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     if state.starved:

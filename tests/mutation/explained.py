@@ -25,8 +25,12 @@ EVERYWHERE = (
 )
 
 PROCS: tuple[Reason, ...] = (
-    Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port, 1\) & GONE", "1 is none of GONE's bits"),
-    Reason("procs/stopper/main.py", r"\+.*\*self\._due\[:2\],", "they are in order, and min() takes the first"),
+    Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port\.fd, 1\) & GONE", "1 is none of GONE's bits"),
+    Reason(
+        "procs/stopper/main.py",
+        r"\+.*StopPort\(.*settings\.servos\(\), \)",
+        "it looks at what is unsent only in drain(), which the stopper never calls",
+    ),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
     Reason("stopping.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
     Reason("stopping.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
@@ -35,14 +39,6 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
-    Reason("stopping.py", r"\+.*if \(left\) or True else", "a write of no bytes writes nothing"),
-    Reason(
-        "stopping.py",
-        r"\+.*time\.monotonic\(\) >= until_s",
-        "it gives up one look earlier at most",
-        same=False,
-    ),
-    Reason("stopping.py", r"\+.*error\.errno or 1\)", "what the system raises has a number"),
     Reason("procs/port_owner/main.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
     Reason("procs/port_owner/main.py", r"\+.*if found \| READ and", "it reads more often", same=False),
     Reason("procs/port_owner/main.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"),
@@ -80,11 +76,28 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/port_owner/wire.py", r"\+.*os\.read\(self\.fd, 4097\)", "one byte more at a time", same=False),
     Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
     Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
-    Reason("procs/gate/core.py", r"\+\s+if want >= now:", "at equality both branches return it"),
-    Reason("procs/gate/core.py", r"\+\s+self\.latched_in = 1$", "it is set with every latch, and read while latched"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
-    Reason("procs/gate/conditions.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
+    Reason(
+        "procs/gate/conditions.py",
+        r"\+.*(\.get\(name, 1\)|\.get\(session, \(1, \"\"\)\)|default=1\))",
+        "one nanosecond after the boot is as long ago",
+    ),
+    Reason(
+        "procs/gate/conditions.py",
+        r"\+\s+age_s = .* if (\(self\.delivered_ns\) or True else 0\.0|self\.delivered_ns else 1\.0)$",
+        "the age of a scan that never came is not told",
+    ),
+    Reason(
+        "procs/gate/requests.py", r"\+.*_limit_word\.get\(\) or 101\)", "101 is refused, and 100 is what the core has"
+    ),
+    Reason("procs/gate/requests.py", r"\+.*_replied = \[\((1, 0|0, 1)\)\]", "no session is 0, and no number below 0"),
+    Reason("procs/gate/requests.py", r"\+.*_, percent = .* or \(1, 0\)", "when it was left is not looked at"),
+    Reason(
+        "procs/gate/requests.py",
+        r"\+.*_asked_ns\.get\((verb|each), 1\)",
+        "one nanosecond after the boot is as long ago",
+    ),
 )
 
 SHM: tuple[Reason, ...] = (
@@ -145,11 +158,14 @@ SUPERVISOR = (
         "1 is READ, and GONE has not that bit",
     ),
     Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
+    Reason("supervisor/aftermath.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
+    Reason("supervisor/blackbox.py", r"_for_dead_run = 1$|\n\+ +pid = 1$", "no saver is process 1: nobody is hastened"),
     Reason(
         "supervisor/blackbox.py",
-        r"^-.*_hurry >= 0.*\n\+.*_hurry (> 0|>= 1)",
-        "0, 1 and 2 are open: no descriptor here is 0",
+        r"\n\+.*suppress\(KeyError\)",
+        "a socket of a pair can be shut down whatever became of the other",
     ),
+    Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
     Reason(
         "supervisor/aftermath.py",
         r"else \([01], [01], records\.PORT_OPEN",
@@ -158,26 +174,32 @@ SUPERVISOR = (
     ),
     Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
-        "supervisor/aftermath.py", r"_seen_pong = 1$|_heard = \(0, 1\)|_heard = \(1, 0\)", "nothing is asked so early"
+        "supervisor/aftermath.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
     ),
     Reason(
         "supervisor/blackbox.py",
-        r"result, 4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
+        r"recv\(4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
         "a byte, a nanosecond more",
         same=False,
     ),
     Reason("supervisor/blackbox.py", r"_seen_ns = \[1\]", "a nanosecond, of a time in microseconds", same=False),
-    Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
     Reason(
         "config.py",
         r"MOST_BYTES \+ (1 \+|2 -) len\(data\)",
         "it reads more of a file that is refused for its length all the same",
     ),
     Reason("supervisor/causes.py", r"self\.(since|epoch) = 1$", "a cause that stands has set it"),
+    Reason("supervisor/latch.py", r"_raised_ns = 1$", "it is read once there was a stop, which sets it"),
+    Reason("supervisor/latch.py", r"reply\.pack\(1, number\)", "who reads it asks for no session: it is nobody's"),
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
     Reason("config.py", r"version_info > \(3, 11\)", "it has five parts, and never equals two"),
     Reason("supervisor/events.py", r"fitted\(PREFIX \+ text, 3\)", "where a line breaks on a terminal", same=False),
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
+    Reason(
+        "supervisor/events.py",
+        r"^-.*_published >= 0.*\n\+.*_published (> 0|>= 1)",
+        "0, 1 and 2 are open: no descriptor here is 0",
+    ),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("shm/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
@@ -203,6 +225,8 @@ SUPERVISOR = (
         r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
+    Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
+    Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
@@ -232,7 +256,7 @@ SUPERVISOR = (
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.t_ns",
         "two times in ns at exact equality",
     ),
-    Reason("supervisor/aftermath.py", r"max\(1, written_ns", "a nanosecond, of a time in microseconds", same=False),
+    Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
 REASONS = (*EVERYWHERE, *PROCS, *SHM, *SUPERVISOR)

@@ -75,6 +75,18 @@ def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
     assert gone(gate) == causes.OPERATOR_GONE("Bert", LEFT)
 
 
+def test_a_proof_counts_to_the_last_nanosecond_of_the_lease_and_then_names_nobody() -> None:
+    """Or who is told to have gone would not be who attended last."""
+    gate = attended()
+    gate.core.attendance.leave(1)
+    gate.core.attendance.hear(2, "Bert", gate.now - LEASE - 1, gate.now)
+    assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+    gate.core.attendance.hear(2, "Bert", gate.now - LEASE, gate.now)
+    assert gone(gate) is None
+    gate.now += 1
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", "was not heard for 1000 ms")
+
+
 def test_an_old_proof_renews_nothing() -> None:
     """Of what a network held back for 5 s, nothing counts; and no proof takes a newer one back."""
     gate = attended()
@@ -106,6 +118,16 @@ def test_the_gate_wakes_when_the_lease_ends() -> None:
     gate.now += 900 * MS
     gate.take((0.2, 0.0, 0.0))
     assert gate.core.due_ns(gate.now) == T0 + LEASE + 1
+
+
+def test_when_the_last_operator_leaves_in_the_middle_of_a_turn_the_gate_looks_again_at_once() -> None:
+    gate = attended()
+    gate.enable()
+    gate.take((0.2, 0.0, 0.0))
+    gate.core.attendance.leave(1)
+    due_ns = gate.core.due_ns(gate.now)
+    assert due_ns is not None
+    assert due_ns <= gate.now
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(0, 3000), st.booleans()), max_size=60))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from tests.support.why import why
 
@@ -46,6 +48,18 @@ def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> No
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
     assert note.text == "client 1 ended its command: the wheels are stopped"
+
+
+@pytest.mark.parametrize("kind", ["driver_gone", "driver_silent"])
+def test_the_news_of_a_driver_hides_no_other(driving: Gate, kind: str) -> None:
+    """In the same turn a program commands as a source that no setting names."""
+    driving.drive(VELOCITY, 3)
+    driving.core.take(Command(2, "other", driving.now, VELOCITY, source="navv"), driving.now)
+    if kind == "driver_gone":
+        driving.core.client_gone(1, driving.now)
+    else:
+        driving.step(301 * MS)
+    assert told(driving) == ["ignored", kind]
 
 
 def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:

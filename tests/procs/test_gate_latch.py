@@ -82,6 +82,12 @@ def test_what_the_supervisor_has_latched_is_what_counts(driving: Gate) -> None:
     assert driving.blocked == "estop: gate died"
 
 
+def test_what_the_supervisor_has_latched_ends_by_its_word_in_the_first_epoch_too(gate: Gate) -> None:
+    gate.core.follow(why("gate died"), 1)
+    gate.core.follow(None, 1)
+    assert gate.blocked == "disabled"
+
+
 def test_what_the_supervisor_has_latched_stands_at_once(driving: Gate) -> None:
     driving.core.follow(why("gate died"), 1)
     assert stands(driving)

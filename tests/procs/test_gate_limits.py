@@ -49,6 +49,12 @@ def test_a_speed_limit_counts_at_once_by_the_ramps_and_is_lifted(gate: Gate) -> 
     assert gate.drive((9.0, 0.0, 0.0), 60)[-1] == (0.2, 0.0, 0.0)
 
 
+def test_the_slowest_speed_that_a_refusal_names_can_be_had(gate: Gate) -> None:
+    assert told(gate.core.limit_to(5)) == (True, "speed limited to 5 % of the settings'")
+    gate.enable()
+    assert gate.drive((9.0, 0.0, 0.0), 40)[-1] == (0.01, 0.0, 0.0)
+
+
 @pytest.mark.parametrize("percent", [0, 4, 101, 255])
 def test_a_speed_limit_that_is_none_is_refused_and_changes_nothing(gate: Gate, percent: int) -> None:
     gate.core.limit_to(50)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.procs.gate.requests import NO_ARM
 from failstop.shm import records
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
@@ -33,6 +34,27 @@ def test_a_disable_dated_in_the_future_keeps_nobody_from_enabling(gate_scene: Sc
     assert gate_scene.ask(records.DISABLE, gate_scene.clock() + 10_000 * MS)[0]
     gate_scene.turn(20 * MS)
     assert gate_scene.ask(records.ENABLE)[0]
+
+
+@pytest.mark.parametrize(("verb", "why"), [(records.ARM_TUCK, NO_ARM), (99, "unknown request 99")])
+def test_nobody_is_told_that_was_done_which_this_robot_cannot_do(gate_scene: Scene, verb: int, why: str) -> None:
+    assert gate_scene.ask(verb) == (False, why)
+
+
+def test_a_slot_s_next_session_is_answered_from_its_first_request_on(gate_scene: Scene) -> None:
+    for _ in range(3):
+        gate_scene.ask(records.DISABLE)
+    gate_scene.succeed(12)
+    assert gate_scene.ask(records.ENABLE) == (True, "motion enabled")
+
+
+def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s(gate_scene: Scene) -> None:
+    gate_scene.turn()
+    slot, now_ns = gate_scene.gate.clients.slots[0], gate_scene.clock()
+    gate_scene.gate.requests.take(slot, 7, records.RESET, now_ns, now_ns)
+    gate_scene.gate.requests.take(slot, 8, records.DISABLE, now_ns, now_ns)
+    gate_scene.decide()
+    assert gate_scene.replied() == (8, True, "motion disabled")
 
 
 def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(gate_scene: Scene) -> None:

@@ -212,6 +212,15 @@ def test_before_the_first_scan_nothing_moves() -> None:
     assert gate.fields() == [{"state": "silent"}]
 
 
+def test_a_sensor_whose_clock_is_ahead_has_not_delivered_yet() -> None:
+    """And nobody is told of a silence as long as the machine has run."""
+    gate = Gate({})
+    gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)
+    gate.command(0.1)
+    assert gate.tick() == 0
+    assert gate.told() == ["no scan yet: wheels stand"]
+
+
 def test_manual_commands_are_exempt() -> None:
     gate = Gate({})
     gate.command(0.1, manual=True)

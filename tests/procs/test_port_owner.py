@@ -13,6 +13,7 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes, kinematics
+from failstop.policy.processes import BY_NAME
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.world import World
@@ -72,6 +73,12 @@ def unplugged_first(fd: int, *_: object) -> wire_module.Wire:
 def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene: Scene) -> None:
     scene.turn()
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
+
+
+def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_gate_down(scene: Scene) -> None:
+    """On one core it would, in a thread that does not run above it."""
+    scene.turn()
+    assert scene.early.dying[scene.gate.pid] == BY_NAME[layout.GATE].priority
 
 
 def test_what_comes_while_it_looks_wakes_it_again(scene: Scene) -> None:

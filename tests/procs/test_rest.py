@@ -96,8 +96,19 @@ def test_what_has_ended_is_not_counted(proc: Proc) -> None:
         proc.put(str(MOST_PIDS + nobody), OURS)
     assert proc.kill() == (0, 0)
     ours = [proc.process() for _ in range(2)]
+    for nobody in range(100, 200):  # a directory lists its newest first, or its oldest, or neither
+        proc.put(str(MOST_PIDS + nobody), OURS)
     assert proc.kill() == (2, 0), "they are found among those that have gone"
     assert [process.wait(0) for process in ours] == [-signal.SIGKILL] * 2
+
+
+def test_the_stop_does_not_wait_a_second_more_for_each_worker_that_still_lives(proc: Proc) -> None:
+    """It is written when they have ended."""
+    for _ in range(6):
+        proc.process()
+    start_s = time.monotonic()
+    assert proc.kill() == (6, 0)
+    assert time.monotonic() - start_s < 5.0
 
 
 @pytest.mark.parametrize("becomes", [None, THEIRS])

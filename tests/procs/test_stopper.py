@@ -10,6 +10,7 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
+from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
 from failstop.shm import heartbeat, layout, records
@@ -41,6 +42,11 @@ def test_silent_while_all_is_well(scene: Scene) -> None:
 
 def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_stopper_s(scene: Scene) -> None:
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 1), (scene.port_owner.pid, 3, 1)]
+
+
+def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_port_owner_down(scene: Scene) -> None:
+    """On one core it would, in a thread that does not run above it."""
+    assert scene.early.dying[scene.port_owner.pid] == BY_NAME[layout.PORT_OWNER].priority
 
 
 def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:

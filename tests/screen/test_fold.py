@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from failstop.cli import style
 from failstop.supervisor.events import say
-from failstop.supervisor.fold import fitted, fold
+from failstop.supervisor.fold import LEAST_COLUMNS, fitted, fold
 from tests.support.commands import FAILSTOP
 
 LINE = (
@@ -42,6 +42,31 @@ def test_a_command_stays_whole_where_it_fits() -> None:
     long = f"`{'word ' * 30}`"
     assert max(map(len, fold(f"failstop: {long}", 60, 10).split("\n"))) <= 60
     assert fold("failstop: one ` alone, and a text that is longer than the line is", 40, 2).count("\n") == 1
+
+
+X, Y = "x" * 20, "y" * 19
+COMMAND = "`failstop show first-and-last`"
+"""As long as a line of 40 has room behind an indent of 10."""
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        (f"{X} {Y} and", [f"{X} {Y}", "and"]),
+        (f"{X} {Y}y and", [X, f"{Y}y and"]),
+        (f"{X} {COMMAND}", [X, COMMAND]),
+        (f"{X} {COMMAND}.", [f"{X} `failstop show", "first-and-last`."]),
+        (f"{X}  two spaces {Y}", [f"{X}  two spaces", Y]),
+        (f" {X}{Y}", [f" {X}{Y}"]),
+    ],
+)
+def test_a_line_is_filled_to_its_last_column_and_keeps_its_spaces(text: str, rows: list[str]) -> None:
+    assert fold(text, 40, 10).split("\n" + " " * 10) == rows
+
+
+def test_a_terminal_that_is_too_narrow_for_an_indent_breaks_the_line_itself() -> None:
+    assert fold(LINE, LEAST_COLUMNS - 1, 10) == LINE
+    assert "\n" in fold(LINE, LEAST_COLUMNS, 10)
 
 
 @given(st.text(alphabet="ab `\u00e4", max_size=300), st.integers(40, 100), st.integers(0, 12))

@@ -241,6 +241,14 @@ def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> N
     assert scene.supervisor.epoch == 2
 
 
+def test_a_reset_before_any_stop_is_done_and_tells_of_none(scene: Scene) -> None:
+    scene.turn()
+    scene.ask_reset()
+    scene.turn(MS)
+    assert scene.decided() == (True, "no stop is latched")
+    assert segment.attach(scene.run.memory, layout.SUPERVISOR).latest_reader("latch").read() is None
+
+
 def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
     scene.gate_stops("the first")
     scene.turn()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import signal
+import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -76,6 +79,7 @@ class Scene:
         """When what is read next was written."""
         self.word, self.code = SAID, 0
         self.started: list[dict[str, str]] = []
+        self.pids: list[int] = []
         self.box = self.new()
 
     def new(self, **changed: object) -> BlackBox:
@@ -94,7 +98,8 @@ class Scene:
         self.started.append(words)
         script = f'head -c 1 <&3 >/dev/null; printf "{self.word}" >&3; exit {self.code}'
         shell = f"import os; os.dup2({words['hurry']}, 3); os.execv('/bin/sh', ['sh', '-c', {script!r}])"
-        return spawn([sys.executable, "-I", "-S", "-c", shell], dict(os.environ), passed)
+        self.pids.append(spawn([sys.executable, "-I", "-S", "-c", shell], dict(os.environ), passed))
+        return self.pids[-1]
 
     def records(self) -> list[bytes]:
         found = []
@@ -283,6 +288,39 @@ def test_a_dead_run_s_saver_copies_when_this_run_is_ready(scene: Scene) -> None:
     assert ended(dead, 0)
     assert not ended(live)
     scene.box.follow(T0 + START_NS, ready=True)
+
+
+def test_a_dead_run_s_saver_takes_no_processor_time_from_a_run_that_is_not_ready(scene: Scene) -> None:
+    kept: list[socket.socket] = []
+
+    def spawned(arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
+        kept.append(socket.socket(fileno=os.dup(passed[0])))
+        return scene.spawn(arguments, environ, passed)
+
+    scene.world.play("spawn", spawned)
+    left_behind(scene, len(layout.PROCESSES))
+    scene.box.begin()
+    scene.box.follow(T0, ready=False)
+    with contextlib.closing(kept[0]) as hurry:
+        with pytest.raises(BlockingIOError):
+            hurry.recv(1, socket.MSG_DONTWAIT)
+        scene.box.follow(T0, ready=True)
+        assert hurry.recv(1, socket.MSG_DONTWAIT) == b""
+
+
+def test_a_dead_run_s_saver_that_is_killed_before_this_run_is_ready_costs_nothing_but_the_incident(
+    scene: Scene,
+) -> None:
+    """As the one process that the kernel takes when memory is short."""
+    left_behind(scene, len(layout.PROCESSES))
+    scene.box.begin()
+    (pid,) = scene.pids
+    os.kill(pid, signal.SIGKILL)
+    assert ended(pid, 0)
+    for ready in (False, True):
+        scene.box.follow(T0, ready=ready)
+    why = f"the saver was killed by signal 9; {NEXT}"
+    assert scene.events.told == [("incident", f"incident not saved: {why}", {"reason": why}, "warning")]
 
 
 def test_of_a_dead_run_that_is_not_whole_nothing_is_saved(scene: Scene) -> None:

@@ -64,7 +64,7 @@ def test_a_reset_with_nothing_latched_changes_nothing_and_is_one_all_the_same() 
     latch = Latch()
     assert told(latch.reset(1, 5)) == (True, "no stop is latched")
     assert latch.reset(1, 5).cause is None
-    assert latch.reset_epoch == 1
+    assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 1)
 
 
 def test_what_everybody_reads() -> None:

@@ -106,6 +106,14 @@ def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int
     assert gate.reap() == gate.last_exit == f"killed by {told}"
 
 
+def test_one_that_ends_by_itself_is_told_by_its_code_also_when_that_is_0(scene: Scene) -> None:
+    gate = scene.supervisor.processes[layout.GATE]
+    gate.started(Lifeline(os.posix_spawnp("true", ["true"], os.environ)), 1, scene.now_ns)
+    assert gate.life
+    assert gate.life.wait(20.0)
+    assert gate.reap() == gate.last_exit == "exited with code 0"
+
+
 def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
     gate = scene.supervisor.processes[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)

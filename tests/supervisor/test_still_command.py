@@ -14,6 +14,7 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
+from failstop.shm.lifeline import Lifeline
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
@@ -36,6 +37,7 @@ class Scene:
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
         self.told: list[tuple[str, object, str]] = []
+        self.kinds: list[str] = []
         self.world = PlayedWorld()
         self.run = Run(self.world, settings, f"still{os.getpid()}", str(directory))
         self.run.events.tell = self._tell  # type: ignore[method-assign,assignment]
@@ -47,6 +49,7 @@ class Scene:
         self.epoch = 1
 
     def _tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
+        self.kinds.append(kind)
         if kind == "command":
             self.texts.append(text)
             self.told.append((text, fields, level))
@@ -125,6 +128,16 @@ def test_one_that_has_not_ended_is_killed_and_run_anew(scene_of: Callable[[str],
     assert scene.aftermath._command_pids == scene.runs()[1:]
 
 
+def test_what_one_that_hangs_has_started_is_killed_with_it(scene_of: Callable[[str], Scene]) -> None:
+    scene = scene_of("sleep 120 & echo $! >> {file}; wait")
+    scene.stop_unheeded()
+    wait_for("the command", lambda: len(scene.runs()) == 1)
+    life = Lifeline(scene.runs()[0])
+    scene.stop_unheeded()
+    assert life.wait(20.0)
+    life.close()
+
+
 def test_once_for_one_stop(scene_of: Callable[[str], Scene]) -> None:
     scene = scene_of(NEVER_ENDS)
     scene.stop_unheeded()
@@ -158,8 +171,8 @@ def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]
         wait_for("its end", collected)
     assert len(scene.texts) == 4
     _, fields, level = scene.told[3]
-    assert isinstance(fields, dict)
-    assert (fields["state"], fields["code"], level) == ("ended", 0, "")
+    pid = scene.runs()[1]
+    assert (fields, level) == ({"state": "ended", "pid": pid, "code": 0}, "")
 
 
 def test_one_that_can_not_be_started_is_told_of(
@@ -200,3 +213,14 @@ def test_clients_are_told_of_a_stop_that_the_kernel_still_holds(scene_of: Callab
     assert scene.last_stop()["sent"] is True, "nobody has looked yet"
     scene.follow(10 * S)
     assert scene.last_stop()["sent"] is False
+
+
+def test_clients_are_told_once_of_a_stop_of_which_nothing_more_is_learnt(scene_of: Callable[[str], Scene]) -> None:
+    """What became of it is told to people; nothing of what clients read has changed."""
+    scene = scene_of("true")
+    scene.stop()
+    record = segment.attach(scene.run.memory, layout.SUPERVISOR).latest_reader("stop")
+    written = record.read()
+    scene.follow(10 * S)
+    assert scene.kinds[-1] == "stop_outcome"
+    assert record.read() == written

@@ -181,6 +181,20 @@ def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(aftermath: Aftermat
     assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {NEXT}", "critical")
 
 
+@pytest.mark.parametrize(("stop", "held"), [(KEY, True), (STUCK, False)])
+def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent(
+    aftermath: Aftermath, events: Told, stop: Stop, held: bool
+) -> None:
+    """Any burst is held for a moment, and a port that was stuck has drained again."""
+    aftermath._holds = lambda: held
+    aftermath.answered(answered(stop, KEY.t_ns + 80_000), ending=False)
+    [(_, text, _, level)] = events.whole
+    assert (text, level) == (
+        f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {NEXT}",
+        "",
+    )
+
+
 def test_what_was_not_handed_over_is_held_by_nobody(aftermath: Aftermath, events: Told) -> None:
     aftermath._holds = lambda: True
     aftermath.answered(answered(STUCK, 0), ending=True)

@@ -12,6 +12,7 @@ from failstop.policy.reply import unpack
 from failstop.procs.gate.main import Gate
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.bell import EventBell
+from failstop.shm.packing import Note
 from failstop.shm.segment import Segment
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
@@ -35,7 +36,7 @@ class GateStage(Stage):
         supervisor = self._views[layout.SUPERVISOR]
         self._latch_record, self._reset_record = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
         self._resets_word = supervisor.word("resets")
-        self._made = self.own.ring_reader("frames")
+        self._made, self._told = self.own.ring_reader("frames"), self.own.ring_reader("notes")
 
     def ready(self, word: int) -> None:
         """What the supervisor says of the service: 1 when motion may be enabled."""
@@ -44,6 +45,13 @@ class GateStage(Stage):
     def start_gate(self) -> None:
         """For the first time, or after its death."""
         self.gate = Gate(self)  # type: ignore[arg-type]
+
+    def told(self) -> list[str]:
+        """What people were told since the last look."""
+        found = []
+        while entry := self._told.next():
+            found.append(Note.unpack(entry[2]).text)
+        return found
 
     def join(self, session: int, who: str) -> Segment:
         """A client takes the next slot."""
@@ -70,12 +78,22 @@ class Scene(GateStage):
         self.latch = Latch()
         self._reply = self.own.latest_reader("reply.0")
         self._stops = self.own.ring_reader("stops")
-        self._number = 0
+        self.session, self._number = SESSION, 0
         self.asked: list[int] = []
         """Kinds of the frames that the last ask() led to."""
         self.ready(1)
         self.start_gate()
         self._client = self.join(SESSION, "test")
+
+    def succeed(self, session: int) -> None:
+        """Another session has the client's slot, and counts its requests from the first again."""
+        self.session, self._number = session, 0
+        self._client.latest_writer("hello").write(records.HELLO.pack(session, 0, 0, "heir"))
+
+    def pad_resets(self) -> None:
+        """The reset of the gamepad, which telemetry passes on."""
+        request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
+        self._views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
 
     def stop(self, epoch: int, text: str) -> None:
         """The supervisor raises the epoch."""
@@ -127,7 +145,7 @@ class Scene(GateStage):
     def request(self, verb: int, asked_ns: int | None = None) -> None:
         """The client asks, and does not ring."""
         self._number += 1
-        request = records.REQUEST.pack(SESSION, self._number, verb)
+        request = records.REQUEST.pack(self.session, self._number, verb)
         self._client.latest_writer("request").write(request, asked_ns or self.clock())
 
     def replied(self) -> tuple[int, bool, str]:
@@ -163,10 +181,10 @@ class Scene(GateStage):
 
     def limit(self, percent: int) -> None:
         """The client leaves a speed limit for its request."""
-        payload = records.SPEED_LIMIT.pack(SESSION, percent)
+        payload = records.SPEED_LIMIT.pack(self.session, percent)
         self._client.latest_writer("speed_limit").write(payload, self.clock())
 
     def command(self, vx_mps: float) -> None:
         """A person's command, without a ring."""
-        payload = records.COMMAND.pack(SESSION, vx_mps, 0.0, 0.0, True, "cmd_vel")
+        payload = records.COMMAND.pack(self.session, vx_mps, 0.0, 0.0, True, "cmd_vel")
         self._client.latest_writer("command").write(payload, self.clock())

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import os
 import pty
 import select
+import termios
 import tty
 from collections.abc import Iterator
 
@@ -15,6 +17,8 @@ from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 DEADLINE_S = 20.0
+HELD = 4095
+"""Bytes that a side of a pty holds unread, at least (the kernel's N_TTY_BUF_SIZE less one)."""
 
 
 def open_fds() -> int:
@@ -43,17 +47,17 @@ class Pty:
 
     def fill(self) -> int:
         """Write zeros, which the board ignores, until the kernel takes no more; returns how many it took. It goes on
-        moving bytes towards the other side for a while, which makes room again: so until that is over too."""
+        moving bytes to the other side, which makes room again, until that side holds all that it can: so until
+        then."""
         taken = 0
-        refused = 0
-        while refused < 20:
+        while True:
             try:
-                taken += os.write(self.slave, bytes(1000 if refused == 0 else 1))
-                refused = 0
+                taken += os.write(self.slave, bytes(100))
             except BlockingIOError:
-                refused += 1
+                there = int.from_bytes(fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)), "little")
+                if there >= HELD:
+                    return taken
                 select.select([], [], [], 0.0005)
-        return taken
 
     def unplug(self) -> None:
         """The board's side goes away: the port is hung up."""

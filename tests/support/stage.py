@@ -37,14 +37,17 @@ class Early:
         self.bell = EventBell.create()
         self.armed: list[tuple[int, int, int]] = []
         """Whose death is waited for, at which futex: pid, block, index."""
+        self.dying: dict[int, int] = {}
+        """By its pid: the priority that a thread which stops for it is to run above."""
         self._lives: dict[int, tuple[Lifeline, Callable[[], None] | None]] = {}
 
     def arm(
-        self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None, _dying: int = 0
+        self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0
     ) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
+        self.dying[life.pid] = dying
         self._lives[life.pid] = (life, stop)
 
     def tell(self, pid: int) -> None:
