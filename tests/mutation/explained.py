@@ -238,6 +238,11 @@ SUPERVISOR = (
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason(
+        "supervisor/stops.py",
+        r"self\.(epoch = 1|unix_s = 1\.0)$",
+        "they are read of a stop that is answered, which sets both",
+    ),
     Reason("supervisor/stops.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
     Reason("supervisor/stops.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason(
@@ -246,6 +251,7 @@ SUPERVISOR = (
         "the names are of the run: under them there is no other one's",
     ),
     Reason("supervisor/main.py", r"self\._(answer_by|stop)_ns = 1$", "the stop that it is read for sets it"),
+    Reason("supervisor/main.py", r"\n\+.*(gap|silent)_ns / MS\)", "a cause makes a whole number of its ms"),
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
         "supervisor/*.py",
@@ -262,16 +268,25 @@ SUPERVISOR = (
     Reason(
         "supervisor/port_handover.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"
     ),
+    Reason("supervisor/port_handover.py", r"self\._shared_ns = self\._lost_ns = 1$", "the machine's first nanosecond"),
+    Reason("supervisor/port_handover.py", r"self\._spare (> 0|>= 1):", "0, 1 and 2 are open: no descriptor here is 0"),
+    Reason("supervisor/port_handover.py", r"_spare = -2$", "any number below 0 is none"),
+    Reason("supervisor/port_handover.py", r"^-    self\._spare = -1\n\+    self\._spare = \+1$", "_reserve() sets it"),
     Reason(
         "supervisor/port_handover.py",
         r"else \([01], [01], records\.PORT_CLOSED",
         "of a port that is closed nothing else is looked at",
     ),
+    Reason(
+        "supervisor/process_table.py",
+        r'segment\.attach\(run\.memory, "lifelines", (None, )?write=True\)',
+        "the name is of the run: under it there is no other one's",
+    ),
     Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
     Reason("supervisor/process_table.py", r"_starved_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
         "supervisor/stops.py",
-        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.cause\.t_ns",
+        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.t_ns",
         "two times in ns at exact equality",
     ),
     Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),

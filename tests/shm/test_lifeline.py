@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import contextlib
 import errno
 import os
 import select
@@ -13,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,7 +22,7 @@ from failstop.shm import futex, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
-from tests.support.children import NOBODY, Child, become, needs_root
+from tests.support.children import NOBODY, Child, become, needs_root, scheduled
 from tests.support.waiting import until
 
 Send = Callable[[object], None]
@@ -334,17 +333,6 @@ def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, h
         assert life.dead()
         life.early.close()
         life.close()
-
-
-@contextlib.contextmanager
-def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
-    """Run with this scheduling."""
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, policy, os.sched_param(priority))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, *before)
 
 
 def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_starter(name: str, held: Segment) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import queue
 import resource
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -16,6 +18,7 @@ from failstop.board.finder import Finder
 from failstop.procs.world import World
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
+from tests.support.children import scheduled
 from tests.support.ptys import Pty, new_pty, open_fds
 from tests.support.waiting import until
 
@@ -67,6 +70,7 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pt
 
 
 def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty: Pty) -> None:
+    before = open_fds()
     opener = Opener(World(), Finder(pty.link), bell)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest = os.dup(bell.fd)
@@ -86,6 +90,7 @@ def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         os.close(opener._spare) if opener._spare >= 0 else None
+    assert open_fds() == before, "who has no number to give back closes no other's"
 
 
 class Slow(Finder):
@@ -128,3 +133,24 @@ def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_l
         os.close(found[-1][0])
     assert slept == [LOOK_NS / 1e9] * 3
     assert finder.looked == 5, "and it rests when it has opened one"
+
+
+def test_its_thread_has_the_supervisor_s_rights_to_run(bell: EventBell, tmp_path: Path) -> None:
+    """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
+    found: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
+
+    def sleep(_seconds: float) -> NoReturn:
+        """The thread has looked once; this was all."""
+        found.put((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+        sys.exit()
+
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it
+    opener = Opener(World(sleep=sleep), Finder(str(tmp_path / "board")), bell)
+    try:
+        with scheduled(policy, 3):
+            opener.begin()
+    except PermissionError:
+        pytest.skip("needs the right to real-time scheduling")
+    opener.look()
+    assert found.get(timeout=20.0) == (policy, 3)
+    os.close(opener._spare)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import threading
 from collections.abc import Iterator
@@ -148,3 +149,17 @@ def test_each_port_of_a_run_has_a_number() -> None:
             numbers.append(own.number)
         assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
         own.close()
+
+
+@pytest.mark.parametrize(("unsent", "holds"), [(0, False), (1, True)])
+def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held(unsent: int, holds: bool) -> None:
+    with new_pty() as pty:
+        assert OwnPort(pty.slave, unsent_bytes=lambda _: unsent).holds() is holds
+
+
+def test_of_a_port_that_can_not_say_what_it_holds_nobody_says_that_it_takes_nothing() -> None:
+    def refused(_fd: int) -> int:
+        raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
+
+    with new_pty() as pty:
+        assert not OwnPort(pty.slave, unsent_bytes=refused).holds()

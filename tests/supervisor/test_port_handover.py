@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+import select
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.board.stop_port import StopPort
 from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
@@ -18,6 +18,7 @@ from failstop.supervisor import children
 from failstop.supervisor.children import WAITING
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import SHARE_NS
+from tests.support.ptys import Pty
 from tests.support.supervisor_scene import MS, Scene
 
 NOBODY = 2**31 - 1
@@ -73,15 +74,18 @@ class Three(Scene):
         self.turn()
         assert self.port.fd < 0
 
-    def comes_back(self) -> int:
-        """The device is there again, as another pty, and opened; returns the board's side."""
-        master, slave = os.openpty()
-        self._held += [master, slave]
-        os.set_blocking(master, False)
-        self.path.symlink_to(os.ttyname(slave))
+    def comes_back(self, *, full: bool = False) -> int:
+        """The device is there again, as another pty, and opened; returns the board's side. `full`: it takes nothing
+        until then."""
+        pty = Pty()
+        self._held += [pty.master, pty.slave]
+        self.path.symlink_to(pty.link)
+        held = pty.fill() if full else 0
         assert self.handover.opener._asked.acquire(False), "it is looked for"
         assert self.handover.opener.attempt()
-        return master
+        while held and select.select([pty.master], [], [], 20.0)[0]:
+            held -= len(os.read(pty.master, held))
+        return pty.master
 
     def waits_for_its_restart(self) -> None:
         """The port owner has died."""
@@ -180,7 +184,7 @@ def test_its_loss_and_its_return_are_told_once_each(three: Three) -> None:
     three.events()
     three.lose()
     three.turn(MS)
-    three.turn(1_233 * MS)
+    three.turn(1_233 * MS + 400_000)
     three.comes_back()
     for _ in range(3):
         three.turn()
@@ -201,16 +205,36 @@ def test_what_the_port_owner_says_of_another_port_is_no_loss_of_this_one(three: 
     assert (three.port.fd < 0) is lost
 
 
-def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop(
-    three: Three, monkeypatch: pytest.MonkeyPatch
+def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop_and_told_with_the_stop_that_waited(
+    three: Three,
 ) -> None:
     three.lose()
-    with monkeypatch.context() as patched:
-        patched.setattr(StopPort, "burst", lambda _: False)
-        master = three.comes_back()
-    assert wrote(master) == b""
+    three.gate_stops()
     three.turn()
+    three.answers()
+    three.turn()
+    assert three.told()["written_us"] is None, "nobody has a port to write it on"
+    master = three.comes_back(full=True)
+    assert wrote(master) == b""
+    three.turn(7 * MS)
     assert wrote(master) == BURST
+    assert (three.told()["written_by"], three.told()["written_us"]) == ("supervisor", 7_000.0)
+
+
+def test_of_a_port_that_is_gone_nobody_says_that_its_board_answers(three: Three) -> None:
+    def link() -> bytes:
+        entry = segment.attach(three.run.memory, layout.SUPERVISOR).latest_reader("link").read()
+        assert entry is not None
+        return entry[2]
+
+    three.port_owner.word("ping_0").set(three.now_ns)
+    telemetry = segment.attach(three.run.memory, layout.TELEMETRY, write=True)
+    telemetry.word("pong").set(records.pong(three.now_ns + MS, 0))
+    three.turn(2 * MS)
+    assert link() == b"alive"
+    three.lose()
+    three.turn(MS)
+    assert link() == b"unproven"
 
 
 def test_while_the_port_owner_has_no_port_the_supervisor_repeats_the_stop(three: Three) -> None:

@@ -6,17 +6,19 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
+from failstop.board.interface import BOARD
 from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
+from failstop.shm.bell import EventBell
 from failstop.shm.futex import BLOCKS
 from failstop.shm.heartbeat import RUNNING
-from failstop.shm.lifeline import EarlyNews, Lifeline
+from failstop.shm.lifeline import Lifeline
 from failstop.supervisor import starter
 from failstop.supervisor.children import DIED, WAITING
 from failstop.supervisor.process_table import TRY_AGAIN_NS
@@ -202,26 +204,50 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     assert (telemetry.state, telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
-def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+Stopping = Callable[[], None] | None
+
+
+class Asked:
+    """Early news: who asks for which."""
+
+    def __init__(self, bell: EventBell) -> None:
+        self.bell = bell
+        self.of: list[tuple[int, int, int, int]] = []
+        """Whose death, at which futex (block, watcher), and the priority of who dies."""
+        self.stops: list[Stopping] = []
+        """What is done at once when it comes."""
+
+    def arm(self, life: Lifeline, block: int, watcher: int, stop: Stopping = None, dying: int = 0) -> None:
+        life.armed = True
+        self.of.append((life.pid, block, watcher, dying))
+        self.stops.append(stop)
+
+
+def test_the_early_news_of_each_process_that_runs_is_waited_for_once_and_that_of_the_port_owner_stops(
+    scene: Scene,
 ) -> None:
     processes = scene.supervisor.processes
-    gate, stopper = processes[layout.GATE], processes[layout.STOPPER]
-    asked: list[tuple[int, int, int]] = []
-
-    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int, *_how: object) -> None:
-        life.armed = True
-        asked.append((life.pid, block, watcher))
-
-    monkeypatch.setattr(EarlyNews, "arm", arm)
-    for child, block in ((gate, 5), (stopper, 6)):
+    port_owner, gate, stopper = (processes[name] for name in (layout.PORT_OWNER, layout.GATE, layout.STOPPER))
+    asked = Asked(processes.early.bell)
+    processes.early = asked  # type: ignore[assignment]
+    port_owner.state = WAITING
+    for child, block in ((port_owner, 4), (gate, 5), (stopper, 6)):
         child.started(Lifeline(os.posix_spawnp("sleep", ["sleep", "120"], os.environ)), block, scene.now_ns)
-    scene.gate.word("beat_pid").set(gate.pid)
-    scene.gate.word("beat_state").set(RUNNING)
+    for child, own in ((port_owner, scene.port_owner), (gate, scene.gate)):
+        own.word("beat_pid").set(child.pid)
+        own.word("beat_state").set(RUNNING)
     processes.arm()
     processes.arm()
-    assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
-    for child in (gate, stopper):
+    assert asked.of == [
+        (port_owner.pid, 4, 0, port_owner.row.priority),
+        (gate.pid, 5, 0, gate.row.priority),
+    ], "one that starts holds nothing yet"
+    stop, none = asked.stops
+    assert none is None, "for others the port owner stops"
+    assert stop is not None, "the port owner's death is stopped for by the thread that learns of it"
+    stop()
+    assert os.read(scene.master, 65536) == BOARD.first_stop
+    for child in (port_owner, gate, stopper):
         child.kill(20.0)
 
 

@@ -719,6 +719,14 @@ def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> N
     assert told[1][1].startswith("stopped; the second stop could NOT be written, acknowledged")
 
 
+def test_a_second_stop_that_the_kernel_keeps_is_a_failure(ending: Ending) -> None:
+    ending.world.play("unsent_bytes", lambda _: len(BURST))
+    ending.answer(ending.now_ns)
+    well, told = ending.end()
+    assert not well, "what it holds is dropped with the port"
+    assert told[1][1].startswith("stopped; the second stop was handed over, NOT sent")
+
+
 def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(
     ending: Ending,
 ) -> None:
