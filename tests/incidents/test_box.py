@@ -226,7 +226,19 @@ def test_what_the_arm_is_to_do_fits_its_ring(mode: str, who: str, aims: list[tup
     assert who.startswith(box.unpack_arm(entry[2])[1].rstrip("\ufffd"))
 
 
-@pytest.mark.parametrize("payload", [b"", b"\x01", b"\x09\x00", b"\x01\x02" + bytes(9)])
+def test_a_name_that_is_too_long_or_no_utf_8_fills_the_rest_of_the_record_of_the_arm() -> None:
+    aims = [(servo, 500.0) for servo in range(1, box.MOST_JOINTS + 1)]
+    packed = box.pack_arm("jog", "\udcff" + "\u00e9" * 80, aims)
+    assert len(packed) == box.ARM_BYTES
+    assert box.unpack_arm(packed) == ("jog", "?" + "\u00e9" * 18 + "\ufffd", dict(aims))
+
+
+def test_a_record_of_beats_of_another_version_is_told_by_its_kind() -> None:
+    with pytest.raises(ValueError, match=r"^a record of beats of the kind 3$"):
+        box.unpack_beats(box.OF_BEATS.pack(3, *range(10)))
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01", b"\x04\x00", b"\x09\x00", b"\x01\x02" + bytes(9)])
 def test_what_is_none_of_it_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="a record of the arm"):
         box.unpack_arm(payload)

@@ -68,6 +68,25 @@ def test_one_store_and_one_copy() -> None:
     assert memory.copies == [slice(AT, AT + 2 * cell_bytes(40))] * 3
 
 
+def test_a_copy_is_made_again_only_where_it_may_have_been_overtaken_and_then_twice() -> None:
+    memory = Memory(AT + 2 * cell_bytes(40))
+    writer, reader = pair(memory, 40)
+
+    def copies() -> int:
+        memory.copies.clear()
+        reader.read()
+        return len(memory.copies)
+
+    assert copies() == 1, "nobody has written it"
+    for seq in (1, 2, 3):
+        write(writer, seq, 40)
+        assert copies() == 1, "a newer value"
+    memory.data[AT] ^= 1
+    assert copies() == 1, "the next value is being written"
+    memory.data[AT + cell_bytes(40)] ^= 1
+    assert copies() == 3, "no value is whole"
+
+
 def test_nothing_outside_the_record_is_touched() -> None:
     memory = Memory(AT + 2 * cell_bytes(40) + 64)
     memory.data[:AT] = b"\xa5" * AT

@@ -55,6 +55,29 @@ def test_the_dying_are_demoted_without_any_capability() -> None:
             assert other.receive() == os.SCHED_OTHER
 
 
+def test_a_thread_that_ends_first_leaves_no_other_one_its_rights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the look at the threads and the call."""
+    asked: list[int] = []
+
+    def setscheduler(thread: int, policy: int, parameter: os.sched_param) -> None:
+        asked.append(thread)
+        if len(asked) == 1:
+            raise ProcessLookupError(errno.ESRCH, os.strerror(errno.ESRCH))
+
+    monkeypatch.setattr(os, "sched_setscheduler", setscheduler)
+    over = threading.Event()
+    others = [threading.Thread(target=over.wait) for _ in range(2)]
+    for each in others:
+        each.start()
+    life = Lifeline(os.getpid())
+    life.demote()
+    over.set()
+    for each in others:
+        each.join()
+    life.close()
+    assert {threading.get_native_id(), *(each.native_id for each in others)} <= set(asked)
+
+
 def test_sigkill_is_seen_through_epoll() -> None:
     slowest_s = 0.0
     for _ in range(20):
@@ -352,7 +375,9 @@ def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_sta
 
 
 @needs_root
-@pytest.mark.parametrize(("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (0, 6, 0), (5, 0, 5)])
+@pytest.mark.parametrize(
+    ("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (1, 6, 7), (0, 6, 0), (5, 0, 5)]
+)
 def test_a_waiting_thread_runs_above_the_dying_where_its_process_has_such_rights(
     name: str, held: Segment, own: int, dying: int, found: int
 ) -> None:
@@ -366,6 +391,29 @@ def test_a_waiting_thread_runs_above_the_dying_where_its_process_has_such_rights
         until(lambda: os.sched_getparam(thread).sched_priority == found, "its own priority")
         os.kill(holder.pid, signal.SIGKILL)
         assert select.select([news.bell.fd], [], [], 20)[0]
+        life.close()
+    os.close(news.bell.fd)
+
+
+@needs_root
+@pytest.mark.parametrize("of_a_service", [True, False])
+def test_above_one_that_has_no_priority_no_thread_has_to_run(name: str, held: Segment, of_a_service: bool) -> None:
+    with scheduled(os.SCHED_FIFO, 1):
+        news = EarlyNews(held)
+    found: list[int] = []
+
+    def stop() -> None:
+        found.append(os.sched_getparam(0).sched_priority)
+
+    with holding(name, 2) as holder:
+        life = Lifeline(holder.pid)
+        if of_a_service:
+            news.arm(life, 2, 0, stop)
+        else:
+            news.watch(life, held, 2 * PER_BLOCK, stop)
+        os.kill(holder.pid, signal.SIGKILL)
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        assert found == [1]
         life.close()
     os.close(news.bell.fd)
 
@@ -719,6 +767,31 @@ def test_where_the_kernel_can_t_nothing_is_held(held: Segment, monkeypatch: pyte
 
 def test_this_kernel_is_proven() -> None:
     assert futex.proven()
+
+
+def test_a_kernel_that_tells_of_the_end_a_while_later_is_proven_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread ends only after the third look."""
+    looks: list[bool] = []
+    end = threading.Event()
+    hold, told = futex._hold_until_the_end, Futex.told
+
+    def late(word: Futex, kept: list[object]) -> None:
+        hold(word, kept)
+        end.wait()
+
+    def look(word: Futex) -> bool:
+        looks.append(told(word))
+        if len(looks) == 3:
+            end.set()
+        return looks[-1]
+
+    monkeypatch.setattr(futex, "_hold_until_the_end", late)
+    monkeypatch.setattr(Futex, "told", look)
+    monkeypatch.setattr(futex, "_PROOF_NS", 20_000_000_000)
+    proven = futex.proven()
+    end.set()
+    assert proven
+    assert looks[:3] == [False] * 3
 
 
 def test_a_kernel_that_takes_the_list_and_marks_nothing_is_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -271,8 +271,37 @@ def test_more_joints_than_fit_are_refused(count: int) -> None:
         records.ARM_GOAL.pack(1, 1, dict.fromkeys(range(count), 0.0))
     with pytest.raises(ValueError, match="at most 8 and 200"):
         records.ARM_PATH.pack(1, 1.0, list(range(count)), [(0.0, [0.0] * count)])
+
+
+@pytest.mark.parametrize("count", [0, 201])
+def test_a_trajectory_without_points_or_of_more_than_fit_is_refused(count: int) -> None:
     with pytest.raises(ValueError, match="at most 8 and 200"):
-        records.ARM_PATH.pack(1, 1.0, [1], [(0.0, [0.0])] * 201)
+        records.ARM_PATH.pack(1, 1.0, [1], [(0.0, [0.0])] * count)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0", b"\1", b"\1" + bytes(8), b"\1" + bytes(10), b"\x09" + bytes(72)])
+def test_a_goal_of_no_joint_or_of_more_than_there_may_be_or_cut_off_is_no_goal(data: bytes) -> None:
+    with pytest.raises(ValueError, match=f"a goal of joints in {len(data)} bytes"):
+        records.ARM_GOAL.unpack(bytes(9) + data)
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"\5\5", "0 joints and 0 points in 2 bytes"),
+        (struct.pack("<BH", 2, 1), "2 joints and 1 points in 3 bytes"),
+        (struct.pack("<BH", 0, 2) + bytes(16), "0 joints and 2 points in 19 bytes"),
+        (struct.pack("<BH", 9, 1) + bytes(9 + 44), "9 joints and 1 points in 56 bytes"),
+        (struct.pack("<BH", 1, 1) + bytes(1 + 11), "1 joints and 1 points in 15 bytes"),
+        (struct.pack("<BH", 1, 1) + bytes(1 + 13), "1 joints and 1 points in 17 bytes"),
+        (struct.pack("<BH", 1, 1) + bytes(1 + 24), "1 joints and 1 points in 28 bytes"),
+    ],
+)
+def test_a_trajectory_of_no_joint_or_of_too_many_or_of_other_points_than_it_says_is_none(
+    data: bytes, told: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^a trajectory of {told}$"):
+        records.ARM_PATH.unpack(bytes(16) + data)
 
 
 @given(payload=st.binary(max_size=200))
@@ -320,6 +349,17 @@ LEAST: dict[str, tuple[Shape, int]] = {
 EXACT = {"request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
 
 
+def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:
+    numbers = Shape("<BH")
+    assert numbers.unpack(numbers.pack(1, 2)) == (1, 2)
+    with pytest.raises(struct.error):
+        numbers.pack(1, 2, 3)
+    named = Shape("<B", records._text(4))
+    assert named.unpack(named.pack(1, "\u00e9\u20ac")) == (1, "\u00e9")
+    assert named.unpack(b"\1\xff") == (1, "\ufffd")
+    assert (numbers.most, named.most) == (3, 5)
+
+
 @pytest.mark.parametrize("kind", LEAST)
 def test_a_wrong_size_is_a_value_error(kind: str) -> None:
     shape, least = LEAST[kind]
@@ -327,7 +367,7 @@ def test_a_wrong_size_is_a_value_error(kind: str) -> None:
     shape.unpack(bytes(least))
     shape.unpack(bytes(shape.most))
     for wrong in (*range(least), shape.most + 1, shape.most + 8, shape.most + 320):
-        with pytest.raises(ValueError, match=f"payload of {wrong} bytes"):
+        with pytest.raises(ValueError, match=f"payload of {wrong} bytes, {least} to {shape.most} expected"):
             shape.unpack(bytes(wrong))
 
 
