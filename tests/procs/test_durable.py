@@ -63,8 +63,8 @@ def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file"
     os.mkfifo(path)
-    regular = os.stat(__file__)
-    monkeypatch.setattr(durable.os, "stat", lambda *_: regular)  # type: ignore[attr-defined]
+    regular, look = os.stat(__file__), os.stat
+    monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == str(path) else look(at, **how))
     before = len(os.listdir("/proc/self/fd"))
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
         durable.open_regular(str(path))
@@ -72,10 +72,10 @@ def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("how", FLAGS)
-def test_a_second_name_of_somebody_s_file_is_refused(how: str, victim: Path) -> None:
+def test_a_second_name_of_somebody_s_file_is_refused_and_the_file_told(how: str, victim: Path) -> None:
     path = victim.with_name("file")
     path.hardlink_to(victim)
-    with pytest.raises(PermissionError, match="with another name"):
+    with pytest.raises(PermissionError, match=f"with another name: move it away: '{path}'$"):
         durable.open_own(str(path), FLAGS[how])
 
 
