@@ -138,6 +138,11 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
     Reason("shm/box.py", r"\n\+.*3e\+38", "the same number"),
     Reason("shm/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
+    Reason(
+        "shm/durable.py",
+        r"\n\+.*O_RDONLY (& os\.O_DIRECTORY \||\| os\.O_DIRECTORY &) os\.O_CLOEXEC\)",
+        "what a file is in is a directory, and Python opens nothing that crosses an exec",
+    ),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(
         "shm/futex.py",
