@@ -1,10 +1,10 @@
 """The rooms point one way: whoever reads one of them needs no other but those below it. A process asks no machine but
-its World."""
+its World. The face is no larger than it has to be."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -49,6 +49,22 @@ def imported(path: Path) -> Iterator[str]:
         else:
             continue
         yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
+
+
+MOST_OF_THE_FACE = 8000
+"""Lines: what a robot carries beside the core stays smaller than that."""
+
+
+def lines(paths: Iterable[Path]) -> int:
+    return sum(len(path.read_text().splitlines()) for path in paths)
+
+
+def test_the_face_that_a_robot_carries_is_small() -> None:
+    own = [path for path in (ROOT / "failstop").glob("*") if not path.is_symlink() and path.name != "lab"]
+    face = [path for top in own for path in (top.rglob("*.py") if top.is_dir() else [top]) if path.suffix == ".py"]
+    core = [path for room in BELOW for path in modules(room)]
+    assert len(face) > 40
+    assert lines(face) < min(MOST_OF_THE_FACE, lines(core))
 
 
 @pytest.mark.parametrize("room", BELOW)

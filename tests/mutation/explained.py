@@ -139,6 +139,11 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/box.py", r"\n\+.*3e\+38", "the same number"),
     Reason("shm/box.py", r"\n\+.*_ARM\.size else \((256, 0|255, 1)\)$", "it is no mode either, and refused by that"),
     Reason("shm/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
+    Reason(
+        "shm/durable.py",
+        r"\n\+.*O_RDONLY (& os\.O_DIRECTORY \||\| os\.O_DIRECTORY &) os\.O_CLOEXEC\)",
+        "what a file is in is a directory, and Python opens nothing that crosses an exec",
+    ),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(
         "shm/futex.py",
@@ -157,7 +162,7 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/futex.py", r"monotonic_ns\(\) <= until_ns", "two times in ns at exact equality"),
     Reason("shm/heartbeat.py", r"\n\+.*if gap_ns >= self\._worst_ns", "the gap that is written is written again"),
     Reason("shm/instance.py", r"\n\+\s+fd = -2$", "no descriptor is below 0"),
-    Reason("instances.py", r"\n\+.*ftruncate\(fd, 1\)", "the line that is written then begins at byte 0"),
+    Reason("*instance*.py", r"\n\+.*ftruncate\(fd, 1\)", "the line that is written then begins at byte 0"),
     Reason("shm/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),
     Reason("instances.py", r"\n\+.*os\.pread\(fd, 33, 0\)", "no pid has 32 digits", same=False),
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
@@ -180,11 +185,13 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
     Reason("shm/segment.py", r"\n\+\s+self\.view\.fd = -2", "neither is a descriptor"),
-    Reason("shm/segment.py", r"\n\+.*O_EXCL \| _FLAGS, 385\)", "fchmod follows before it is whole"),
+    Reason("shm/segment.py", r"\n\+.*O_CREX, \)", "0600 is the default"),
+    Reason("shm/segment.py", r"\n\+.*O_CREX, mode=385\)", "fchmod follows before it is whole"),
+    Reason("shm/segment.py", r"\n\+.*path_of\(memory, SUPERVISOR, \)", "nobody gives a folder", same=False),
     Reason("shm/segment.py", r"\n\+.*cell\.build\((2, 0|1, 1), header", "nobody reads a header's number and time"),
     Reason("shm/segment.py", r"\n\+.*HEADER_BYTES \+ cell\.HEADER_BYTES\)", "zeros more, where zeros are"),
     Reason("shm/segment.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
-    Reason("shm/segment.py", r"\n\+.*OSError\((None, .*, path|errno\.EINVAL, .*, None)\)", "its text alone is told"),
+    Reason("shm/segment.py", r"\n\+.*OSError\((None, .*, path|errno\.EINVAL, .*, (None)?)\)", "its text alone is told"),
 )
 
 SUPERVISOR = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
 import stat
 from collections.abc import Callable
@@ -63,8 +64,8 @@ def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file"
     os.mkfifo(path)
-    regular = os.stat(__file__)
-    monkeypatch.setattr(durable.os, "stat", lambda *_: regular)  # type: ignore[attr-defined]
+    regular, look = os.stat(__file__), os.stat
+    monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == str(path) else look(at, **how))
     before = len(os.listdir("/proc/self/fd"))
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
         durable.open_regular(str(path))
@@ -72,10 +73,10 @@ def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("how", FLAGS)
-def test_a_second_name_of_somebody_s_file_is_refused(how: str, victim: Path) -> None:
+def test_a_second_name_of_somebody_s_file_is_refused_and_the_file_told(how: str, victim: Path) -> None:
     path = victim.with_name("file")
     path.hardlink_to(victim)
-    with pytest.raises(PermissionError, match="with another name"):
+    with pytest.raises(PermissionError, match=f"with another name: move it away: '{path}'$"):
         durable.open_own(str(path), FLAGS[how])
 
 
@@ -106,3 +107,71 @@ def test_through_links_where_people_may_use_them(victim: Path) -> None:
     fd = durable.open_regular(str(path))
     assert os.read(fd, 100) == b"precious\n"
     os.close(fd)
+
+
+def test_a_draft_takes_the_place_of_an_old_one_for_all_to_read_whatever_the_umask(tmp_path: Path) -> None:
+    draft = tmp_path / "draft"
+    draft.write_text("longer, and of a dead writer")
+    draft.chmod(0o600)
+    mask = os.umask(0)
+    try:
+        durable.write_draft(str(draft), b"whole")
+    finally:
+        os.umask(mask)
+    assert draft.read_bytes() == b"whole"
+    assert stat.S_IMODE(draft.stat().st_mode) == 0o644
+
+
+def test_a_draft_goes_through_no_link(victim: Path) -> None:
+    draft = victim.with_name("draft")
+    draft.symlink_to(victim)
+    durable.write_draft(str(draft), b"whole")
+    assert (draft.is_symlink(), draft.read_bytes(), victim.read_text()) == (False, b"whole", "precious\n")
+
+
+def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            durable.write_draft(str(tmp_path / "draft"), b"whole")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("told", ["whole path", "bare name"])
+def test_a_draft_and_then_its_folder_are_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: str
+) -> None:
+    """A power cut loses what was not synced: the content of the file, or its name."""
+    synced: list[str] = []
+    sync, before = os.fsync, len(os.listdir("/proc/self/fd"))
+
+    def seen(fd: int) -> None:
+        synced.append(
+            f"{os.readlink(f'/proc/self/fd/{fd}')} {os.fstat(fd).st_size * stat.S_ISREG(os.fstat(fd).st_mode)}"
+        )
+        sync(fd)
+
+    monkeypatch.setattr(os, "fsync", seen)
+    if told == "bare name":
+        monkeypatch.chdir(tmp_path)
+    folder = "" if told == "bare name" else f"{tmp_path}/"
+    (tmp_path / "file").write_text("old")
+    durable.write_draft(f"{folder}draft", b"whole")
+    durable.publish(f"{folder}draft", f"{folder}file")
+    assert synced == [f"{tmp_path}/draft 5", f"{tmp_path} 0"]
+    assert os.listdir(tmp_path) == ["file"]
+    assert (tmp_path / "file").read_bytes() == b"whole"
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_draft_that_can_not_get_its_name_is_not_left(tmp_path: Path) -> None:
+    (tmp_path / "file").mkdir()
+    durable.write_draft(str(tmp_path / "draft"), b"whole")
+    with pytest.raises(IsADirectoryError):
+        durable.publish(str(tmp_path / "draft"), str(tmp_path / "file"))
+    assert os.listdir(tmp_path) == ["file"]
+    with pytest.raises(FileNotFoundError):
+        durable.publish(str(tmp_path / "draft"), str(tmp_path / "other"))

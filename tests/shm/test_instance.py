@@ -509,6 +509,10 @@ def test_paths_lie_in_the_runtime_dir_and_differ() -> None:
     assert all(os.path.dirname(path) == "/run/x" for path in paths)
 
 
+def test_a_file_of_a_runtime_dir_is_reached_by_its_own_name_there() -> None:
+    assert [instance._file(name)("/run/x") for name in ("lock", "other")] == ["/run/x/lock", "/run/x/other"]
+
+
 def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds: list[int]) -> None:
     path = instances.make_runtime_dir("robot")
     with pytest.raises(NoService):

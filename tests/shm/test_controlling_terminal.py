@@ -1,0 +1,33 @@
+"""Whoever opens a terminal may get it as the one that ends the process when it hangs up: the service never does."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+
+from failstop.shm import durable
+from tests.support.children import call
+
+
+def test_a_terminal_planted_after_the_look_is_not_the_one_whose_hangup_ends_the_service(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    regular, look = os.stat(__file__), os.stat
+    monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == path else look(at, **how))
+
+    def attempt() -> None:
+        os.setsid()  # as a service that systemd starts: the first terminal that it opens may become its own
+        with pytest.raises(OSError, match="a device, not a regular file"):
+            durable.open_regular(path)
+        with pytest.raises(OSError, match=os.strerror(errno.ENXIO)):
+            os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY)
+
+    try:
+        call(attempt)
+    finally:
+        os.close(master)
+        os.close(slave)
