@@ -116,10 +116,11 @@ class Session:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        if self._run is None or self._run.over():
+        run = self._run  # a signal's handler may close this in the midst of it
+        if run is None or run.over():
             self._leave()
-            self._run = StateReader(self.name)
-        return self._run
+            run = self._run = StateReader(self.name)
+        return run
 
     def _slot(self, run: Run) -> Client:
         connected = self._connected
