@@ -144,6 +144,7 @@ SHM: tuple[Reason, ...] = (
         r"\n\+.*O_RDONLY (& os\.O_DIRECTORY \||\| os\.O_DIRECTORY &) os\.O_CLOEXEC\)",
         "what a file is in is a directory, and Python opens nothing that crosses an exec",
     ),
+    Reason("shm/durable.py", r"\n\+.*KINDS\.get\(.*, (None)?\)$", "every kind of file that Linux has is one of KINDS"),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(
         "shm/futex.py",

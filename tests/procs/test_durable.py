@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import socket
@@ -47,8 +48,10 @@ def victim(tmp_path: Path) -> Path:
 def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Path) -> None:
     path = victim.with_name("file")
     PLANTED[what](path)
-    with pytest.raises(OSError, match=f"{what}, not a regular file"):
+    with pytest.raises(OSError, match=f"{what}, not a regular file") as refused:
         durable.open_own(str(path), FLAGS[how])
+    told = refused.value
+    assert (told.errno, told.strerror, told.filename) == (errno.EINVAL, f"{what}, not a regular file", str(path))
     assert victim.read_text() == "precious\n"
 
 
