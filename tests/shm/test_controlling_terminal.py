@@ -19,14 +19,18 @@ def test_a_terminal_planted_after_the_look_is_not_the_one_whose_hangup_ends_the_
     regular, look = os.stat(__file__), os.stat
     monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == path else look(at, **how))
 
-    def attempt() -> None:
-        os.setsid()  # as a service that systemd starts: the first terminal that it opens may become its own
+    def refused() -> None:
         with pytest.raises(OSError, match="a device, not a regular file"):
             durable.open_regular(path)
+
+    def attempt() -> None:
+        os.setsid()  # as a service that systemd starts: the first terminal that it opens may become its own
+        refused()
         with pytest.raises(OSError, match=os.strerror(errno.ENXIO)):
             os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY)
 
     try:
+        refused()
         call(attempt)
     finally:
         os.close(master)
