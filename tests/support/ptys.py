@@ -47,17 +47,18 @@ class Pty:
 
     def fill(self) -> int:
         """Write zeros, which the board ignores, until the kernel takes no more; returns how many it took. It goes on
-        moving bytes to the other side, which makes room again, until that side holds all that it can: so until
-        then."""
-        taken = 0
-        while True:
+        moving bytes to the other side, which makes room again, until that side holds all that it can, and gives room
+        back a moment later: so until that is over too."""
+        taken = refused = there = 0
+        while refused < 20 or there < HELD:
             try:
-                taken += os.write(self.slave, bytes(100))
+                taken += os.write(self.slave, bytes(1000 if refused == 0 else 1))
+                refused = 0
             except BlockingIOError:
+                refused += 1
                 there = int.from_bytes(fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)), "little")
-                if there >= HELD:
-                    return taken
                 select.select([], [], [], 0.0005)
+        return taken
 
     def unplug(self) -> None:
         """The board's side goes away: the port is hung up."""
