@@ -63,17 +63,6 @@ def run(name: str) -> tuple[str, int]:
     return segment.memory(name, incarnation), owner
 
 
-def last_run(name: str) -> tuple[str, int]:
-    """The same of a service that may have ended and left its segments, if it was this user's. Raises NoService,
-    FailstopError."""
-    try:
-        return run(name)
-    except NoService:
-        if dead := segment.dead_runs(name):
-            return dead[-1], os.geteuid()
-        raise
-
-
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
     """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
     FailstopError."""

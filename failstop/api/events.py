@@ -17,7 +17,7 @@ from failstop.api.errors import NoService
 from failstop.shm.instance import DEFAULT_NAME
 
 LOOK_S = 0.02
-"""Time between two looks for the next event."""
+"""Time between two looks for what may have changed."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeVar, get_args
 from failstop.api import verdict
 from failstop.api.client import Client, Run, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
+from failstop.api.events import LOOK_S
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.shm import records
@@ -34,8 +35,6 @@ stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
-LOOK_S = 0.02
-"""Time between two looks at the state."""
 POLL_S = 0.0003
 
 _CHECKS: dict[str, Callable[[State], bool]] = {

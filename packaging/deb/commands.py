@@ -40,22 +40,20 @@ def page() -> str:
 
 def command(parser: argparse.ArgumentParser) -> Iterator[str]:
     """What the page has of one command."""
-    what = " ".join((parser.description or "").split())
+    what = completion.what(parser)
     yield f"### {parser.prog}\n"
-    yield f"{what[:1].upper()}{what[1:].rstrip('.')}.\n"
+    yield f"{what}\n"
     if what.startswith(SECOND):
         return
     if parser._subparsers is None and not all(action.option_strings for action in completion.arguments(parser)):
         yield f"`{' '.join(_synopsis(parser))}`\n"
-    formatter = parser._get_formatter()
     rows = []
     for action in completion.arguments(parser):
-        text = " ".join(formatter._expand_help(action).split()) if action.help else ""
         value = completion.value(action)
-        rows.append((", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",)), text))
+        names = ", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",))
+        rows.append((names, completion.explained(parser, action)))
     yield from _table("argument", rows)
-    if parser.epilog:
-        examples = [line.strip() for line in parser.epilog.removeprefix(cli.EXAMPLES).strip().splitlines()]
+    if examples := completion.examples(parser):
         yield "\n".join(["```sh", *examples, "```\n"])
 
 
@@ -63,8 +61,7 @@ def _synopsis(parser: argparse.ArgumentParser) -> Iterator[str]:
     yield f"{parser.prog} [OPTION ...]"
     for action in completion.arguments(parser):
         if not action.option_strings:
-            shown = completion.value(action) + (" ..." if action.nargs in ("*", "+", argparse.REMAINDER) else "")
-            yield f"[{shown}]" if action.nargs in ("?", "*") else shown
+            yield completion.placed(action, completion.value(action))
 
 
 def _table(head: str, rows: Iterable[tuple[str, str]]) -> Iterator[str]:

@@ -85,5 +85,28 @@ def value(action: argparse.Action) -> str:
     return action.dest.upper() if action.option_strings else action.dest
 
 
+def what(parser: ArgumentParser) -> str:
+    """What a command is for, as a sentence."""
+    text = " ".join((parser.description or "").split())
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def explained(parser: ArgumentParser, action: argparse.Action) -> str:
+    """What the help says of an argument; empty: nothing."""
+    return " ".join(parser._get_formatter()._expand_help(action).split()) if action.help else ""
+
+
+def placed(action: argparse.Action, shown: str) -> str:
+    """A positional argument as a synopsis has it: whether it may be left out, or be several."""
+    several = f"{shown} ..." if action.nargs in ("*", "+", argparse.REMAINDER) else shown
+    return f"[{several}]" if action.nargs in ("?", "*") else several
+
+
+def examples(parser: ArgumentParser) -> list[str]:
+    """The lines below its help."""
+    lines = (parser.epilog or "").removeprefix(cli.EXAMPLES).strip().splitlines()
+    return [line.strip() for line in lines]
+
+
 if __name__ == "__main__":
     sys.stdout.write(script(sys.argv[1]))

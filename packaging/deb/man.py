@@ -91,17 +91,13 @@ def page() -> str:
 
 def command(parser: argparse.ArgumentParser) -> list[str]:
     """The lines of one command."""
-    what = " ".join((parser.description or "").split())
-    lines = [f".SS {_escaped(parser.prog)}", _escaped(f"{what[:1].upper()}{what[1:].rstrip('.')}.")]
+    lines = [f".SS {_escaped(parser.prog)}", _escaped(completion.what(parser))]
     arguments = completion.arguments(parser)
     if parser._subparsers is None:
         lines += [".PP", _synopsis(parser.prog, arguments)]
-    formatter = parser._get_formatter()
     for action in arguments:
-        text = " ".join(formatter._expand_help(action).split()) if action.help else ""
-        lines += [".TP", _head(action), _escaped(text) or "\\&"]
-    if parser.epilog:
-        examples = [line.strip() for line in parser.epilog.removeprefix(cli.EXAMPLES).strip().splitlines()]
+        lines += [".TP", _head(action), _escaped(completion.explained(parser, action)) or "\\&"]
+    if examples := completion.examples(parser):
         lines += [".PP", "Examples:", ".PP", ".RS", ".nf", *map(_escaped, examples), ".fi", ".RE"]
     return lines
 
@@ -111,10 +107,7 @@ def _synopsis(prog: str, arguments: list[argparse.Action]) -> str:
     words = [f"\\fB{_escaped(prog)}\\fR", *(_head(option) for option in options if option.required)]
     if not all(option.required for option in options):
         words.append("[\\fIOPTION\\fR ...]")
-    for action in arguments:
-        if not action.option_strings:
-            shown = _head(action) + (" ..." if action.nargs in ("*", "+", argparse.REMAINDER) else "")
-            words.append(f"[{shown}]" if action.nargs in ("?", "*") else shown)
+    words += [completion.placed(action, _head(action)) for action in arguments if not action.option_strings]
     return " ".join(words)
 
 

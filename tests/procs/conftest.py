@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.gate_scene import Scene
 
+from .arm_scene import ArmScene
 from .gate_bench import Gate
 
 
@@ -31,5 +32,14 @@ def driving(gate: Gate) -> Gate:
 def gate_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     """The process at work, not only its core."""
     made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
+    """The process at work, with an arm whose joints it has read."""
+    made = ArmScene(tmp_path, monkeypatch)
+    made.run(0.4)
     yield made
     made.close()

@@ -24,11 +24,8 @@ FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
-    made = ArmScene(tmp_path, monkeypatch)
-    made.run(0.4)
-    yield made
-    made.close()
+def scene(arm_scene: ArmScene) -> ArmScene:
+    return arm_scene
 
 
 def follow(scene: ArmScene, seconds: float, rate: float, servo: int = 1) -> None:

@@ -2,24 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE
 from failstop.shm import records
 from tests.support.gate_scene import Scene
 
 from .arm_scene import ArmScene
-
-
-@pytest.fixture
-def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
-    made = ArmScene(tmp_path, monkeypatch)
-    made.run(0.4)
-    yield made
-    made.close()
 
 
 def test_who_enabled_and_who_disabled_is_told_by_name_when_it_changed_something(gate_scene: Scene) -> None:

@@ -24,7 +24,7 @@ from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
 from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS, Notify
 from failstop.supervisor.stops import Stop
-from tests.support.supervisor_scene import MS, Scene, fill
+from tests.support.supervisor_scene import MS, Scene
 from tests.support.waiting import until
 from tests.support.why import said, why
 
@@ -149,7 +149,7 @@ def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    fill(scene.port.fd)
+    scene.fill()
     scene.gate_stops()
     scene.supervisor.turn({})
     assert scene.told()["written_us"] is None
@@ -344,7 +344,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.status.notify = notify
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    fill(scene.port.fd)
+    scene.fill()
     scene.gate_stops()
     scene.supervisor.turn({})
     scene.now_ns += OWED_NS - TELL_EVERY_NS

@@ -29,7 +29,7 @@ from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Su
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.process_table import GATE_AGAIN_NS
 from failstop.supervisor.status import TELL_EVERY_NS, Notify
-from tests.support.supervisor_scene import MS, fill
+from tests.support.supervisor_scene import MS
 from tests.support.waiting import until
 from tests.support.watching_scene import Watching
 
@@ -712,7 +712,7 @@ def test_a_board_that_goes_deaf_at_the_end_is_told_of(ending: Ending) -> None:
 
 
 def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> None:
-    fill(ending.port.fd)
+    ending.fill()
     ending.answer(ending.now_ns)
     well, told = ending.end()
     assert not well

@@ -27,6 +27,22 @@ def open_fds() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
+def fill(port: int, board: int) -> int:
+    """Write zeros, which the board ignores, to this side of a raw pty until the kernel takes no more; returns how many
+    it took. It goes on moving bytes to the other side, which makes room again, until that side holds all that it can,
+    and gives room back a moment later: so until that is over too."""
+    taken = refused = there = 0
+    while refused < 20 or there < HELD:
+        try:
+            taken += os.write(port, bytes(1000 if refused == 0 else 1))
+            refused = 0
+        except BlockingIOError:
+            refused += 1
+            there = int.from_bytes(fcntl.ioctl(board, termios.FIONREAD, bytes(4)), "little")
+            select.select([], [], [], 0.0005)
+    return taken
+
+
 class Pty:
     """A raw, non-blocking pty: `slave` is the port, `master` the board's side; `link` is the port's path."""
 
@@ -46,19 +62,8 @@ class Pty:
         return data
 
     def fill(self) -> int:
-        """Write zeros, which the board ignores, until the kernel takes no more; returns how many it took. It goes on
-        moving bytes to the other side, which makes room again, until that side holds all that it can, and gives room
-        back a moment later: so until that is over too."""
-        taken = refused = there = 0
-        while refused < 20 or there < HELD:
-            try:
-                taken += os.write(self.slave, bytes(1000 if refused == 0 else 1))
-                refused = 0
-            except BlockingIOError:
-                refused += 1
-                there = int.from_bytes(fcntl.ioctl(self.master, termios.FIONREAD, bytes(4)), "little")
-                select.select([], [], [], 0.0005)
-        return taken
+        """Until the kernel takes no more; returns how many bytes it took."""
+        return fill(self.slave, self.master)
 
     def unplug(self) -> None:
         """The board's side goes away: the port is hung up."""

@@ -26,6 +26,7 @@ from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify
 from tests.support.played import PlayedWorld
+from tests.support.ptys import fill
 from tests.support.stage import MOST_LATE
 from tests.support.why import said, told, why
 
@@ -141,6 +142,10 @@ class Scene:
         self.turn(MS)
         assert self.decided() is not None
 
+    def fill(self) -> None:
+        """The port takes nothing more."""
+        fill(self.port.fd, self.master)
+
     def close(self) -> None:
         self.run.remove()
         for control in self.supervisor.handover.controls.values():
@@ -158,14 +163,3 @@ class Scene:
             self.world.reap(pid)
             saver.close()
         self.port.close()
-
-
-def fill(fd: int) -> None:
-    """A port that takes nothing more."""
-    refused = 0
-    while refused < 20:
-        try:
-            os.write(fd, bytes(1))
-            refused = 0
-        except BlockingIOError:
-            refused += 1
