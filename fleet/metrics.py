@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.shm import blocks, records
-from failstop.supervisor.stops import ALIVE, DEAF, UNPROVEN
+from failstop.supervisor.stops import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -211,7 +211,7 @@ def _rows() -> Iterator[Family]:
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
 
 
-LINKS = (UNPROVEN, ALIVE, DEAF)
+LINKS = (UNPROVEN, ALIVE, DEAF, UNASKED)
 FAMILIES = tuple(_rows())
 UP = FAMILIES[0]
 

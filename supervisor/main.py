@@ -28,7 +28,7 @@ from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify, Status
-from failstop.supervisor.stops import UNPROVEN, Stop
+from failstop.supervisor.stops import UNASKED, UNPROVEN, Stop
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -357,12 +357,12 @@ class Supervisor:
         self.aftermath.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
-        return sent and (heard_ns > 0 or link == UNPROVEN)
+        return sent and (heard_ns > 0 or link in (UNPROVEN, UNASKED))
 
     def _hear(self) -> int:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
-        ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
-        until_ns = self._now_ns() + HEAR_NS
+        ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that ask and listen must live for it."""
+        until_ns = self._now_ns() + (0 if self.aftermath.link.state == UNASKED else HEAR_NS)
         while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
             sent_ns, arrival_ns = self.aftermath.heard

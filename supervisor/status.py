@@ -146,9 +146,8 @@ class Status:
         if missing or self.ever:
             return False
         self.ever, self._told_missing = True, ""
-        text = (
-            f"{self._run.name!r} is ready: wheels stopped, motion disabled; next: {self._run.events.command('enable')}"
-        )
+        todo = self._run.events.command("enable")
+        text = f"{self._run.name!r} is ready: the stop is written, motion disabled; next: {todo}"
         self._run.events.tell("ready", text)
         return True
 

@@ -18,6 +18,7 @@ from failstop.shm import layout
 UNPROVEN = "unproven"
 ALIVE = "alive"
 DEAF = "deaf"
+UNASKED = "unasked"
 ANSWER_NS = 20_000_000
 """A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
 BY_PORT_OWNER = "port owner"
@@ -220,13 +221,16 @@ class Link:
     unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
     alive      it answers
     deaf       it has answered before and is silent: a stop cause, once, until it answers again
+    unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
 
     A board can go deaf while its telemetry goes on, so only answers count.
     """
 
-    def __init__(self, deaf_ns: int) -> None:
+    def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
+        """`asked`: the board has pings."""
         self._deaf_ns = deaf_ns
-        self.state = UNPROVEN
+        self._opened = UNPROVEN if asked else UNASKED
+        self.state = self._opened
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
@@ -234,7 +238,7 @@ class Link:
 
     def opened(self) -> None:
         """Another port, perhaps another board: nothing is known of it."""
-        self.state = UNPROVEN
+        self.state = self._opened
         self._answered_ns = self._asked_ns = 0
 
     def listen(self, newest_ping_ns: int) -> None:

@@ -12,7 +12,7 @@ from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks
 
 PortState = Literal["closed", "open", "lost"]
-Link = Literal["unproven", "alive", "deaf"]
+Link = Literal["unproven", "alive", "deaf", "unasked"]
 Plugged = Literal["unknown", "plugged", "unplugged"]
 PadMode = Literal["locked", "drive", "joint"]
 
@@ -119,7 +119,8 @@ class Device:
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link
-    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before)."""
+    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers nothing
+    by its nature."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -358,6 +359,8 @@ class State:
     """The operators who are there; None: none is needed (setting attend.required)."""
     arm: ArmState | None = None
     """None without an arm in the settings."""
+    unmet: str = ""
+    """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
 
     @property
     def block(self) -> Block | None:

@@ -160,6 +160,7 @@ class StateReader(Run):
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
+            unmet=decided.get("unmet", ""),
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from failstop.api import verdict, words
+from failstop.api import steps, verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, State
 from failstop.api.why import explain, proofs
@@ -23,6 +23,7 @@ LATE_BEAT_S = 0.3
 LINKS = {
     "alive": ("alive", OK),
     "unproven": ("unproven", WARN),
+    "unasked": ("unasked: this board answers nothing", PLAIN),
     "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
 }
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
@@ -66,13 +67,15 @@ def headline(state: State) -> Line:
     """What the wheels do, and why."""
     word = verdict.word(state)
     role = WORDS.get(word) or (FAIL if state.cause else WARN)
-    return [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
+    if verdict.unproven(state) and role == OK:
+        role = WARN
+    return [*row("wheels", verdict.proven_word(state), role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
     """The same, and the next command."""
     rows = [headline(state)]
-    if step := verdict.next_step(state):
+    if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
     return rows
 
@@ -102,7 +105,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     line = row("", "")
-    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+    for number, (text, proven) in enumerate(proofs(stop, now_s, state.device.link)):
         unwritten = number == 0 and not proven
         line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
