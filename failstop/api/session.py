@@ -105,9 +105,12 @@ class Session:
         this Robot reaches the service any more. Motion that it enabled is disabled (`disable_on_exit`)."""
         self._close(in_order=True)
 
+    def _disables_at_its_end(self) -> bool:
+        return bool(self._enabled and self._disable_on_exit and self._connected)
+
     def _close(self, *, in_order: bool) -> None:
         try:
-            if self._enabled and self._disable_on_exit and self._connected:
+            if self._disables_at_its_end():
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
                     sleep_through(self._asking(records.DISABLE))
