@@ -198,8 +198,8 @@ def _rows() -> Iterator[Family]:
         _processes("realtime"), "process",
     )  # fmt: skip
     yield row(
-        "starved_total", COUNTER, "How often the machine did not run a process in time, since motion was disabled",
-        lambda state: _one(state.starved.times if state.starved else 0),
+        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
+        lambda state: _one(state.starved_times),
     )  # fmt: skip
     yield row(
         "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",

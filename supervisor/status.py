@@ -136,9 +136,7 @@ class Status:
             }
             for child in self._processes.children
         }
-        table = pack(
-            {"waiting_for": missing or None, "starved": self._processes.starved_record(), "processes": processes}
-        )
+        table = pack({"waiting_for": missing or None, **self._processes.starved_record(), "processes": processes})
         self._epochs.ready_word.set(not missing)
         if table != self._table:
             self._table = table

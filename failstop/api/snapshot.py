@@ -159,19 +159,16 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """How often the machine did not run a process past its deadline, without a stop or a kill for it, since motion was
-    disabled."""
+    """The longest silence of the last ten minutes that the machine explains: it did not run a process past its
+    deadline, and nothing was stopped or killed for that, because motion was disabled."""
 
-    times: int
-    """How often."""
     longest_s: float
-    """The longest of them, s."""
+    """How long, s."""
     process: str
-    """Which process it was then."""
+    """Which process was not run."""
 
     def __str__(self) -> str:
-        times = "once" if self.times == 1 else f"{self.times} times"
-        return f"the machine starved the service {times}, at worst {self.process} for {self.longest_s * 1e3:.0f} ms"
+        return f"the machine starved the service: {self.process} was not run for {self.longest_s * 1e3:.0f} ms"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -330,7 +327,7 @@ class State:
     processes: dict[str, Process]
     """By name."""
     starved: Starved | None
-    """None: the machine has run every process in time."""
+    """None: the machine has run every process in time for ten minutes."""
     clients: tuple[Client, ...]
     """Who holds a client slot."""
     sources: tuple[Source, ...]
@@ -361,6 +358,8 @@ class State:
     """None without an arm in the settings."""
     unmet: str = ""
     """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
+    starved_times: int = 0
+    """How often in this run the machine explained a silence as `starved` does."""
 
     @property
     def block(self) -> Block | None:

@@ -160,6 +160,7 @@ class StateReader(Run):
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
+            starved_times=known["starved_times"],
             unmet=decided.get("unmet", ""),
         )
 

@@ -164,7 +164,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     if state.device.state == "open" and state.device.link == "unproven":
         found.append(f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels: see to its power")
     if state.starved:
-        found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
+        found.append(f"{state.starved} (`failstop doctor` says what helps)")
     if not all(process.early_news for process in state.processes.values() if process.pid):
         found.append("this kernel tells of deaths late, and stops after one come later (`failstop doctor` says more)")
     if state.age_s > verdict.STALE_S:
