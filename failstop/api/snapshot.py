@@ -254,8 +254,8 @@ class JointState:
     """Since it was read, s."""
     commanded_rad: float | None
     """Where it was sent, rad; None while it is not known where it is."""
-    torque: bool
-    """It holds."""
+    torque: bool | None
+    """It holds; None: not known yet."""
     temperature_c: int | None
     """Of the servo, degrees Celsius."""
     supply_v: float | None

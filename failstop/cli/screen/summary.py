@@ -180,4 +180,14 @@ def arm_headline(arm: ArmState) -> str:
     if arm.released:
         return "released: its torque is off"
     pose = f", in the {arm.pose} pose" if arm.pose else ""
-    return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
+    tucks = f", tucks itself in {arm.auto_tuck_s} s" if arm.auto_tuck_s is not None else ""
+    return f"{_holding(arm)}{pose}{tucks}"
+
+
+def _holding(arm: ArmState) -> str:
+    """Whether it stands by its torque, which every joint tells of itself."""
+    torques = {joint.torque for joint in arm.joints.values()}
+    loose = [name for name, joint in arm.joints.items() if joint.torque is False]
+    if True in torques:
+        return f"holding, but for {', '.join(loose)}" if loose else "holding"
+    return "its torque is off" if loose else "stands; whether its torque is on is not read yet"
