@@ -28,7 +28,7 @@ NAMESPACE = "failstop"
 BLOCKS = {blocks.LATCHED: "latched", blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command"}
 BLOCKS[blocks.NO_SCAN] = "no_scan"
 OTHER_BLOCK = "other"
-PROCESS_STATES = ("starting", "running", "hanging", "fenced", "waiting", "down", "stopping", "dead")
+PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -110,7 +110,7 @@ class Aftermath:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        stop.follow(self._after_ns, self._run.world.unix_s())
+        stop.follow(self._after_ns, self._run.world.now_ns(), self._run.world.unix_s())
         self._last = stop
         self._publish(stop)
 

@@ -173,7 +173,8 @@ def _in_the_way(state: State, goal: Purpose) -> str:
         return ""
     if first.purpose is Purpose.RESET:
         return "a stop is latched: reset first"
-    return f"{first.pressed[:1].lower()}{first.pressed[1:].removesuffix('.')}"
+    text = first.pressed or ""
+    return f"{text[:1].lower()}{text[1:].removesuffix('.')}"
 
 
 def _no_disable(state: State) -> str:

@@ -93,7 +93,8 @@ class Process:
     pid: int
     """0: there is none now."""
     state: str
-    """starting, running, hanging, fenced (killed for that), dead, waiting (to be restarted), down, or stopping."""
+    """starting, running, hanging, suspended (by a signal), fenced (killed for hanging), dead, waiting (to be
+    restarted), down, or stopping."""
     age_s: float
     """Since its last heartbeat, s."""
     restarts: int

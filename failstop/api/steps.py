@@ -30,6 +30,7 @@ REFUSED_WITHOUT = {
 POWER = "Turn the robot's POWER SWITCH off"
 """The beginning of a sentence for the page."""
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
+GATE_DOWN = "Wait: the gate died too often and is tried again within a minute."
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
 
@@ -39,47 +40,39 @@ class Step(NamedTuple):
     purpose: Purpose
     typed: str
     """For a terminal, commands in backquotes."""
-    pressed: str
-    """A sentence for the page, by its buttons; empty: the page has nothing to say of it."""
+    pressed: str | None = None
+    """A sentence for the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
 
 
 def _table(state: State, told: str) -> list[list[tuple[object, Step]]]:
     """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: what the
     reader has just been told."""
-    dead = any(process.state == "dead" for process in state.processes.values())
-    doubt, down, waits, path = verdict.doubt(state), verdict.down(state), state.waiting_for, state.device.path
+    named = {process.state: process.pid for process in state.processes.values()}
+    dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
+    doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
     remedy = state.cause.kind.remedy if state.cause else ""
     heed = "" if dead else words.sentence(f"{remedy}; then hold RESET")
     start = host.start(state.name, path) if dead else ""
-    lost, gate_down = f"{POWER} if the wheels turn; then plug the board in.", f"wait for {GATE}"
-    again = "Wait: the gate died too often and is tried again within a minute."
-    off = not state.enabled and not dead
-    interlock = "see to that interlock" if told == state.unmet else f"see to the interlock ({state.unmet})"
-    enable = "Hold ENABLE when nobody is in its way."
+    go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
+    lost = f"{POWER} if the wheels turn; then plug the board in."
+    attend, press = "have somebody attend (`failstop attend`, or the page)", "Somebody has to attend: press ATTEND."
+    off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
-        [(remedy and not doubt, Step(Purpose.HEED, remedy, heed))],
+        [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
         [
             (dead, Step(Purpose.MEND, start, "Start the service again.")),
+            (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again.")),
-            (GATE in down, Step(Purpose.MEND, gate_down, again)),
-            (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}", f"Wait for {waits}.")),
+            (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
+            (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", "Hold RESET."))],
+        [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
+        [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
         [
-            (
-                off and state.attended_by == (),
-                Step(
-                    Purpose.ALLOW,
-                    "have somebody attend (`failstop attend`, or the page)",
-                    "Somebody has to attend: press ATTEND.",
-                ),
-            )
-        ],
-        [(off and state.unmet, Step(Purpose.ALLOW, interlock, words.sentence(interlock)))],
-        [
-            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", enable)),
-            (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR, words.sentence(SENSOR))),
+            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", "Hold ENABLE when nobody is in its way.")),
+            (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
             (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "Start what is to drive.")),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
         ],
@@ -90,8 +83,11 @@ def todo(state: State, told: str = "") -> list[Step]:
     """Every step, in order; none while the wheels move. `told`: what the reader has just been told."""
     if state.block is None and state.moving:
         return []
-    found = (next((step for needed, step in group if needed), None) for group in _table(state, told))
-    return [step._replace(typed=words.named(step.typed, state.name)) for step in found if step]
+    found = [next((step for needed, step in group if needed), None) for group in _table(state, told)]
+    return [
+        Step(purpose, words.named(typed, state.name), words.sentence(typed) if pressed is None else pressed)
+        for purpose, typed, pressed in filter(None, found)
+    ]
 
 
 def typed(state: State, told: str = "") -> list[str]:

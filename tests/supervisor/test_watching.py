@@ -240,6 +240,50 @@ def test_from_when_on_it_was_held_up(
     assert watching.supervisor.epoch == epoch
 
 
+@pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HELD_UP_NS])
+def test_one_that_was_suspended_knows_what_others_take_for_a_hang(watching: Watching, gap_ns: int) -> None:
+    watching.supervisor.status.ever = True
+    watching.enabled()
+    watching.pass_time(0)
+    watching.world.play("continued", lambda: True)
+    for process in (watching.port_owner, watching.gate):
+        cause = causes.HANGS(layout.SUPERVISOR, 61).pack()
+        process.ring_writer("stops").put(records.STOPPED.pack(1, watching.now_ns + 61 * MS, 0, cause))
+    watching.pass_time(gap_ns)
+    latched = watching.supervisor.epochs.latch.stop
+    assert latched is not None
+    assert latched.cause == causes.SUPERVISOR_SUSPENDED(gap_ns / 1e9)
+    watching.pass_time(MS)
+    watching.supervisor._events.flush()
+    told = [event["kind"] for event in watching.events()]
+    assert "stop_also" not in told, "all three are one cause"
+    assert "starved" not in told
+
+
+def test_one_that_was_suspended_while_nothing_could_move_tells_of_that(watching: Watching) -> None:
+    watching.supervisor.status.ever = True
+    watching.pass_time(0)
+    watching.world.play("continued", lambda: True)
+    watching.pass_time(HELD_UP_NS)
+    watching.supervisor._events.flush()
+    (event,) = watching.events()
+    assert (event["kind"], event["text"]) == ("suspended", "supervisor was suspended for 0.2 s by a signal")
+    assert event["fields"] == {"silent_ms": 250}
+    assert watching.supervisor.processes.starved_record() == NOT_STARVED
+    assert watching.supervisor.epoch == 1
+
+
+def test_what_it_was_continued_for_without_a_gap_explains_none(watching: Watching) -> None:
+    watching.supervisor.status.ever = True
+    watching.enabled()
+    watching.pass_time(0)
+    watching.notice("supervisor hangs: 61 ms silent")
+    watching.world.play("continued", lambda: True)
+    watching.pass_time(EXCUSE_NS - 1)
+    assert watching.supervisor.epochs.latch.stop is not None
+    assert watching.supervisor.epochs.latch.stop.cause.kind is not causes.SUPERVISOR_SUSPENDED
+
+
 def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watching) -> None:
     supervisor, gate = watching.supervisor, watching.supervisor.processes[layout.GATE]
     watching.notice("gate died", written_ns=watching.now_ns + 7)
