@@ -134,7 +134,7 @@ class Run:
 
     def shares_pids(self) -> bool:
         """True where a pid of the service means the same process here as there."""
-        return pid_namespace() == self._rules.get("pid_namespace", 0) != 0
+        return bool(pid_namespace() == self._rules.get("pid_namespace", 0) != 0)
 
     def dead(self) -> bool:
         """True once the kernel says that the supervisor has died; False where it can't be asked."""
