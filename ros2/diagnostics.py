@@ -17,9 +17,7 @@ STALE = 3
 
 Status = dict[str, Any]
 LINKS = {
-    "alive": (OK, "alive: the board answers"),
     "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
-    "unasked": (OK, "unasked: this board answers nothing, by its nature"),
     "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
 }
 
@@ -88,7 +86,8 @@ def _port(state: State) -> Status:
 
 
 def _link(state: State) -> Status:
-    return _status("link", *LINKS.get(state.device.link, (ERROR, state.device.link)))
+    link = state.device.link
+    return _status("link", *LINKS.get(link, (OK, f"{link}: {verdict.LINKS[link]}")))
 
 
 def _battery(state: State) -> Status:

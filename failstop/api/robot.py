@@ -190,7 +190,7 @@ class AsyncRobot(Calls):
 
     async def __aexit__(self, *raised: object) -> None:
         try:
-            if self._disables_at_its_end():
+            if self._enabled and self._disable_on_exit and self._connected:
                 with contextlib.suppress(FailstopError):
                     await self._answered(records.DISABLE)
         finally:

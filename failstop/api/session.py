@@ -39,8 +39,6 @@ latched), enabled, disabled, latched (a stop is), clear (none is), moving and st
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
 POLL_S = 0.0003
-GOALS = {records.ENABLE: Purpose.ENABLE, records.RESET: Purpose.RESET}
-"""Requests for which the table of steps knows what they need."""
 
 
 def _ready(state: State) -> bool:
@@ -105,12 +103,9 @@ class Session:
         this Robot reaches the service any more. Motion that it enabled is disabled (`disable_on_exit`)."""
         self._close(in_order=True)
 
-    def _disables_at_its_end(self) -> bool:
-        return bool(self._enabled and self._disable_on_exit and self._connected)
-
     def _close(self, *, in_order: bool) -> None:
         try:
-            if self._disables_at_its_end():
+            if self._enabled and self._disable_on_exit and self._connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
                     sleep_through(self._asking(records.DISABLE))
@@ -225,9 +220,9 @@ class Session:
     def _refused(self, verb: int, answer: Reply) -> Refused:
         """The error of a request that was refused, with what to do first. What a stop keeps from being done needs what
         an enable needs."""
-        goal = GOALS.get(verb) or (Purpose.ENABLE if answer.cause else None)
         step = ""
-        if goal:
+        if verb in (records.ENABLE, records.RESET) or answer.cause:
+            goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
             with contextlib.suppress(FailstopError):  # the service ends: the reason is all there is
                 step = steps.after_refusal(self.state, goal, answer.text)
         return Refused(answer.text, answer.cause, step)

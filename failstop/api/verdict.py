@@ -17,6 +17,13 @@ STOPPED = "STOPPED"
 MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 NEVER_ANSWERED = "the board has never answered"
+LINKS = {
+    "unproven": NEVER_ANSWERED,
+    "alive": "the board answers",
+    "deaf": "the board does NOT answer",
+    "unasked": "this board answers nothing, by its nature",
+}
+"""What each link proves, in words."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))

@@ -41,13 +41,6 @@ class Why:
         return [*found, *(("also", text) for text in self.also)]
 
 
-HEARS = {
-    "unproven": verdict.NEVER_ANSWERED,
-    "alive": "the board answers",
-    "deaf": "the board does NOT answer",
-    "unasked": "this board answers nothing, by its nature",
-}
-"""What the link proves, in words."""
 HOLDS = {
     Block.LATCHED: "a stop is latched",
     Block.DISABLED: "motion is disabled",
@@ -127,7 +120,7 @@ def _proof(state: State, now_s: float) -> str:
         if stop.written_s is None and not verdict.doubt(state):
             told += " at first; the port is open now, and the board is told zero"
         return f"{which}{told}"
-    told = HEARS[state.device.link]
+    told = verdict.LINKS[state.device.link]
     return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 

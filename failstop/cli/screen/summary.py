@@ -20,12 +20,7 @@ BATTERY_LOW_V = 10.5
 """Three lithium cells at 3.5 V: little is left."""
 LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
-LINKS = {
-    "alive": ("alive", OK),
-    "unproven": ("unproven", WARN),
-    "unasked": ("unasked: this board answers nothing", PLAIN),
-    "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
-}
+LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}
@@ -115,7 +110,8 @@ def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
-    return [*found, (", link ", PLAIN), LINKS.get(link, (link, WARN))] if port == "open" else found
+    told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
+    return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN))] if port == "open" else found
 
 
 def battery(state: State) -> Line:
