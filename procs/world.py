@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import select
-import signal
 import time
 
 from failstop.board import port
@@ -77,6 +76,8 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 
 def continued() -> bool:
     """True when a signal has let this process go on since the last call, which takes SIGCONT to be blocked."""
+    import signal  # the supervisor, which alone asks, has it; the others stay small without
+
     return signal.sigtimedwait((signal.SIGCONT,), 0) is not None
 
 
