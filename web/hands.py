@@ -39,7 +39,7 @@ class Hands:
                 asked = {"reset": robot.reset, "enable": robot.enable, "disable": robot.disable}[verb]
                 return True, asked()
         except Refused as refused:
-            return False, str(refused.args[0])
+            return False, refused.reason
         except (FailstopError, ValueError) as error:
             return False, str(error)
 

@@ -40,7 +40,7 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str]:
 def _watch(name: str, pipe: int) -> tuple[str, str]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
     others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
-    from failstop.api import verdict
+    from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
@@ -54,7 +54,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
             first_epoch = state.epoch if first_epoch < 0 else first_epoch
             if state.estop and (taken or state.epoch > first_epoch):
                 doubt = verdict.doubt(state)
-                text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
+                text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
                 return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
         except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
             problem = str(error)

@@ -123,7 +123,7 @@ class Run:
         if not self._rules and (entry := self._record.read()):
             self._rules = msgpack.unpackb(entry[2])
             # The kernel tells of the supervisor's death where its pid means the same process here as there.
-            if pid_namespace() == self._rules["pid_namespace"] != 0:
+            if self.shares_pids():
                 try:
                     self._life = Lifeline(self._beat.pid.get())
                 except ProcessLookupError:
@@ -131,6 +131,10 @@ class Run:
                 except OSError:
                     pass  # no descriptor is left, or this call is forbidden: then its silence tells
         return self._rules
+
+    def shares_pids(self) -> bool:
+        """True where a pid of the service means the same process here as there."""
+        return bool(pid_namespace() == self._rules.get("pid_namespace", 0) != 0)
 
     def dead(self) -> bool:
         """True once the kernel says that the supervisor has died; False where it can't be asked."""

@@ -8,6 +8,7 @@ match robot.drive(0.2, 0.0, 0.0):
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from failstop.api.arm import Arm
 from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError
 from failstop.api.events import LOOK_S, Event, EventLog
 from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import Block, Sample, State, Velocity
@@ -86,37 +88,22 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 
 
 class Calls(Session):
-    """Drive, assert, look: the base of both."""
+    """Assert, look, stop: what both have, and what waits for nobody."""
 
-    def drive(
-        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
-    ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
-        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
-        restart of the service nothing moves before somebody enables motion again.
-
-        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
-        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
-        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
-
-        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
-        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
-        do not name, NoService when no service runs.
-        """
+    def _command(self, vx: float, vy: float, wz: float, *, manual: bool, source: str) -> None:
+        """Hand a command over; the gate takes it by itself. Raises what drive() raises."""
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
             run = self._current()
             run.check("source", source)
             self._slot(run).command(vx, vy, wz, manual=manual, source=source)
-        until_s = time.monotonic() + wait_s
-        while True:
-            with self._lock:
-                decided, cause, *_ = self._current().decided()
-            answer, settled = judge(decided, source, cause)
-            if settled or time.monotonic() >= until_s:
-                return answer
-            time.sleep(POLL_S)
+
+    def _judged(self, source: str) -> tuple[Answer, bool]:
+        """The answer by what the gate has decided last, and whether it is settled (judge)."""
+        with self._lock:
+            decided, cause, *_ = self._current().decided()
+        return judge(decided, source, cause)
 
     def sensed(self) -> None:
         """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
@@ -202,7 +189,18 @@ class AsyncRobot(Calls):
         return self
 
     async def __aexit__(self, *raised: object) -> None:
-        self._close(in_order=not isinstance(raised[1], Exception))
+        try:
+            if self._enabled and self._disable_on_exit and self._connected:
+                with contextlib.suppress(FailstopError):
+                    await self._answered(records.DISABLE)
+        finally:
+            self._close(in_order=not isinstance(raised[1], Exception))
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT) -> Answer:
+        """As Robot.drive, but it never waits: the answer is what the gate has decided last, which is of the command
+        before until it has taken this one."""
+        self._command(vx, vy, wz, manual=manual, source=source)
+        return self._judged(source)[0]
 
     async def _answered(self, verb: int, told: Told = None) -> str:
         return await _through(self._asking(verb, told, awaited=True))
@@ -258,6 +256,29 @@ class Robot(Calls):
 
     def __exit__(self, *raised: object) -> None:
         self._close(in_order=not isinstance(raised[1], Exception))
+
+    def drive(
+        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
+    ) -> Answer:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
+        restart of the service nothing moves before somebody enables motion again.
+
+        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
+        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
+        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
+
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
+        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
+        do not name, NoService when no service runs.
+        """
+        self._command(vx, vy, wz, manual=manual, source=source)
+        until_s = time.monotonic() + wait_s
+        while True:
+            answer, settled = self._judged(source)
+            if settled or time.monotonic() >= until_s:
+                return answer
+            time.sleep(POLL_S)
 
     def enable(self, told: Told = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked

@@ -79,6 +79,17 @@ def named(text: str, name: str) -> str:
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
 
+def plain(text: str) -> str:
+    """A text without the backquotes of its commands."""
+    return text.replace("`", "")
+
+
+def sentence(text: str) -> str:
+    """A text for the page: plain, with a capital at its beginning and a full stop at its end."""
+    text = plain(text).strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
+
+
 def said(state: State) -> list[tuple[str, str, str]]:
     """(who, what it sees, what is wrong by its account) of each client that says something of itself; old words with
     their age."""

@@ -157,7 +157,7 @@ def _run(name: str, words: list[str]) -> int:
 def _told(error: Exception) -> int:
     """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
     again."""
-    from failstop.api.errors import FailstopError
+    from failstop.api.errors import FailstopError, Refused
     from failstop.board.port import PortError
     from failstop.policy.settings import SettingError
     from failstop.shm.instance import InstanceError
@@ -166,7 +166,7 @@ def _told(error: Exception) -> int:
     if lacking := _lack(error):
         standard.say(lacking)
     elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError)):
-        standard.say(str(error))
+        standard.say(f"refused: {error}" if isinstance(error, Refused) else str(error))
         return getattr(error, "exit_code", 1)
     elif isinstance(error, OSError) and error.errno in LOST:
         standard.let_go()

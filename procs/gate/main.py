@@ -305,6 +305,8 @@ class Gate:
         state: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
         if core.attendance.on:
             state["attended"] = core.attendance.names(now_ns)
+        if unmet := core.interlocks.unmet(now_ns):
+            state["unmet"] = unmet
         state |= {
             "enabled": core.enabled,
             "limit": core.limit,

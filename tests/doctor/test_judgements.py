@@ -21,7 +21,7 @@ from tests.support.states import arm, stop
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
 UNLOCKED = {name: but(row, memory_locked=False) for name, row in STATE.processes.items()}
-STARVED = Starved(1, 0.07, "gate")
+STARVED = Starved(0.07, "gate")
 PORT = STATE.device
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))

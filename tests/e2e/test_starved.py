@@ -70,7 +70,7 @@ def test_while_idle_it_is_left_alone_and_that_is_told(trial: Trial, process: str
     assert "the machine starves the service: " in trial.service.said()
     for command in ("status", "why", "doctor --quick"):
         shown = failstop(*command.split(), "--name", trial.name).stdout
-        assert "the machine starved the service " in " ".join(shown.lower().split()), command
+        assert "the machine starved the service: " in " ".join(shown.lower().split()), command
     if all(found.realtime for found in state.processes.values()):  # else others may have been starved for longer
         assert state.starved is not None
         assert state.starved.process == process

@@ -26,6 +26,7 @@ failstop arm hold                      # stop where it is; torque stays
 failstop arm release                   # torque off: it falls
 """
 
+TORQUES = {True: "on", False: "off", None: "not read"}
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
 
 
@@ -103,7 +104,7 @@ def _lines(arm: ArmState) -> list[style.Line]:
         commanded = "-" if joint.commanded_rad is None else f"{joint.commanded_rad:+.3f}"
         age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
         heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
-        torque = f"{'on' if joint.torque else 'off'}{heat}"
+        torque = f"{TORQUES[joint.torque]}{heat}"
         rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
     table = style.table([[(cell, style.PLAIN) for cell in cells] for cells in rows])
     return [*(summary.row(label, text) for label, text in head), *table]

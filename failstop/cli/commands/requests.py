@@ -6,12 +6,13 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 
+from failstop.api import steps, verdict
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
-from failstop.api.verdict import next_step
 from failstop.api.words import velocity
 from failstop.cli import standard
 from failstop.cli.commands import add_name
+from failstop.shm.records import CAUSE
 
 EXAMPLES = {
     "enable": """\
@@ -38,6 +39,7 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 }
 
 REPEAT_S = 0.05
+IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
 """A process that died is there again by then, and nobody needs to be told to wait for it."""
 
@@ -56,7 +58,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Ask; a refusal is raised as Refused, with what to do first."""
+    """Ask; a refusal is raised as Refused."""
     command = arguments.command
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
@@ -68,11 +70,8 @@ def main(arguments: Namespace) -> int:
         }
         try:
             standard.tell(verbs[command]())
-        except Refused as refused:
-            state = robot.state
-            if command != "drive" and (state.estop or state.waiting_for):
-                raise Refused(f"{refused.args[0]}; next: {next_step(state)}") from None
-            raise
+            if command == "enable" and (why := verdict.unproven(robot.state)):
+                standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
         except ValueError as error:  # out of bounds, or not finite
             raise FailstopError(str(error)) from None
     return 0
@@ -87,28 +86,26 @@ def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> s
     """A velocity for a while, then zero. A person types it, so it is a manual command. Raises Refused as soon as
     something blocks the wheels."""
     until_s = time.monotonic() + seconds
-    if reason := _blocked(robot):
-        raise Refused(reason)
+    if refused := _blocked(robot):
+        raise refused
     if asked[1] and robot.settings["wheels.layout"] == "differential":
         raise Refused(f"a differential base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
     reached = asked
     while time.monotonic() < until_s:
         robot.drive(*asked, manual=True)
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
-        if reason := _blocked(robot):
+        if refused := _blocked(robot):
             time.sleep(RESTARTED_S)
-            raise Refused(_blocked(robot) or reason)
+            raise _blocked(robot) or refused
         reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
     return f"drove for {seconds:g} s{held}; the wheels stop"
 
 
-def _blocked(robot: Robot) -> str:
-    """Why driving is pointless, with the command that helps."""
+def _blocked(robot: Robot) -> Refused | None:
+    """Why driving is pointless, with the command that helps; None: it is not."""
     state = robot.state
-    if state.estop:
-        return f"a stop is latched ({state.cause}); next: {next_step(state)}"
-    if not state.enabled:
-        return f"motion is disabled; next: {next_step(state)}"
-    return ""
+    if state.cause:
+        return Refused(IS_LATCHED, state.cause, steps.line(state))
+    return None if state.enabled else Refused("motion is disabled", step=steps.line(state))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from failstop.api import words
 from failstop.api.client import Run
-from failstop.api.errors import FailstopError, NoService
+from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState, State
 from failstop.cli.commands import add_name
@@ -102,6 +102,11 @@ def _disable(robot: Robot) -> str:
         return f"motion could not be disabled ({error}); the command timeout stops the wheels"
 
 
+def _refusal(error: FailstopError) -> str:
+    """An error as a note: of a refusal the reason alone, since the keys that help stand below."""
+    return f"refused: {error.reason}" if isinstance(error, Refused) else str(error)
+
+
 class Pilot:
     """Keys in, requests and commands out. A request that fails is a note on the screen; a service that has gone is
     raised as NoService."""
@@ -166,7 +171,7 @@ class Pilot:
         except NoService:
             raise
         except FailstopError as error:
-            self.note = (str(error), FAIL)
+            self.note = (_refusal(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
         """A key that is none of motion; one that means nothing lets go of those that are."""
@@ -193,7 +198,7 @@ class Pilot:
         try:
             self.note = (self.robot.enable(tell), OK)
         except FailstopError as error:
-            self.note = (str(error), FAIL)
+            self.note = (_refusal(error), FAIL)
 
     def _turn(self, key: str, seen: ArmState) -> bool:
         """True when the key is one of the arm's: acted on."""

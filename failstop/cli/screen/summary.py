@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from failstop.api import verdict, words
+from failstop.api import steps, verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, State
 from failstop.api.why import explain, proofs
@@ -20,11 +20,7 @@ BATTERY_LOW_V = 10.5
 """Three lithium cells at 3.5 V: little is left."""
 LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
-LINKS = {
-    "alive": ("alive", OK),
-    "unproven": ("unproven", WARN),
-    "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
-}
+LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}
@@ -66,13 +62,15 @@ def headline(state: State) -> Line:
     """What the wheels do, and why."""
     word = verdict.word(state)
     role = WORDS.get(word) or (FAIL if state.cause else WARN)
-    return [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
+    if verdict.unproven(state) and role == OK:
+        role = WARN
+    return [*row("wheels", verdict.proven_word(state), role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
     """The same, and the next command."""
     rows = [headline(state)]
-    if step := verdict.next_step(state):
+    if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
     return rows
 
@@ -102,7 +100,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     line = row("", "")
-    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+    for number, (text, proven) in enumerate(proofs(stop, now_s, state.device.link)):
         unwritten = number == 0 and not proven
         line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
@@ -112,7 +110,8 @@ def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
-    return [*found, (", link ", PLAIN), LINKS.get(link, (link, WARN))] if port == "open" else found
+    told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
+    return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN))] if port == "open" else found
 
 
 def battery(state: State) -> Line:
@@ -177,4 +176,14 @@ def arm_headline(arm: ArmState) -> str:
     if arm.released:
         return "released: its torque is off"
     pose = f", in the {arm.pose} pose" if arm.pose else ""
-    return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
+    tucks = f", tucks itself in {arm.auto_tuck_s} s" if arm.auto_tuck_s is not None else ""
+    return f"{_holding(arm)}{pose}{tucks}"
+
+
+def _holding(arm: ArmState) -> str:
+    """Whether it stands by its torque, which every joint tells of itself."""
+    torques = {joint.torque for joint in arm.joints.values()}
+    loose = [name for name, joint in arm.joints.items() if joint.torque is False]
+    if True in torques:
+        return f"holding, but for {', '.join(loose)}" if loose else "holding"
+    return "its torque is off" if loose else "stands; whether its torque is on is not read yet"

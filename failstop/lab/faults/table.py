@@ -40,6 +40,7 @@ from failstop.policy.causes import (
     REMOVED,
     STARVED,
     STUCK,
+    SUPERVISOR_SUSPENDED,
     SUSPENDED,
     TWO_PUBLISHERS,
 )
@@ -72,7 +73,10 @@ WOKEN = (
     Fault(
         "hang-supervisor+port_owner-continued", SEVERAL,
         "SIGSTOP of supervisor and port_owner, SIGCONT once the stopper has stopped", "stopper",
-        ((HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER), (DIED, PORT_OWNER)), RESET, "",
+        (
+            (SUPERVISOR_SUSPENDED,), (HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER),
+            (DIED, PORT_OWNER),
+        ), RESET, "",
         processes.STOPPER_MS, "processes",
         steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
     ),
@@ -228,7 +232,8 @@ SURROUNDINGS = (
     ),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,)), RESET, "", 65.0, "frozen", counted_from=THAWED, weight=1,
+        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,), (SUPERVISOR_SUSPENDED,)), RESET, "", 65.0,
+        "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",

@@ -91,6 +91,12 @@ TEXTS = {
         "Next: give the service real-time rights (failstop doctor --name @FAILSTOP_NAME@ has the command), or see\n"
         "what else the machine does",
     ),
+    "suspended": (
+        "The supervisor was suspended",
+        "Somebody suspended it for @FAILSTOP_SILENT_MS@ ms, by a signal, as Ctrl-Z in its terminal does: nobody\n"
+        "watched the other processes. Nothing was stopped for it, since motion was disabled or a stop latched.\n"
+        "Next: leave the service running in its terminal, or end it with Ctrl-C",
+    ),
     "enabled": (
         "Motion was enabled by @FAILSTOP_WHO@",
         "From here on commands move the wheels. The name and the pid are what the client says of itself.\n"
