@@ -358,6 +358,9 @@ class State:
     """The operators who are there; None: none is needed (setting attend.required)."""
     arm: ArmState | None = None
     """None without an arm in the settings."""
+    lease_s: float = 0.06
+    """How long the gate or the supervisor may be silent while the wheels turn, s (setting gate.lease_s; longer without
+    real-time rights)."""
 
     @property
     def block(self) -> Block | None:

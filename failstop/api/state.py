@@ -120,6 +120,10 @@ class StateReader(Run):
         return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
 
     @cached_property
+    def _lease_s(self) -> float:
+        return float(self.settings()["gate.lease_s"])
+
+    @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         given = Settings(dict(self.settings()))
@@ -160,6 +164,7 @@ class StateReader(Run):
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
+            lease_s=self._lease_s,
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
