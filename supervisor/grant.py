@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 
-from failstop.policy.processes import PROCESSES
+from failstop.policy.processes import BY_NAME, PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
+from failstop.shm.layout import PORT_OWNER
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
-LEASE_WITHOUT_S = 0.25
-"""The lease without real-time rights, where the settings give none."""
+LEASE_WITHOUT_S = 0.2
+"""The lease without real-time rights, where the settings give none: below the stopper's patience with the port owner
+and the supervisor's with the gate (0.25 s), so that who stops first stays who stops first."""
 OF_A_TIMEOUT = 0.9
 """The lease takes no more than this share of the shortest command timeout, which is longer than any lease."""
 
@@ -61,8 +63,9 @@ def leased(settings: Settings, chosen: Container[str]) -> Settings:
 def cost(lease_s: float) -> str:
     """What a service without real-time rights pays for its lease, as a clause."""
     if lease_s > LEASE_S:
-        late = f"after {lease_s * 1e3:.0f} ms instead of {LEASE_S * 1e3:.0f}"
-        return f"a hang of gate or supervisor is stopped for {late} ({LEASE})"
+        usual = f"{LEASE_S * 1e3:.0f} to {BY_NAME[PORT_OWNER].deadline_ns / 1e6:.0f}"
+        late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
+        return f"a hang of gate, supervisor or port owner is stopped for {late} ({LEASE})"
     return f"some have no cause, since {LEASE} is as short as {lease_s * 1e3:.0f} ms"
 
 

@@ -130,7 +130,7 @@ def ordinary(name: str) -> Iterator[Trial]:
 
 def test_without_rights_a_hang_is_stopped_for_when_a_busy_machine_could_not_be_the_reason(ordinary: Trial) -> None:
     assert ordinary.robot.state.lease_s == grant.LEASE_WITHOUT_S
-    price = "250 ms instead of 60"
+    price = "200 ms instead of 60 to 100"
     wait_for("the lease to be told", lambda: price in ordinary.service.said())
     assert price in " ".join(failstop("status", "--name", ordinary.name).stdout.split())
     ordinary.enable()
@@ -145,7 +145,7 @@ def test_without_rights_a_hang_is_stopped_for_when_a_busy_machine_could_not_be_t
     cause = ordinary.robot.state.cause
     assert cause is not None
     assert cause.arguments[0] == GATE
-    assert cause.arguments[1] >= 1e3 * grant.LEASE_WITHOUT_S
+    assert float(cause.arguments[1]) >= 1e3 * grant.LEASE_WITHOUT_S
     wait_for("the wheels to stand", lambda: not ordinary.moving())
 
 

@@ -17,6 +17,7 @@ import pytest
 
 from failstop.api.client import send_stop
 from failstop.cli import style
+from failstop.lab.faults import processes
 from failstop.lab.prove import character, report, session, shake
 from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
 from failstop.lab.prove.held import LATE_NS, Held
@@ -273,17 +274,17 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, ve
         assert stand.whole(), "the next row finds a service"
 
 
-LONGER_MS = 1e3 * (grant.LEASE_WITHOUT_S - grant.LEASE_S)
-
-
 def test_bars_of_a_lease_are_those_of_the_lease_in_force() -> None:
-    changed = {path.name for path in (*PATHS, *ARM_PATHS) if path.leased(LONGER_MS) != path}
-    assert changed == {"hang-gate", "hang-supervisor", "arm-hang-supervisor"}
-    for name in ("hang-gate", "hang-supervisor"):
-        before, after = BY_PATH[name], BY_PATH[name].leased(LONGER_MS)
-        assert after.reaction_bar_ms(simulated=False) - before.reaction_bar_ms(simulated=False) == LONGER_MS
+    longer = {path.name for path in (*PATHS, *ARM_PATHS) if path.leased(grant.LEASE_WITHOUT_S) != path}
+    struck = {"hang-gate", "hang-supervisor", "hang-port_owner"}
+    assert longer == struck | {"arm-hang-supervisor", "arm-hang-port_owner"}
+    for name in struck:
+        before, after = BY_PATH[name], BY_PATH[name].leased(grant.LEASE_WITHOUT_S)
+        assert after.reaction_ms == 1e3 * grant.LEASE_WITHOUT_S + processes.SLACK_MS
         for velocity in BY_VELOCITY.values():
-            assert after.rest_bar_s(velocity) - before.rest_bar_s(velocity) == pytest.approx(LONGER_MS / 1e3)
+            later_s = (after.reaction_ms - before.reaction_ms) / 1e3
+            assert after.rest_bar_s(velocity) - before.rest_bar_s(velocity) == pytest.approx(later_s)
+    assert all(path.leased(0.0) == path for path in (*PATHS, *ARM_PATHS))
 
 
 def test_the_arm_s_bar_of_rest_is_that_of_its_row() -> None:

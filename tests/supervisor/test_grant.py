@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.policy.processes import PROCESSES, SUPERVISOR_PRIORITY
+from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
+from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
+from failstop.shm.layout import GATE
 from failstop.supervisor import grant
 
 
@@ -66,16 +68,17 @@ def test_the_unit_is_that_of_the_control_group(
 
 
 def test_what_is_lacking_is_told_of() -> None:
-    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}, and {grant.cost(0.25)}; give it rights")
+    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}, and {grant.cost(0.2)}; give it rights")
     early_news = ("robust futexes", grant.NO_EARLY_NEWS)
-    assert grant.lacking(0, "give it rights", 0.25) == [realtime, early_news]
-    assert grant.lacking(REALTIME, "give it rights", 0.25) == [early_news]
-    assert grant.lacking(EARLY_NEWS, "give it rights", 0.25) == [realtime]
-    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights", 0.25) == []
+    assert grant.lacking(0, "give it rights", 0.2) == [realtime, early_news]
+    assert grant.lacking(REALTIME, "give it rights", 0.2) == [early_news]
+    assert grant.lacking(EARLY_NEWS, "give it rights", 0.2) == [realtime]
+    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights", 0.2) == []
 
 
 def test_a_lease_is_told_with_what_it_costs() -> None:
-    assert grant.cost(0.25) == "a hang of gate or supervisor is stopped for after 250 ms instead of 60 (gate.lease_s)"
+    late = "after 200 ms instead of 60 to 100 (gate.lease_s)"
+    assert grant.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
     assert grant.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
 
 
@@ -107,11 +110,11 @@ def test_with_the_rights_of_every_process_the_lease_is_the_default(monkeypatch: 
 @pytest.mark.parametrize(
     ("chosen", "lease_s"),
     [
-        ({}, 0.25),
-        ({"limits.vx_mps": 0.1}, 0.25),
+        ({}, 0.2),
+        ({"limits.vx_mps": 0.1}, 0.2),
         ({"gate.lease_s": 0.06}, 0.06),
         ({"gate.lease_s": 0.1, "sources.fast.timeout_s": 0.2, "sources.fast.priority": 1}, 0.1),
-        ({"gate.command_timeout_s": 2.0}, 0.25),
+        ({"gate.command_timeout_s": 2.0}, 0.2),
         ({"gate.command_timeout_s": 0.2}, 0.18),
         ({"sources.fast.timeout_s": 0.1, "sources.fast.priority": 1}, 0.09),
         ({"gate.command_timeout_s": 0.061}, 0.06),
@@ -122,6 +125,11 @@ def test_without_rights_the_lease_is_long_unless_somebody_chose_one(
 ) -> None:
     Asked(monkeypatch, grants=False)
     assert leased(chosen) == pytest.approx(lease_s)
+
+
+def test_who_stops_first_stays_who_stops_first() -> None:
+    others_s = [HANG_NS / 1e9, BY_NAME[GATE].deadline_ns / 1e9]
+    assert all(Settings().ns(grant.LEASE) / 1e9 <= grant.LEASE_WITHOUT_S < other_s for other_s in others_s)
 
 
 @given(st.floats(0.0601, 2.0), st.floats(0.0601, 2.0), st.floats(0.005, 0.05))

@@ -66,9 +66,9 @@ def session(
                 character = [*report.character_lines(evidence.character), ""]
             say("\n".join([*character, report.head(width)]))
             # The settings give a lease, or the service's rights do: a bar is never of another one.
-            longer_ms = 1e3 * (evidence.lease_s - stand.settings[LEASE])
+            lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
             for path, velocity, chance in runs:
-                result = _take(stand, evidence.character, path.leased(longer_ms), velocity, ask, chance)
+                result = _take(stand, evidence.character, path.leased(lease_s), velocity, ask, chance)
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)

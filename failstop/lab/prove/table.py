@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.lab.faults import arm_table
+from failstop.lab.faults import arm_table, processes
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
-from failstop.lab.faults.processes import HANG_OF, LEASE_MS
 from failstop.lab.faults.table import BY_NAME
 from failstop.policy import causes
 from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
@@ -56,6 +55,8 @@ FAULT = "fault"
 ARM = "arm"
 """A row of the arm's faults."""
 DISABLE_MS = STOP_MS = 5.0
+LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
+"""The bars of the fault table that are a lease, or a deadline that is never shorter than one."""
 
 KILLED_S = (0.55, 0.55, 0.55)
 MEASURED_S: dict[str, tuple[float, float, float]] = {
@@ -102,11 +103,12 @@ class Path:
     """The row of the arm's faults; None: the wheels turn."""
 
     by_lease: bool = False
-    """Whoever it strikes is stopped for when a lease ends."""
+    """Whoever it strikes is stopped for when a lease ends, or a deadline that is never shorter than one."""
 
-    def leased(self, longer_ms: float) -> Path:
-        """The same for a service whose lease is so much longer than its settings say."""
-        return dataclasses.replace(self, reaction_ms=self.reaction_ms + longer_ms) if self.by_lease else self
+    def leased(self, lease_s: float) -> Path:
+        """The same for a service that has this lease, though its settings give none."""
+        lease_ms = lease_s * 1000 + processes.SLACK_MS
+        return dataclasses.replace(self, reaction_ms=max(self.reaction_ms, lease_ms)) if self.by_lease else self
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
@@ -124,7 +126,7 @@ class Path:
 def of_fault(row: Fault) -> Path:
     """The path of a row that the service survives, and in which only processes are struck."""
     assert row.bar_ms is not None
-    leased = row.bar_ms == LEASE_MS
+    leased = row.bar_ms in LEASED_MS
     return Path(row.name, FAULT, row.cause, row.bar_ms, latched=row.latched, fault=row, by_lease=leased)
 
 
@@ -140,7 +142,7 @@ def _struck(kind: str, process: str) -> Path:
     ends = kind == KILL and process == SUPERVISOR
     latched = row.latched if row.survives else ()
     bar_ms = _bar(row.name)
-    return Path(row.name, kind, words, bar_ms, process, latched, ends=ends, fault=row, by_lease=bar_ms == LEASE_MS)
+    return Path(row.name, kind, words, bar_ms, process, latched, ends=ends, fault=row, by_lease=bar_ms in LEASED_MS)
 
 
 PATHS = (
@@ -160,7 +162,7 @@ def _moving(row: ArmFault) -> Path:
     assert row.bar_ms is not None
     latched = BY_PATH["stop-request"].latched if row.what == arm_table.REQUEST else row.latched
     reaction_ms = row.bar_ms - arm_table.BY_ITSELF_MS + STOP_MS
-    leased = row.what == arm_table.HANG and row.first == HANG_OF[SUPERVISOR][0]
+    leased = row.what == arm_table.HANG and row.process in (SUPERVISOR, PORT_OWNER)
     return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row, by_lease=leased)
 
 
