@@ -53,11 +53,13 @@ def leased(settings: Settings, chosen: Container[str]) -> Settings:
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
-        if granted:
-            return settings
+        return settings if granted else Settings({**settings.flat(), LEASE: without(settings)})
+
+
+def without(settings: Settings) -> float:
+    """The lease of a service that has no real-time rights, s."""
     timeouts_s = (settings["gate.command_timeout_s"], *(ns / 1e9 for _, ns in settings.sources().values()))
-    lease_s = min(LEASE_WITHOUT_S, OF_A_TIMEOUT * min(timeouts_s))
-    return Settings({**settings.flat(), LEASE: max(settings[LEASE], lease_s)})
+    return max(settings[LEASE], min(LEASE_WITHOUT_S, OF_A_TIMEOUT * min(timeouts_s)))
 
 
 def cost(lease_s: float) -> str:
