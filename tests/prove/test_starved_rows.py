@@ -31,12 +31,11 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.supervisor import grant
+from tests.prove.judged import MS, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
-from tests.prove.test_judge import run, wrong
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
 
-MS = 1_000_000
 NOISE = Noise(0.002, 0.002, 0.002, 0.002, 0.0, 0.0, 110.0)
 
 
