@@ -89,7 +89,7 @@ class Child:
         beat: HeartbeatReader,
         restart: Timer,
         limits: tuple[int, int, int],
-        lease_ns: int = 0,
+        lease_ns: int,
     ) -> None:
         """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
         machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
