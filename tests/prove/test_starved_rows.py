@@ -20,7 +20,7 @@ from failstop.cli import style
 from failstop.lab.faults import processes
 from failstop.lab.prove import character, report, session, shake
 from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
-from failstop.lab.prove.held import LATE_NS, Held
+from failstop.lab.prove.held import LATE_NS, Held, waited_ns
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Result, Run, judge_latch
 from failstop.lab.prove.shake import Noise
@@ -177,16 +177,27 @@ def test_the_sum_is_invalid_when_nothing_failed_and_something_was_spoiled(
 
 
 def test_lateness_is_counted_since_a_moment() -> None:
-    held = Held()
+    held, now_ns = Held(), time.monotonic_ns()
     held.woken(0, LATE_NS - 1)
-    assert held.starved(0) == ""
+    assert held.starved((0, now_ns)) == ""
     held.woken(0, 80 * MS)
     held.woken(1_000 * MS, 1_060 * MS)
     assert held.longest_ns(0) == 80 * MS
-    assert held.starved(81 * MS) == "this test was not run for 60 ms"
-    assert held.starved(2_000 * MS) == ""
-    assert held.starved(2_000 * MS, causes.HELD_UP(300)) == str(causes.HELD_UP(300))
-    assert held.starved(2_000 * MS, causes.KEY(1)) == ""
+    assert held.starved((81 * MS, now_ns)) == "this test was not run for 60 ms"
+    assert held.starved((2_000 * MS, now_ns)) == ""
+    assert held.starved((2_000 * MS, now_ns), causes.HELD_UP(300)) == str(causes.HELD_UP(300))
+    assert held.starved((2_000 * MS, now_ns), causes.KEY(1)) == ""
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.19, ""), (0.3, "this test waited for a processor for 30% of the time")])
+def test_waiting_for_a_processor_counts(share: float, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Held, "mark", lambda _: (5_000 * MS, 700 * MS))
+    assert Held().starved((4_000 * MS, round((700 - 1_000 * share) * MS))) == told
+
+
+def test_the_kernel_counts_the_waiting() -> None:
+    before_ns = waited_ns()
+    assert waited_ns() >= before_ns > 0
 
 
 STOPPED = """
@@ -267,6 +278,7 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, ve
 
         stand.driver.each = each
         stand.held.longest_ns = lambda since_ns: late_ns  # type: ignore[method-assign]
+        stand.held.mark = lambda: (0, 0)  # type: ignore[method-assign]
         found = Run(stand, SIMULATED, BY_PATH["disable"], BY_VELOCITY["0.2"], None, random.Random()).take()
         assert [text for text in found.wrong if "a stop came before the cause: stop request: somebody" in text]
         assert found.verdict == verdict, found.wrong

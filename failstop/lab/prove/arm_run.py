@@ -53,7 +53,7 @@ class ArmRun:
         """Do it. What can't be done, and what must not happen, is in the result."""
         driver, result = self.stand.driver, self.result
         driver.commands = driver.senses = driver.holds = False
-        begun_ns = time.monotonic_ns()
+        begun = self.stand.held.mark()
         try:
             self._begin()
             self._strike()
@@ -66,7 +66,7 @@ class ArmRun:
             self._start_over()
         finally:
             self._end_program()
-        result.starved = result.starved or self.stand.held.starved(begun_ns)
+        result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
     def _begin(self) -> None:

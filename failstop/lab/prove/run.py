@@ -126,11 +126,11 @@ class Run:
         if self.path.kind == table.PAD and not self.ask and not self.stand.board:
             result.skipped = "nobody to press a button (--pad asks for it)"
             return result
-        begun_ns = time.monotonic_ns()
+        begun = self.stand.held.mark()
         try:
             self._spin()
             if before := self.stand.driver.robot.state.cause:
-                result.starved = self.stand.held.starved(begun_ns, before)
+                result.starved = self.stand.held.starved(begun, before)
                 raise TrialError(f"a stop came before the cause: {before}")
             try:
                 self._cause_ns = self._strike()
@@ -147,7 +147,7 @@ class Run:
         except (TrialError, FailstopError, OSError) as error:
             result.doubt(f"{type(error).__name__}: {error}")
             self._start_over()
-        result.starved = result.starved or self.stand.held.starved(begun_ns)
+        result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
     def _strike(self) -> int:

@@ -8,7 +8,6 @@ import os
 import random
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
 
@@ -52,7 +51,7 @@ def session(
     """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
     the first wheel that turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples
     of the runs that passed, too; `width`: of the paths' names."""
-    begun_ns = time.monotonic_ns()
+    begun = stand.held.mark()
     evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
     try:
         with stand:
@@ -83,7 +82,7 @@ def session(
     except KeyboardInterrupt:
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
-        starved = stand.held.starved(begun_ns)
+        starved = stand.held.starved(begun)
         evidence.spoiled = bool(starved) and not isinstance(error, Runaway)
         evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
     if stand.unsafe and not stand.board:
