@@ -93,7 +93,7 @@ DECLARED = (
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, motor frames are so far apart, or a period_s more"),
-    Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "gate or supervisor silent for this long: the port owner stops"),
+    Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "longest silence of a process; unset, 0.2 without real-time rights"),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),

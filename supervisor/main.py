@@ -339,7 +339,7 @@ class Supervisor:
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
-            for what, text in grant.lacking(self._granted, self._advice):
+            for what, text in grant.lacking(self._granted, self._advice, self._run.settings[grant.LEASE]):
                 self._events.tell("rights", text, {"what": what})
         self.status.tell_people(missing, now_ns)
         if self.epochs.answered():

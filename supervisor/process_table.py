@@ -41,8 +41,10 @@ class ProcessTable:
         self._environment = starter.environment(run.settings)
         restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
         limits = int(run.settings["restart.deaths"]), *restart
+        lease_ns = run.settings.ns("gate.lease_s")
         self.children = [
-            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
+            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns)
+            for row in PROCESSES
         ]
         self._advice = advice
         self._starved_told_ns = self._starved_ns = self._starved_times = self._starved_ms = 0

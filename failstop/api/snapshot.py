@@ -361,6 +361,9 @@ class State:
     """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
     starved_times: int = 0
     """How often in this run the machine explained a silence as `starved` does."""
+    lease_s: float = 0.06
+    """How long the gate or the supervisor may be silent while the wheels turn, s (setting gate.lease_s; longer without
+    real-time rights)."""
 
     @property
     def block(self) -> Block | None:

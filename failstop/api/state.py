@@ -122,6 +122,10 @@ class StateReader(Run):
         return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
 
     @cached_property
+    def _lease_s(self) -> float:
+        return float(self.settings()["gate.lease_s"])
+
+    @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         given = Settings(dict(self.settings()))
@@ -164,6 +168,7 @@ class StateReader(Run):
             arm=self._arm(decided.get("arm"), now_ns),
             starved_times=known["starved_times"],
             unmet=decided.get("unmet", ""),
+            lease_s=self._lease_s,
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:

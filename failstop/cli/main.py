@@ -99,9 +99,17 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        standard.say(f"no command {words[0]!r}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}; {_meant(words[0])}`failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
+
+
+def _meant(word: str) -> str:
+    """The command that a word resembles, as a question; empty: it resembles none."""
+    from difflib import get_close_matches
+
+    found = get_close_matches(word.lower(), COMMANDS, 1)
+    return f"did you mean `failstop {found[0]}`? " if found else ""
 
 
 def here(name: str) -> bool:

@@ -12,6 +12,7 @@ from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
+from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
 
 LABEL = 10
@@ -157,8 +158,8 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
             found.append([(f"{name} was restarted {times}; it {ends[name]}", WARN)])
     running = [process for process in state.processes.values() if process.pid]
     if not state.starved and not all(process.realtime for process in running):
-        text = "without real-time rights stops come later on a busy machine; `failstop doctor` says more"
-        found.append([(text, DIM)])
+        text = f"without real-time rights stops come later on a busy machine, and {cost(state.lease_s)}"
+        found.append([(f"{text}; `failstop doctor` says more", DIM)])
     return found
 
 
