@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import termios
 import time
 import weakref
 from collections.abc import Callable
@@ -12,6 +14,7 @@ from typing import Any, TypeVar
 
 import msgpack
 
+from failstop.api import reason
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
@@ -39,6 +42,8 @@ RECORDS: dict[str, Callable[..., bytes]] = {
 """What a client writes into its slot once it has said hello there, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
+OWN_WORDS_S = 0.1
+"""How long the words of an object that is given as the reason of a stop are worth telling."""
 
 
 def runtime_dir(name: str) -> str:
@@ -74,17 +79,39 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
         raise kind(str(error)) from None
 
 
-def send_stop(name: str, reason: str, who: str = "") -> None:
+def unread(fd: int) -> int:
+    """How many bytes wait in a pipe to be read. Raises OSError."""
+    return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
+
+
+def send_stop(name: str, why: object, who: object = "") -> None:
     """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
-    reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
+    reason of more than records.ASKED_BYTES cut. What an object says of itself follows as a request of its own, unless
+    it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError."""
     directory, fd = _found(instance.open_stop, name)
     try:
-        bell.send(fd, records.asking(reason, who, os.getpid()))
+        words, whole = reason.plain(why)
+        asks = reason.plain(who)[0]
+        bell.send(fd, records.asking(words, asks, os.getpid()))
+        if not whole:
+            _say_more(fd, why, asks)
     except OSError as error:
         path = instance.stop_path(directory)
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
     finally:
         os.close(fd)
+
+
+def _say_more(fd: int, why: object, who: str) -> None:
+    """What the object says of itself, once the first request is read: of several that are read at once only the first
+    is told of. Words that come late would be a stop after somebody's reset."""
+    until_s = time.monotonic() + OWN_WORDS_S
+    with contextlib.suppress(Exception):
+        words = reason.own(why)
+        while unread(fd) and time.monotonic() < until_s:
+            time.sleep(OWN_WORDS_S / 100)
+        if words and time.monotonic() < until_s:
+            bell.send(fd, records.asking(words, who, os.getpid()))
 
 
 def gone(name: str) -> NoService:
