@@ -228,16 +228,19 @@ class Client:
             with contextlib.suppress(RuntimeError, OSError):
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
-            """A hello that is a goodbye; without one the gate takes the slot's end for a death."""
+            """A goodbye; without one the gate takes the slot's end for a death."""
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
-        self._segment.latest_writer("hello").write(self._hello(self._session))
+        hello = records.HELLO.pack(self._session, os.getpid(), pid_namespace(), self.who)
+        self._segment.latest_writer("hello").write(hello)
         self._ring()
 
-    def _hello(self, session: int) -> bytes:
-        return records.HELLO.pack(session, os.getpid(), pid_namespace(), self.who)
+    @property
+    def drove(self) -> bool:
+        """It has given a command, so that its death is that of a driver."""
+        return bool(self._commanded[0])
 
     def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
         memory, owner = found
@@ -303,9 +306,9 @@ class Client:
 
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
-        people are not told of a death."""
+        the gate does not take it for a death."""
         if in_order:
-            self._farewell.append(self._hello(records.NOBODY))
+            self._farewell.append(records.LEFT.pack(self._session))
         self._drop()
 
 
@@ -317,9 +320,9 @@ def _give_back(
     if os.getpid() == owner:
         # Another process may have the claim before the gate has seen it free.
         with contextlib.suppress(OSError, ValueError):
-            held.wipe()
             for goodbye in farewell:
-                held.latest_writer("hello").write(goodbye)
+                held.latest_writer("left").write(goodbye)
+            held.wipe()
             bell.send(ring, bytes([slot]))
         if life:
             life.let_go()

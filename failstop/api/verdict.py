@@ -19,8 +19,8 @@ MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
-"""Kinds of events that change whether motion is enabled."""
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
+"""Kinds of events that change whether motion is enabled, or may."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """Those that tell of a driver that left the wheels turning."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
