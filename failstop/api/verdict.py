@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from failstop.api import host, words
 from failstop.api.events import Event
-from failstop.api.snapshot import State
+from failstop.api.snapshot import Block, State
 from failstop.policy import causes
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
@@ -110,6 +110,12 @@ def left_off(events: Sequence[Event]) -> Event | None:
     """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
+
+
+def death(state: State, events: Sequence[Event]) -> Event | None:
+    """The death of a driver that motion is disabled for, if nothing has changed that since."""
+    last = newest(events, CHANGES)
+    return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
