@@ -101,6 +101,7 @@ def test_nothing_drives_before_an_enable_and_people_are_told_whose_death_it_was(
         again.enable()
         wait_for("the wheels to turn again", moves(again, trial))
         again.close()
+        trial.board.wait_wheels(moving=False, timeout_s=1.0)
 
 
 def test_a_program_that_is_started_again_does_not_drive_on(trial: Trial) -> None:
