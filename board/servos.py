@@ -93,7 +93,10 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays."""
+    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays.
+
+    A stop has nothing to vary: zeros may complete one that was cut. It then stops fewer of these, and a servo 0.
+    """
     count = framing.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
     framing.distinct("servo id", ids)
