@@ -146,8 +146,8 @@ def check_aux(frame: bytes) -> str:
     """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
 
     Accepted is exactly one buzzer frame of the right length and CRC, without the start of a motor frame anywhere in it,
-    and that the zeros of the stop burst complete nowhere: whole or cut, it moves nothing. Handlers of other functions go through lists
-    without looking where they end, and could change a wheel's set point. Never raises on bytes.
+    and which the zeros of the stop burst complete nowhere: whole or cut, it moves nothing. Handlers of other functions
+    go through lists without looking where they end, and could change a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"
