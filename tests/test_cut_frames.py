@@ -50,8 +50,12 @@ def test_it_is_what_the_board_s_receiver_makes_of_it() -> None:
 
 def sounds() -> Iterator[bytes]:
     random = Random("sounds")
+
+    def u16() -> int:
+        return random.randint(1, 65_535)
+
     values = [*product((20, 21, 0x55AA % 20_000, 19_999, 20_000), U16, U16, U16)]
-    values += [(random.randint(20, 20_000), *(random.randint(1, 65_535) for _ in range(3))) for _ in range(FRAMES)]
+    values += [(random.randint(20, 20_000), u16(), u16(), u16()) for _ in range(FRAMES)]
     for freq_hz, on_ms, off_ms, repeat in values:
         with contextlib.suppress(FrameError):  # what would put the start of a motor frame on the wire
             yield codec.buzzer(freq_hz, on_ms, off_ms, repeat)
