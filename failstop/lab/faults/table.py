@@ -83,13 +83,13 @@ CLIENTS = (
     *(
         Fault(
             name, CLIENT, f"{how} that drives, another commands at once", "gate (its lifeline)",
-            (), ENABLE, DRIVER_DIED, 5.0, name, weight=weight,
+            (), ENABLE, DRIVER_DIED, bar_ms, name, weight=weight,
         )
-        for name, how, weight in (
-            ("client-killed", "SIGKILL of the program", 4),
-            ("client-killed-large", "SIGKILL of a program of 300 MB", 1),
-            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", 2),
-            ("client-fails", "an exception in the program", 2),
+        for name, how, bar_ms, weight in (
+            ("client-killed", "SIGKILL of the program", 5.0, 4),
+            ("client-killed-large", "SIGKILL of a program of 300 MB", 5.0, 1),
+            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", 5.0, 2),
+            ("client-fails", "an exception in the program", 20.0, 2),
         )
     ),
     Fault(
