@@ -39,8 +39,8 @@ class Order:
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """Signed."""
-        body = {"id": self.id, "t": self.unix_s, "reason": self.reason, "by": self.by}
+        """Signed; no longer than robots read, whatever the reason."""
+        body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP, body)
 
 

@@ -266,6 +266,11 @@ UNKNOWN = Kind(
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
 )  # fmt: skip
+DRIVER_DIED = Kind(
+    41, "driver_died", "driver died: {who}", CLIENTS,
+    "the program {who}, which had driven, ended without a word: it crashed or was killed",
+    "look at that program's own log",
+)  # fmt: skip
 OPERATOR_GONE = Kind(
     40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,
     "the operator {who}, without whom this robot may not move, {how}",

@@ -84,6 +84,7 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 
 LONGEST_TEXT = 255
 SWITCH = ("on", "off")
+DEATHS = ("disable", "latch", "stay")
 TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
 WEB_TLS = ("auto", "on", "off")
@@ -94,6 +95,7 @@ DECLARED = (
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, motor frames are so far apart, or a period_s more"),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "longest silence of a process; unset, 0.2 without real-time rights"),
+    _word("gate.driver_death", "disable", "what the death of a program that has driven does to motion", DEATHS),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),

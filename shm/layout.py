@@ -109,6 +109,7 @@ def _client(index: int) -> SegmentSpec:
         "the client that holds the slot's claim",
         CLIENTS,
         (
+            _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", records.HELLO, "gate"),
             _latest("command", records.COMMAND, "gate"),

@@ -7,12 +7,10 @@ service may be of another version, half started or half dead.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import termios
 import time
 
-from failstop.api.client import attach, send_stop
+from failstop.api.client import attach, send_stop, unread
 from failstop.api.errors import FailstopError
 from failstop.shm import instance, layout, records
 
@@ -46,8 +44,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
     until_s = time.monotonic() + LATCH_S
     reader, problem, taken, first_epoch = None, "", False, -1
     while time.monotonic() < until_s:
-        unread = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), "little")
-        taken = taken or not unread
+        taken = taken or not unread(pipe)
         try:
             reader = reader or StateReader(name)
             state = reader.read()

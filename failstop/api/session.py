@@ -105,10 +105,13 @@ class Session:
 
     def _close(self, *, in_order: bool) -> None:
         try:
-            if self._enabled and self._disable_on_exit and self._connected:
+            connected = self._connected
+            if self._enabled and self._disable_on_exit and connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
-                    sleep_through(self._asking(records.DISABLE))
+                    # The death of a driver is the gate's to answer, which tells people whose it was.
+                    if in_order or not connected.drove or self.settings["gate.driver_death"] == "stay":
+                        sleep_through(self._asking(records.DISABLE))
         finally:
             with self._lock:
                 self._closed = True

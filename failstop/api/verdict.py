@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from failstop.api import words
 from failstop.api.events import Event
-from failstop.api.snapshot import State
+from failstop.api.snapshot import Block, State
 from failstop.policy import causes
 from failstop.shm.layout import GATE
 
@@ -26,8 +26,8 @@ LINKS = {
 """What each link proves, in words."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
-"""Kinds of events that change whether motion is enabled."""
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
+"""Kinds of events that change whether motion is enabled, or may."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """Those that tell of a driver that left the wheels turning."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
@@ -106,6 +106,12 @@ def left_off(events: Sequence[Event]) -> Event | None:
     """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
+
+
+def death(state: State, events: Sequence[Event]) -> Event | None:
+    """The death of a driver that motion is disabled for, if nothing has changed that since."""
+    last = newest(events, CHANGES)
+    return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:

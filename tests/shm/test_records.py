@@ -170,6 +170,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     ),
     "latch": (lambda text: records.LATCH.pack(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.PORT.pack(TOP, TOP, 2, text), ["port_owner/port"]),
+    "left": (lambda _: records.LEFT.pack(TOP), [f"client.{i}/left" for i in range(CLIENT_SLOTS)]),
     "hello": (
         lambda text: records.HELLO.pack(TOP, 2**32 - 1, TOP, text),
         [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
@@ -332,6 +333,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "stopped": (records.STOPPED, 24),
     "port": (records.PORT, 17),
     "latch": (records.LATCH, 24),
+    "left": (records.LEFT, 8),
     "hello": (records.HELLO, 20),
     "reply": (records.REPLY, 19),
     "request": (records.REQUEST, 17),
@@ -346,7 +348,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "pad_request": (records.PAD_REQUEST, 1),
     "pad": (records.PAD, 8),
 }
-EXACT = {"request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
+EXACT = {"left", "request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:

@@ -35,6 +35,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
+    if death := verdict.death(state, events):
+        rows.append([*row("driver", death.text, WARN), (f" ({words.ago(death.t, now_s)})", DIM)])
     rows += _drivers(state, verdict.left_off(events), now_s)
     rows += last_stop(state, now_s)
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []

@@ -50,6 +50,7 @@ from failstop.shm.layout import GATE, PORT_OWNER, SUPERVISOR
 BACK = "the device's return"
 ASKED = "a stop request meanwhile"
 THAWED = "the thaw"
+DRIVER_DIED = "which had driven, has died"
 
 
 def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
@@ -83,13 +84,17 @@ WOKEN = (
 )  # fmt: skip
 
 CLIENTS = (
-    Fault(
-        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its lifeline)",
-        (), ITSELF, "", 5.0, "client-killed",
-    ),
-    Fault(
-        "client-killed-large", CLIENT, "SIGKILL of a client of 300 MB that drives", "gate (its lifeline)",
-        (), ITSELF, "", 5.0, "client-killed-large", weight=1,
+    *(
+        Fault(
+            name, CLIENT, f"{how} that drives, another commands at once", "gate (its lifeline)",
+            (), ENABLE, DRIVER_DIED, bar_ms, name, weight=weight,
+        )
+        for name, how, bar_ms, weight in (
+            ("client-killed", "SIGKILL of the program", 5.0, 4),
+            ("client-killed-large", "SIGKILL of a program of 300 MB", 5.0, 1),
+            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", 5.0, 2),
+            ("client-fails", "an exception in the program", 20.0, 2),
+        )
     ),
     Fault(
         "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
@@ -114,11 +119,11 @@ CLIENTS = (
     ),
     Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
-        (), ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ENABLE, DRIVER_DIED, 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
-        (), ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ENABLE, DRIVER_DIED, 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",

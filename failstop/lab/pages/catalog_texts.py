@@ -140,10 +140,10 @@ TEXTS = {
         "Next: does that program still run, and does it repeat its command often enough?",
     ),
     "driver_gone": (
-        "@FAILSTOP_WHO@ has gone while it drove",
-        "It crashed or was killed, or ended without a word, so the wheels were told zero at once.\n"
-        "Nothing is latched: they turn again as soon as somebody commands.\n"
-        "Next: that program's own log; coredumpctl list, where it crashed",
+        "The driver @FAILSTOP_WHO@ has died",
+        "It crashed or was killed, or ended without a word, so the wheels were told zero at once, and motion was\n"
+        'disabled: nothing drives before somebody enables it. With gate.driver_death = "stay" motion stays enabled.\n'
+        "Next: that program's own log; coredumpctl list, where it crashed; failstop enable --name @FAILSTOP_NAME@",
     ),
     "driver_ended": (
         "@FAILSTOP_WHO@ ended its command",
