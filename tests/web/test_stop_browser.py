@@ -22,7 +22,7 @@ SAID = "document.getElementById('stop-said').textContent"
 SEEN = f"{WORD} !== 'CONNECTING' && {WORD} !== 'NO CONTACT'"
 TAKEN = "/taken/"
 CONNECTIONS = 6
-TAKE = f"for (let at = 0; at < {CONNECTIONS + 4}; at++) fetch('{TAKEN}' + at).catch(() => {{}});"
+TAKE = f"for (let at = 0; at < {CONNECTIONS + 4}; at++) fetch('{TAKEN}' + at).catch(() => {{}}); 0"
 SOON_S = 2.0
 TWENTY_TIMES = """
 (() => { const real = setTimeout, wide = fetch;
