@@ -35,7 +35,7 @@
 
   // A connection that is not heard any more takes minutes to end: another is opened beside it, and takes its place.
   function connect() {
-    const made = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stop/live`);
+    const made = new WebSocket(`${location.protocol.endsWith("s:") ? "wss" : "ws"}://${location.host}/api/stop/live`);
     const again = () => {
       if (socket !== made) return;
       socket = null;
