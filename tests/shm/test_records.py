@@ -191,6 +191,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.REQUEST.pack(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
+    "seen": (lambda text: records.SEEN.pack(TOP, TOP), [f"client.{i}/seen" for i in range(CLIENT_SLOTS)]),
     "speed_limit": (
         lambda text: records.SPEED_LIMIT.pack(TOP, 255),
         [f"client.{i}/speed_limit" for i in range(CLIENT_SLOTS)],
@@ -335,6 +336,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "hello": (records.HELLO, 20),
     "reply": (records.REPLY, 19),
     "request": (records.REQUEST, 17),
+    "seen": (records.SEEN, 16),
     "command": (records.COMMAND, 49),
     "held": (records.HELD, 8),
     "said": (records.SAID, 8),
