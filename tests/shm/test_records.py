@@ -348,7 +348,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "pad_request": (records.PAD_REQUEST, 1),
     "pad": (records.PAD, 8),
 }
-EXACT = {"request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
+EXACT = {"request", "seen", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:
