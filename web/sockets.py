@@ -203,7 +203,7 @@ class Live(Socket):
 
     def send(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
         """Hand a message over; a viewer that has just gone gets none."""
-        sending = self.later({"t": time.time(), **message})
+        sending = self.later(message if "t" in message else {"t": time.time(), **message})
         if sending is None:
             self.page.leave(self)
         return sending
