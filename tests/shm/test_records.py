@@ -192,6 +192,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.REQUEST.pack(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
+    "seen": (lambda text: records.SEEN.pack(TOP, TOP), [f"client.{i}/seen" for i in range(CLIENT_SLOTS)]),
     "speed_limit": (
         lambda text: records.SPEED_LIMIT.pack(TOP, 255),
         [f"client.{i}/speed_limit" for i in range(CLIENT_SLOTS)],
@@ -337,6 +338,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "hello": (records.HELLO, 20),
     "reply": (records.REPLY, 19),
     "request": (records.REQUEST, 17),
+    "seen": (records.SEEN, 16),
     "command": (records.COMMAND, 49),
     "held": (records.HELD, 8),
     "said": (records.SAID, 8),
@@ -348,7 +350,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "pad_request": (records.PAD_REQUEST, 1),
     "pad": (records.PAD, 8),
 }
-EXACT = {"left", "request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
+EXACT = {"left", "request", "seen", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:
