@@ -5,6 +5,7 @@ import "/hands.js";
 import "/device.js";
 import "/attend.js";
 import "/incidents.js";
+import "/view.js";
 
 const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
