@@ -12,7 +12,7 @@ from failstop.api import verdict, words
 from failstop.api.why import meaning, troubles
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
-from failstop.supervisor.stops import wheels_seen
+from failstop.supervisor.stops import ALIVE, wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 
 MOVING = "MOVING"
 STOPPED = "STOPPED"
+WRITTEN = "STOP WRITTEN"
 CAN_MOVE = "CAN MOVE"
 MAY_TURN = "WHEELS MAY TURN"
 NO_SERVICE = "NO SERVICE"
-ROLES = {MOVING: "moves", STOPPED: "stopped", CAN_MOVE: "free", MAY_TURN: "bad", NO_SERVICE: "bad"}
+ROLES = {MOVING: "moves", WRITTEN: "moves", STOPPED: "stopped", CAN_MOVE: "free", MAY_TURN: "bad", NO_SERVICE: "bad"}
 
 BLOCKS = {
     blocks.DISABLED: "Motion is disabled, as after every start and every stop.",
@@ -139,7 +140,19 @@ def _word(state: State) -> str:
         return MAY_TURN
     if state.moving:
         return MOVING
-    return CAN_MOVE if state.enabled and not state.estop else STOPPED
+    if state.enabled and not state.estop:
+        return CAN_MOVE
+    return _proven(state)
+
+
+def _proven(state: State) -> str:
+    """As much as is proved of the last stop: that the kernel has its bytes is no proof that the wheels stand."""
+    stop = state.last_stop
+    if stop is None:
+        return MAY_TURN if state.cause else STOPPED
+    if stop.acknowledged_s is not None or stop.observed_s is not None:
+        return STOPPED
+    return WRITTEN if stop.written_s is not None and stop.sent else MAY_TURN
 
 
 def _why(state: State) -> str:
@@ -170,6 +183,8 @@ def _next(state: State) -> str:
         return f"{POWER} if the wheels turn; then plug the board in."
     if verdict.doubt(state):
         return f"{POWER} and on again."
+    if (word := _word(state)) == MAY_TURN or (word == WRITTEN and state.device.link != ALIVE):
+        return f"{POWER} if the wheels turn: the board has not answered."
     if state.cause:
         return f"{sentence(meaning(state.cause)[1])[:-1]}; then hold RESET."
     if missing := _waits(state):

@@ -153,6 +153,27 @@ def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab
     assert "asked for a stop" in paired.text("#why")
 
 
+WATCHED = """
+window.words = [];
+new MutationObserver(() => window.words.push(document.getElementById("word").textContent))
+  .observe(document.getElementById("word"), {childList: true, characterData: true, subtree: true})"""
+
+
+def test_the_word_says_no_more_than_is_proved(trial: Trial, paired: Tab) -> None:
+    """A deaf board turns its wheels on, whatever is written to it."""
+    driving(trial, paired)
+    paired.run(WATCHED)
+    trial.board.deaf(True)
+    try:
+        paired.tap("#stop")
+        paired.until(f"{WORD} === 'WHEELS MAY TURN'")
+        assert "STOPPED" not in paired.run("words")
+        assert paired.run("words.at(-2)") == "STOP WRITTEN"
+    finally:
+        trial.board.deaf(False)
+    paired.until(f"{WORD} === 'STOPPED'")
+
+
 def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: Tab) -> None:
     trial.robot.estop("to be reset")
     paired.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
