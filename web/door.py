@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections import Counter
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import SSLIOStream
+
+from failstop.web import plain
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -23,8 +26,9 @@ MOST_BODY = 4 * 1024
 class Door(HTTPServer):
     """Of too many connections, the oldest idle one of whoever has most is closed: the newest may be a STOP."""
 
-    def initialize(self, *arguments: Any, **options: Any) -> None:
-        """As of tornado's HTTPServer; the limits are set here."""
+    def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
+        """As of tornado's HTTPServer; the limits are set here. `names`: what the robot answers to."""
+        self._names = names
         self._streams: dict[IOStream, str] = {}
         options |= {
             "idle_connection_timeout": IDLE_S,
@@ -40,6 +44,8 @@ class Door(HTTPServer):
         if len(self._streams) >= MOST:
             self._make_room()
         self._streams[stream] = str(address[0]) if address else ""
+        if isinstance(stream, SSLIOStream):
+            plain.attend(stream, self._names)
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:

@@ -35,7 +35,16 @@ BLOCKS = {
     blocks.NO_SCAN: "Motion is enabled, but the obstacle sensor is silent.",
 }
 POWER = "Turn the robot's POWER SWITCH off"
+START = f"If the wheels turn: {POWER.lower()}. Then start the service."
 MOST_EVENTS = 40
+HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "Hold ENABLE"}
+"""How a paired device does it, by the page's buttons."""
+ELSEWHERE = {
+    "reset": "reset it with a paired device or failstop reset",
+    "attend": "with a paired device or failstop attend",
+    "enable": "Enable motion with a paired device or failstop enable,",
+}
+"""How everybody else comes by it: their page has no such buttons."""
 
 
 def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
@@ -47,7 +56,8 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "role": ROLES[word],
         "why": _why(state),
         "since": _since(state, events),
-        "next": _next(state),
+        "next": _next(state, HERE),
+        "next_unpaired": _next(state, ELSEWHERE),
         "latched": state.estop is not None,
         "enabled": state.enabled,
         "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
@@ -87,7 +97,8 @@ def absent(note: str) -> dict[str, Any]:
         "role": ROLES[NO_SERVICE],
         "why": sentence(note),
         "since": None,
-        "next": f"If the wheels turn: {POWER.lower()}. Then start the service.",
+        "next": START,
+        "next_unpaired": START,
         "latched": False,
         "enabled": False,
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
@@ -175,8 +186,8 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
     return None
 
 
-def _next(state: State) -> str:
-    """One step; empty while it moves."""
+def _next(state: State, how: dict[str, str]) -> str:
+    """One step; empty while it moves. `how`: what whoever reads it can do."""
     if any(process.state == "dead" for process in state.processes.values()):
         return "Start the service again."
     if state.device.state != "open":
@@ -186,13 +197,13 @@ def _next(state: State) -> str:
     if (word := _word(state)) == MAY_TURN or (word == WRITTEN and state.device.link != ALIVE):
         return f"{POWER} if the wheels turn: the board has not answered."
     if state.cause:
-        return f"{sentence(meaning(state.cause)[1])[:-1]}; then hold RESET."
+        return f"{sentence(meaning(state.cause)[1])[:-1]}; then {how['reset']}."
     if missing := _waits(state):
         return sentence(missing)
     if not state.enabled and state.attended_by == ():
-        return "Somebody has to attend: press ATTEND."
+        return f"Somebody has to attend: {how['attend']}."
     if not state.enabled:
-        return "Hold ENABLE when nobody is in its way."
+        return f"{how['enable']} when nobody is in its way."
     if state.blocked == blocks.NO_SCAN:
         return "Start the obstacle sensor and the program that calls robot.sensed()."
     if state.blocked == blocks.NO_COMMAND:

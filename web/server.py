@@ -15,7 +15,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import assets, control, devices, guard, handlers, kept, stopping
+from failstop.web import assets, control, devices, guard, handlers, kept, stopping, whereabouts
 from failstop.web.attending import Attending
 from failstop.web.door import Door
 from failstop.web.hands import VERBS, Hands
@@ -162,14 +162,13 @@ async def serve(name: str, settings: Settings) -> None:
     page = Page(name, settings)
     sockets = bind_sockets(page.port, page.address)
     page.port = sockets[0].getsockname()[1]
-    door = Door(page.application(), ssl_options=page.tls)
+    door = Door(page.application(), ssl_options=page.tls, names=page.names)
     door.add_sockets(sockets)
     commands = control.listen(page, page.control_path)
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    shown = f"[{page.address}]" if ":" in page.address else page.address
-    print(f"{page.whereabouts()['scheme']}://{shown}:{page.port}/", flush=True)
+    print("\n".join(whereabouts.urls(page.whereabouts())), flush=True)
     await ended.wait()
     door.stop()
     commands.stop()

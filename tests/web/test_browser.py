@@ -139,6 +139,12 @@ def test_keys_stop(trial: Trial, tab: Tab, key: str, code: str, number: int) -> 
     tab.until(f"{SAID}.includes('written')")
 
 
+def test_a_stranger_is_told_of_no_button_that_it_has_not(trial: Trial, tab: Tab) -> None:
+    assert trial.robot.state.estop
+    tab.until("document.getElementById('next').textContent.includes('reset it with a paired device')")
+    assert "RESET" not in tab.text("#next")
+
+
 def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab) -> None:
     driving(trial, paired)
     asked_ns = time.monotonic_ns()

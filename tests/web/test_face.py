@@ -58,6 +58,18 @@ def test_word_reason_and_step(state: State, word: str, why: str, step: str) -> N
     json.dumps(found)
 
 
+@pytest.mark.parametrize(
+    "state",
+    [states.state(), states.latched(), states.latched(last_stop=WRITTEN), states.state(attended_by=())],
+    ids=["disabled", "latched", "written", "nobody-attends"],
+)
+def test_a_device_without_buttons_is_told_of_none(state: State) -> None:
+    found = shown(state)
+    assert any(button in found["next"] for button in ("RESET", "ENABLE", "ATTEND"))
+    assert not any(button in found["next_unpaired"] for button in ("RESET", "ENABLE", "ATTEND"))
+    assert "a paired device or failstop " in found["next_unpaired"]
+
+
 @pytest.mark.parametrize("kind", causes.BY_NUMBER.values(), ids=lambda kind: kind.name)
 def test_every_cause_is_a_sentence_and_a_step(kind: causes.Kind) -> None:
     given: dict[type, Any] = {str: "gate", int: 1, float: 1.0}

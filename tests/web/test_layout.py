@@ -174,3 +174,28 @@ def test_no_word_is_broken(tab: Tab, wide: int, high: int) -> None:
     for word in WORDS:
         shows(tab, 100, word, failed=True)
         assert wrong(tab, BROKEN) == []
+
+
+CARDS = """
+(() => {
+  window.fetched = window.fetch;
+  window.fetch = async (url, ...more) => url !== "/api/incidents" ? fetched(url, ...more) : new Response(JSON.stringify(
+    {incidents: Array.from({length: 20}, (_, at) => ({id: `made-${at}`, t: 1700000000 + 46800 * at,
+      reason: "operator gone: Anna's phone, was not heard for 1003 ms", proof: "written after 90 us, acknowledged"}))}));
+  dispatchEvent(new Event("link-open"));
+})()"""
+
+
+def test_a_long_history_leaves_the_page_short_and_the_older_a_touch_away(tab: Tab) -> None:
+    tab.size(390, 844)
+    shows(tab, 100, "STOPPED", failed=False)
+    tab.run(CARDS)
+    tab.until("document.querySelectorAll('.card').length === 20")
+    assert tab.run("[...document.querySelectorAll('.card')].filter((card) => card.checkVisibility()).length") == 5
+    assert tab.run("document.getElementById('incidents').offsetHeight") < 844
+    assert tab.run("document.getElementById('events').offsetHeight") < 844
+    tab.run("document.querySelector('#incidents > details:last-child > summary').click()")
+    assert tab.run("[...document.querySelectorAll('.card')].every((card) => card.checkVisibility())")
+    clocks = tab.run("[...document.querySelectorAll('.card small')].map((line) => line.textContent)")
+    assert not any("AM" in line or "PM" in line for line in clocks)
+    tab.run("window.fetch = window.fetched; dispatchEvent(new Event('link-open'))")

@@ -1,7 +1,9 @@
 // Incidents: a card each; its picture and its story are fetched when it is opened.
 const $ = (id) => document.getElementById(id);
 const LATER_MS = 4000; // a stop's file is written some seconds after it
+const FIRST = 5; // the older ones are a touch away
 const cards = new Map(); // one that is open stays open
+const rest = node("details", "");
 let shown = "", last = 0;
 
 function node(kind, content, more) {
@@ -34,7 +36,7 @@ function card({id, t, reason, proof}) {
     found.append(node("summary", ""));
     found.addEventListener("toggle", () => { if (found.open) open(found, id); });
   }
-  const when = new Date(t * 1000).toLocaleString([], {dateStyle: "medium", timeStyle: "medium"});
+  const when = new Date(t * 1000).toLocaleString([], {dateStyle: "medium", timeStyle: "medium", hourCycle: "h23"});
   found.firstChild.replaceChildren(node("b", reason), node("small", `${when}: ${proof}`));
   return found;
 }
@@ -46,7 +48,9 @@ async function look() {
   if (text === shown) return;
   shown = text;
   const {incidents} = JSON.parse(text);
-  $("incidents").replaceChildren(...incidents.map((incident) => card(incident)));
+  const made = incidents.map((incident) => card(incident)), older = made.slice(FIRST);
+  $("incidents").replaceChildren(...made.slice(0, FIRST), ...(older.length ? [rest] : []));
+  rest.replaceChildren(node("summary", `${older.length} older`), ...older);
   if (!incidents.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
 }
 

@@ -13,14 +13,14 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
 const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
-let face = null, heard = -Infinity, behind = 0, asked = null, waits = false;
+let face = null, paired = false, heard = -Infinity, behind = 0, asked = null, waits = false;
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
 }
 
 function clock(unix) {
-  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false});
+  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23"});
 }
 
 function ago(unix) {
@@ -35,7 +35,7 @@ function show() {
   $("word").classList.toggle("long", face.word.length > 9);
   $("head").dataset.role = face.role;
   text("why", face.why);
-  text("next", face.next);
+  text("next", paired ? face.next : face.next_unpaired);
   document.title = `${face.word} - failstop`;
   showStop();
   dispatchEvent(new CustomEvent("face", {detail: face}));
@@ -149,6 +149,10 @@ function news(message) {
 addEventListener("stopped", (event) => {
   asked = event.detail.asked;
   if (event.detail.face) { face = event.detail.face; heard = performance.now(); show(); }
+});
+addEventListener("device", ({detail}) => {
+  paired = !!detail.device;
+  if (face && $("head").dataset.role !== "lost") show();
 });
 setInterval(lost, 200);
 connect(news);
