@@ -181,7 +181,7 @@ CARDS = """
   window.fetched = window.fetch;
   window.fetch = async (url, ...more) => url !== "/api/incidents" ? fetched(url, ...more) : new Response(JSON.stringify(
     {incidents: Array.from({length: 20}, (_, at) => ({id: `made-${at}`, t: 1700000000 + 46800 * at,
-      reason: "operator gone: Anna's phone, was not heard for 1003 ms", proof: "written after 90 us, acknowledged"}))}));
+      reason: "operator gone: Anna's phone, was not heard for 1003 ms", proof: "written after 90 us"}))}));
   dispatchEvent(new Event("link-open"));
 })()"""
 
