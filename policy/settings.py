@@ -172,6 +172,7 @@ DECLARED = (
     _word("web.address", "127.0.0.1", "the operator's page (`failstop web`) listens here"),
     Setting("web.port", 8477, "", 0, 65535, "on this port; 0: any that is free"),
     _word("web.hosts", "", "names that the page answers to, with blanks between; its own always"),
+    _word("web.origin", "", "the page's address in a browser where a proxy ends TLS: https://robot.example"),
     _word("web.tls", "auto", "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
     _word("web.pairing", "off", "paired devices may reset and enable; others see and stop", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),

@@ -117,6 +117,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", records.REQUEST, "gate"),
             _latest("speed_limit", records.SPEED_LIMIT, "gate"),  # the limit that a request is about
+            _latest("seen", records.SEEN, "gate"),  # the newest stop that the person knew of who asks for a reset
             _latest("arm_goal", records.ARM_GOAL, "gate"),  # follow or jog, renewed
             _latest("arm_path", records.ARM_PATH, "gate"),  # the trajectory that a request is about
             _latest("said", records.SAID, "gate"),  # in a line, what the client sees and what is wrong

@@ -287,6 +287,8 @@ REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a session's request is about, in percent of the settings' speeds."""
+SEEN: Payload[int, int] = Payload("<QQ")
+"""The epoch that a session's person had seen who asks for a reset; 0: the asking itself is all that is known."""
 REPLY: Payload[int, int, int, str, bytes] = Payload(
     "<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )

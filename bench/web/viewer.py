@@ -84,6 +84,29 @@ class Viewer:
             assert time.monotonic() < until_s
         self.answer(found["nonce"])
 
+    def hold(self, verb: str, seconds: float = WAIT_S, *, epoch: int | None = None, **more: Any) -> dict[str, Any]:
+        """Hold a button as the page does, for so long at most, with the epoch that it knew at the beginning; returns
+        what the robot says at the end."""
+        while epoch is None and not (epoch := self.epoch()):
+            self.next()
+        self.send(hold=verb, id=(identity := f"{time.monotonic_ns()}"), epoch=epoch, **more)
+        until_s = time.monotonic() + seconds
+        while True:
+            found = self.next()
+            if found.get("hold") == identity and "enough" not in found:
+                return found
+            if found.get("enough"):
+                self.send(sure=identity)
+            elif time.monotonic() < until_s:
+                self.send(held=identity)
+            else:
+                self.send(released=identity)
+                return {}
+
+    def epoch(self) -> int:
+        """What the newest face said; 0: there was none yet."""
+        return next((message["face"]["epoch"] for message in reversed(self.seen) if "face" in message), 0)
+
     def stay(self, seconds: float) -> None:
         """Answer every nonce for so long."""
         until_s = time.monotonic() + seconds

@@ -33,6 +33,7 @@ RECORDS: dict[str, Callable[..., bytes]] = {
     "attended": records.HELD.pack,
     "said": records.SAID.pack,
     "speed_limit": records.SPEED_LIMIT.pack,
+    "seen": records.SEEN.pack,
     "arm_goal": records.ARM_GOAL.pack,
     "arm_path": records.ARM_PATH.pack,
 }

@@ -141,7 +141,8 @@ class Calls(Session):
         """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
         was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
         motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
-        unless somebody else attends; so does leave(), and this program's end. Raises NoService."""
+        unless somebody else attends; so does leave(), and this program's end. A Robot speaks for one operator at a
+        time: with another name the one before has left. Raises NoService."""
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
 
@@ -171,6 +172,9 @@ class Calls(Session):
         if not 0.0 < share <= 1.0:
             raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
         return self._asking(records.LIMIT, about=("speed_limit", round(100 * share)), awaited=awaited)
+
+    def _resetting(self, seen: int | None, *, awaited: bool = False) -> Steps[str]:
+        return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
         """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
@@ -215,9 +219,9 @@ class AsyncRobot(Calls):
         """As Robot.disable."""
         return await self._answered(records.DISABLE)
 
-    async def reset(self) -> str:
+    async def reset(self, *, seen: int | None = None) -> str:
         """As Robot.reset."""
-        return await self._answered(records.RESET)
+        return await _through(self._resetting(seen, awaited=True))
 
     async def limit_speed(self, share: float) -> str:
         """As Robot.limit_speed."""
@@ -269,10 +273,11 @@ class Robot(Calls):
         """Disable motion: the wheels stop at once."""
         return sleep_through(self._asking(records.DISABLE))
 
-    def reset(self) -> str:
+    def reset(self, *, seen: int | None = None) -> str:
         """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
-        Refused."""
-        return sleep_through(self._asking(records.RESET))
+        Refused: a stop came after this was called, or after the State whose `epoch` is given as `seen`, which the
+        person who decides has looked at."""
+        return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
         """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.

@@ -28,6 +28,7 @@ RECORDS = {
     "arm_goal": records.ARM_GOAL,
     "arm_path": records.ARM_PATH,
     "speed_limit": records.SPEED_LIMIT,
+    "seen": records.SEEN,
     "sensed": records.HELD,
     "interlocks": records.HELD,
     "attended": records.HELD,
