@@ -112,9 +112,7 @@ def _understood(status: int, said: bytes) -> dict[str, Any]:
     try:
         found: dict[str, Any] = json.loads(said)
     except ValueError:
-        raise FailstopError(
-            f"the page answered {status} and in words of another version's"
-        ) from None
+        raise FailstopError(f"the page answered {status} and in words of another version's") from None
     if status == REFUSED:
         raise Refused(str(found["error"]))
     if status != 200:

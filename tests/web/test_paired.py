@@ -143,15 +143,6 @@ def test_an_incident_that_there_is_not(web: Web, identity: str) -> None:
     assert web.ask("GET", f"/api/incidents/{identity}/picture")[0] == 404
 
 
-def test_plain_http_is_not_answered(web: Web) -> None:
-    with socket.create_connection(("127.0.0.1", web.port), timeout=5) as plain:
-        plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        said = b""
-        with contextlib.suppress(ConnectionResetError):
-            said = plain.makefile("rb").read()
-        assert b"HTTP" not in said
-
-
 def test_without_pairing_nobody_may(trial: Trial) -> None:
     with Web(trial.name) as other:
         assert other.post("/api/pair", {"code": "0000-0000"})[0] == 403

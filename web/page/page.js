@@ -13,7 +13,7 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
 const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
-let face = null, paired = false, heard = -Infinity, behind = 0, asked = null, waits = false;
+let face = null, paired = false, heard = -Infinity, behind = 0, asked = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -29,6 +29,13 @@ function ago(unix) {
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
 }
 
+// What a screen reader says of itself: a new word with its reason, and nothing of what changes all the time.
+function speak(word, why) {
+  if (spoken === word) return;
+  spoken = word;
+  text("spoken", `${word}. ${why}`);
+}
+
 function show() {
   text("robot", `${face.name || "failstop"} on ${location.hostname}`);
   text("word", face.word);
@@ -36,6 +43,7 @@ function show() {
   $("head").dataset.role = face.role;
   text("why", face.why);
   text("next", paired ? face.next : face.next_unpaired);
+  speak(face.word, face.why);
   document.title = `${face.word} - failstop`;
   showStop();
   dispatchEvent(new CustomEvent("face", {detail: face}));
@@ -130,6 +138,7 @@ function lost() {
   $("head").dataset.role = "lost";
   $("word").classList.add("long");
   text("word", "NO CONTACT");
+  speak("NO CONTACT", "The robot is not heard.");
   text("why", `The robot is not heard.${face ? ` Last known: ${face.word}.` : ""}`);
   text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
   text("since", "");
@@ -147,6 +156,7 @@ function news(message) {
 }
 
 addEventListener("stopped", (event) => {
+  speak("STOP is written", "");
   asked = event.detail.asked;
   if (event.detail.face) { face = event.detail.face; heard = performance.now(); show(); }
 });
