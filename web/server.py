@@ -19,6 +19,7 @@ from failstop.api.errors import FailstopError
 from failstop.web import assets, control, devices, guard, handlers, kept, sockets, stopping, whereabouts
 from failstop.web.attending import Attending
 from failstop.web.door import Door, Places
+from failstop.web.driving import Driving
 from failstop.web.hands import TOUCHED, Hands
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
@@ -61,7 +62,8 @@ class Page:
         self.defect_limit = Limit(1 / 60, 2)
         self.asked = stopping.Asked()
         self.hands = Hands(name)
-        self.attending = Attending(name)
+        self.driving = Driving(name, settings)
+        self.attending = Attending(name, self.driving.end)
         self.incidents = Incidents(name)
         self._kept = kept.Kept(kept.folder(name, os.environ))
         self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
@@ -175,6 +177,7 @@ class Page:
         """Give everything back."""
         self._timer.stop()
         self.attending.close()
+        self.driving.close()
         self.hands.close()
         self.incidents.close()
         control.remove(self.control_path)

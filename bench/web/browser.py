@@ -209,7 +209,11 @@ class Tab:
         text = {"text": "\r" if key == "Enter" else key} if len(key) == 1 or key == "Enter" else {}
         given = {"key": key, "code": code, "windowsVirtualKeyCode": number}
         self.call("Input.dispatchKeyEvent", type="keyDown", **given, **text)
-        return lambda: self.call("Input.dispatchKeyEvent", type="keyUp", **given) and None
+
+        def lift() -> None:
+            self.call("Input.dispatchKeyEvent", type="keyUp", **given)
+
+        return lift
 
     def key(self, key: str, code: str, number: int) -> None:
         """A key, down and up."""

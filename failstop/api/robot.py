@@ -89,7 +89,15 @@ class Calls(Session):
     """Drive, assert, look: the base of both."""
 
     def drive(
-        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
+        self,
+        vx: float,
+        vy: float,
+        wz: float,
+        *,
+        manual: bool = False,
+        source: str = DEFAULT,
+        wait_s: float = 0.01,
+        proven_ns: int | None = None,
     ) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
         s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
@@ -98,6 +106,9 @@ class Calls(Session):
         Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
         It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
         command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
+
+        A command that was under way for a while, as one by a network is, counts from `proven_ns` (CLOCK_MONOTONIC, ns),
+        the newest moment at which it is known to have been wanted.
 
         A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
         Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
@@ -108,7 +119,7 @@ class Calls(Session):
         with self._lock:
             run = self._current()
             run.check("source", source)
-            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source, t_ns=proven_ns)
         until_s = time.monotonic() + wait_s
         while True:
             with self._lock:

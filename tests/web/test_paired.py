@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path

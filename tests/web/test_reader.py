@@ -127,7 +127,7 @@ def test_every_control_has_a_name_and_stop_says_what_it_does(tab: Tab) -> None:
 
 def test_what_is_announced_is_a_short_list(tab: Tab) -> None:
     ids = tab.run(f"[...document.querySelectorAll({LIVE!r})].map((part) => part.id)")
-    assert sorted(ids) == ["alarm", "answer", "pair-why", "spoken"]
+    assert sorted(ids) == ["alarm", "answer", "drive-why", "pair-why", "spoken"]
 
 
 def test_a_pairing_without_a_pointer(web: Web, tab: Tab) -> None:
@@ -183,6 +183,12 @@ def test_space_on_any_button_is_stop_and_nothing_else(trial: Trial, tab: Tab) ->
     assert tab.run("document.getElementById('attend').getAttribute('aria-pressed')") == pressed
 
 
+def click_stop(trial: Trial, tab: Tab, detail: int) -> None:
+    before = trial.robot.state.epoch
+    tab.run(f"document.getElementById('stop').dispatchEvent(new MouseEvent('click', {{detail: {detail}}}))")
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+
+
 def test_a_readers_click_stops_and_disables_and_is_told_how_to_hold(trial: Trial, tab: Tab) -> None:
     """As an assistive program presses a button: a click without a finger, whatever number it bears."""
     tab.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
@@ -190,9 +196,7 @@ def test_a_readers_click_stops_and_disables_and_is_told_how_to_hold(trial: Trial
     tab.until("document.getElementById('answer').textContent.includes('with Enter')")
     assert trial.robot.state.estop
     for detail in (0, 1):
-        before = trial.robot.state.epoch
-        tab.run(f"document.getElementById('stop').dispatchEvent(new MouseEvent('click', {{detail: {detail}}}))")
-        wait_for("the stop", lambda before=before: trial.robot.state.epoch > before)
+        click_stop(trial, tab, detail)
     with held(tab, "RESET"):
         wait_for("the reset", lambda: not trial.robot.state.estop)
     wait_until_held(tab, "enable")
@@ -240,8 +244,10 @@ def test_a_stop_that_is_not_written_is_an_alert(trial: Trial, web: Web, tab: Tab
         said = [row["name"]["value"] for row in rows if row["nodeId"] in alarm["childIds"] and "name" in row]
         assert any("POWER SWITCH" in line for line in said)
         tab.run("window.alarms = 0")
-        count = "new MutationObserver(() => { window.alarms++; }).observe(document.getElementById('alarm'), {childList: true})"
-        tab.run(count)
+        tab.run(
+            "new MutationObserver(() => { window.alarms++; })"
+            ".observe(document.getElementById('alarm'), {childList: true})"
+        )
         tab.until("document.getElementById('word').textContent === 'NO CONTACT'")
         tab.until(f"{SPOKEN}.startsWith('NO CONTACT')")
         assert tab.run("window.alarms") <= 2, "it is said once, and not at every try"

@@ -4,6 +4,7 @@ import {connect} from "/link.js";
 import "/hands.js";
 import "/device.js";
 import "/attend.js";
+import "/drive.js";
 import "/incidents.js";
 import "/view.js";
 
@@ -148,7 +149,7 @@ function lost() {
 function news(message) {
   heard = performance.now();
   behind = message.t - Date.now() / 1000;
-  if ("nonce" in message || "attend" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
+  if ("nonce" in message || "attend" in message || "drive" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
   if ("live" in message) showLive(message.live);
   if (message.face) face = message.face;
   if (face && (message.face || $("head").dataset.role === "lost")) show();
