@@ -60,8 +60,8 @@ def holds(trial: Trial, tab: Tab) -> None:
 def ends(
     trial: Trial, tab: Tab, case: int, begin: Callable[[], None], mend: Callable[[], None]
 ) -> tuple[int | None, int]:
-    """One end of a page that drives: (ns until the wheels are told zero, motion frames after that). The time counts from
-    when the fault is complete: a browser has many processes."""
+    """One end of a page that drives: (ns until the wheels are told zero, motion frames after that). The time counts
+    from when the fault is complete: a browser has many processes."""
     holds(trial, tab)
     time.sleep(SPREAD_S * case % 0.1)
     trial.board.events()
