@@ -16,7 +16,7 @@ GAP_S = 0.6
 SURE_S = 0.6
 """How long the page has to say that it lasts even now."""
 LATE = "this page or its network was held up meanwhile: hold again"
-NEWER_STOP = "a newer stop has come: look at it first, then hold again"
+NEWER_STOP = "another stop has come since: look at it first, then hold again"
 
 
 @dataclasses.dataclass

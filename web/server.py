@@ -58,7 +58,7 @@ class Page:
         self.pairing = devices.Pairing()
         self.pair_limit = Limit(0.2, 5)
         self.verb_limit = Limit(2.0, 6)
-        self.story_limit = Limit(4.0, 40)
+        self.story_limit = Limit(10.0, 60)
         self.defect_limit = Limit(1 / 60, 2)
         self.asked = stopping.Asked()
         self.hands = Hands(name)

@@ -1,5 +1,5 @@
-"""Front: what stands between a browser and the page, as a proxy or a bad network does: it may end TLS, and leave requests
-of some paths without an answer for ever."""
+"""Front: what stands between a browser and the page, as a proxy or a bad network does. It may end TLS, and leave
+requests of some paths without an answer for ever."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Front:
         """The paths that wait for an answer now."""
         self._tls = tls
         self._listening = socket.create_server(("127.0.0.1", 0), backlog=64)
-        self._open: list[tuple[socket.socket, socket.socket]] = []
+        self._open: dict[socket.socket, tuple[socket.socket, str]] = {}
+        """The browser's ends: the page's end, and the path that was asked for last."""
         self._ended = False
 
     @property
@@ -42,10 +43,10 @@ class Front:
         self._listening.close()
         self.cut()
 
-    def cut(self) -> None:
-        """End every connection that is open now."""
-        for pair in tuple(self._open):
-            for each in pair:
+    def cut(self, *paths: str) -> None:
+        """End every connection that is open now, or those of some paths."""
+        for near, (far, path) in tuple(self._open.items()):
+            for each in (near, far) if path in paths or not paths else ():
                 with contextlib.suppress(OSError):
                     each.shutdown(socket.SHUT_RDWR)
 
@@ -63,20 +64,22 @@ class Front:
                 near = self._tls.wrap_socket(near, server_side=True)
             opened.enter_context(near)
             far = opened.enter_context(socket.create_connection(("127.0.0.1", self.to)))
-            self._open.append((near, far))
+            self._open[near] = far, ""
             back = threading.Thread(target=self._back, args=(near, far), daemon=True)
             back.start()
             self._forth(near, far)
             with contextlib.suppress(OSError):
                 far.shutdown(socket.SHUT_RDWR)
             back.join()
-            self._open.remove((near, far))
+            del self._open[near]
 
     def _forth(self, near: socket.socket, far: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while data := near.recv(AT_ONCE):
                 words = data.split(b" ", 2) if data.startswith((b"GET ", b"POST ", b"HEAD ")) else []
                 path = words[1].decode("ascii", "replace") if len(words) > 2 else ""
+                if path:
+                    self._open[near] = far, path
                 if path and path.startswith(self.holds):
                     self.held.append(path)
                     while near.recv(AT_ONCE):
@@ -85,10 +88,11 @@ class Front:
                     return
                 far.sendall(data)
 
-    @staticmethod
-    def _back(near: socket.socket, far: socket.socket) -> None:
+    def _back(self, near: socket.socket, far: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while data := far.recv(AT_ONCE):
                 near.sendall(data)
+        if self._open[near][1].startswith(self.holds or ("\0",)):
+            return  # the page gives up what asks for nothing; the browser is to wait all the same
         with contextlib.suppress(OSError):
             near.shutdown(socket.SHUT_RDWR)

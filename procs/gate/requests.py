@@ -16,6 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.gate.main import Gate
 
+UNSEEN = "another stop has come since: look at it first, then ask again"
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 ENDS = (records.DISABLE, records.ARM_HOLD)
@@ -80,10 +81,7 @@ class Requests:
         """The refusal where the newest stop is not the one that the person knew of. A stop that comes after this look
         is newer than the request, which the supervisor refuses for that."""
         _, seen = slot.latest("seen") or (0, 0)
-        if not seen or seen == self._epoch_word.get():
-            return None
-        self._gate.follow_latch()
-        return asked_before(self._gate.last)
+        return Reply(False, UNSEEN) if seen and seen != self._epoch_word.get() else None
 
     def _overtaken(self, slot: Slot, verb: int, asked_ns: int) -> Reply | None:
         """The refusal of a reset whose person had not seen the newest stop; and of what would move something, when a

@@ -315,6 +315,35 @@ def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
 
 
 @pytest.mark.page
+def test_of_two_operators_one_sleeps_and_the_other_leaves(trial: Trial, web: Web) -> None:
+    """That counts at once: who sleeps does not attend."""
+    with driven(trial), Viewer(web, web.pair("Carla")) as carla, Viewer(web, web.pair("Emil")) as emil:
+        emil.attend()
+        moving(trial, carla)
+        carla.stay(LEASE_S + 0.2)
+        assert trial.moving()
+        trial.board.events()
+        since_ns = time.monotonic_ns()
+        carla.send(attend=False)
+        assert stopped(trial, since_ns, "operator gone: Carla, left") < LEASE_S / 2
+
+
+@pytest.mark.page
+def test_of_two_operators_one_leaves_and_the_other_is_there(trial: Trial, web: Web) -> None:
+    with driven(trial), Viewer(web, web.pair("Fritz")) as fritz, Viewer(web, web.pair("Gerd")) as gerd:
+        gerd.attend()
+        moving(trial, fritz)
+        until_s = time.monotonic() + 1.0
+        while time.monotonic() < until_s:
+            fritz.stay(0.05)
+            gerd.stay(0.05)
+        fritz.send(attend=False)
+        gerd.stay(LEASE_S)
+        assert trial.moving()
+        assert trial.robot.state.attended_by == ("Gerd",)
+
+
+@pytest.mark.page
 def test_a_revoked_device_attends_no_more(trial: Trial, web: Web) -> None:
     with driven(trial), Viewer(web, web.pair("Dora")) as viewer:
         moving(trial, viewer)

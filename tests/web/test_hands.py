@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bench.web.parts import Web
+from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM
 
@@ -24,11 +26,16 @@ def test_a_disable_gives_up_an_enable_that_is_under_way(tmp_path: Path) -> None:
         Web(trial.name, "--config", str(pairing), state=trial.state) as web,
     ):
         anna = web.pair()
-        answers: list[tuple[int, dict[str, str]]] = []
-        asking = threading.Thread(target=lambda: answers.append(web.post("/api/enable", headers=anna)))
+        answers: list[dict[str, Any]] = []
+
+        def hold() -> None:
+            with Viewer(web, anna) as viewer:
+                answers.append(viewer.hold("enable"))
+
+        asking = threading.Thread(target=hold)
         asking.start()
         wait_for("the arm to move", lambda: trial.robot.state.arm and trial.robot.state.arm.moving)
         assert web.post("/api/disable", headers=anna) == (200, {"said": "motion disabled"})
         asking.join()
-        assert answers == [(409, {"error": "motion disabled"})]
+        assert [(each["done"], each["said"]) for each in answers] == [(False, "motion disabled")]
         assert not trial.robot.state.enabled

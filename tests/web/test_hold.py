@@ -69,8 +69,7 @@ def test_an_answer_that_comes_late_counts_for_nothing() -> None:
 def test_what_a_network_delivers_at_once_counts_for_nothing(backlog_s: float) -> None:
     """All words of a whole hold, long after it began."""
     hold = held()
-    assert not any(hold.held(10.0 + backlog_s) and hold.enough(10.0 + backlog_s) for _ in range(1))
-    assert not hold.sure(10.0 + backlog_s)
+    assert not hold.held(10.0 + backlog_s)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["held", "sure"]), st.floats(0, 1.0)), max_size=60))

@@ -94,7 +94,9 @@ def tab(trial: Trial) -> Iterator[Tab]:
         found = browser.tab(web.url)
         found.until("document.getElementById('last-proof').checkVisibility()")
         found.until("document.querySelector('.card') !== null", "an incident", 30)
-        found.run("for (const id of ['hands', 'attendance', 'drive', 'pair']) document.getElementById(id).hidden = false")
+        found.run(
+            "for (const id of ['hands', 'attendance', 'drive', 'pair']) document.getElementById(id).hidden = false"
+        )
         yield found
 
 

@@ -113,7 +113,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
 });
 addEventListener("face", (event) => {
   ({can, limit} = event.detail);
-  if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first.");
+  if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
   ({epoch} = event.detail);
   for (const button of document.querySelectorAll("#limit button")) {
     button.setAttribute("aria-pressed", Number(button.dataset.percent) === limit);
