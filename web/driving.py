@@ -23,7 +23,7 @@ OTHER_S = 0.5
 """Who has driven with the stick is followed by another one only after this pause."""
 OFF = "driving from the page is off (web.drive, attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
-DISABLED = "motion is not enabled: enable it, then take the stick anew"
+DISABLED = "motion is not enabled: enable it, then take the stick again"
 
 
 def share(said: str) -> tuple[float, float] | None:
@@ -93,7 +93,7 @@ class Driving:
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Live) -> None:
-        """A viewer attends no more: zero at once; when it comes back it has to choose the limit anew."""
+        """A viewer attends no more: zero at once; when it comes back it has to choose the limit again."""
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,7 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop.lab.trial import Trial, TrialError, judge, wait_for
 from failstop.web import driving
 from failstop.web.lease import answer_to
 
@@ -221,7 +221,7 @@ def test_who_does_not_attend_drives_nothing(trial: Trial, web: Web, anna: dict[s
         assert trial.robot.state.enabled
 
 
-def test_the_speed_limit_is_chosen_first_and_anew_each_time(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+def test_the_speed_limit_is_chosen_first_and_again_each_time(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     with ready(trial, web, anna) as viewer:
         viewer.stay(0.4, FORWARD)
         assert motion(trial)
@@ -309,6 +309,7 @@ def tab(web: Web) -> Iterator[Tab]:
 
 def takes_stick(trial: Trial, tab: Tab) -> None:
     """Attend, choose the limit, enable."""
+    trial.robot.disable()
     trial.robot.limit_speed(1.0)
     if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
@@ -335,15 +336,38 @@ def finger(tab: Tab, x: float, y: float, kind: str = "touchStart") -> None:
     tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=[point])
 
 
-def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
-    takes_stick(trial, tab)
+def moved(
+    trial: Trial, tab: Tab, begin: Callable[[], Callable[[], None]], check: Callable[[], bool]
+) -> Callable[[], None]:
+    """Take the stick until the robot moves so; again where the page asks for that, as on a busy machine. Returns how to
+    let it go."""
+    for _ in range(5):
+        takes_stick(trial, tab)
+        lift = begin()
+        with contextlib.suppress(TrialError):
+            wait_for("motion", check, 3)
+            return lift
+        lift()
+    raise AssertionError(f"the stick moves nothing: {tab.text('#drive-why')}")
+
+
+def thumb(tab: Tab) -> Callable[[], None]:
+    """A finger goes up on the stick; returns how to lift it."""
     finger(tab, 0.0, 0.9)
-    wait_for("forward", lambda: trial.robot.state.body_vel.vx_mps > 0.05)
+
+    def lift() -> None:
+        tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    return lift
+
+
+def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
+    lift = moved(trial, tab, lambda: thumb(tab), lambda: trial.robot.state.body_vel.vx_mps > 0.05)
     finger(tab, 0.9, 0.0, "touchMove")
     wait_for("to the right", lambda: trial.robot.state.body_vel.wz_radps < -0.2)
     trial.board.events()
     since_ns = time.monotonic_ns()
-    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    lift()
     wait_for("rest", lambda: not trial.moving())
     seen = judge(trial.board.events(), since_ns, was_moving=True)
     assert seen.stop_ns is not None
@@ -352,15 +376,15 @@ def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
 
 
 def test_arrow_keys_drive_while_they_are_held_and_space_stops(trial: Trial, tab: Tab) -> None:
-    takes_stick(trial, tab)
-    tab.run("document.getElementById('stick').focus()")
-    lift = tab.hold_key("ArrowDown", "ArrowDown", 40)
-    wait_for("backward", lambda: trial.robot.state.body_vel.vx_mps < -0.05)
+    def key(name: str, number: int) -> Callable[[], None]:
+        tab.run("document.getElementById('stick').focus()")
+        return tab.hold_key(name, name, number)
+
+    lift = moved(trial, tab, lambda: key("ArrowDown", 40), lambda: trial.robot.state.body_vel.vx_mps < -0.05)
     lift()
     wait_for("rest", lambda: not trial.moving())
     assert trial.robot.state.enabled
-    lift = tab.hold_key("ArrowUp", "ArrowUp", 38)
-    wait_for("forward", trial.moving)
+    lift = moved(trial, tab, lambda: key("ArrowUp", 38), trial.moving)
     tab.key(" ", "Space", 32)
     wait_for("the stop", lambda: trial.robot.state.estop)
     lift()
@@ -369,24 +393,20 @@ def test_arrow_keys_drive_while_they_are_held_and_space_stops(trial: Trial, tab:
 
 def test_a_page_that_is_held_up_drives_no_further(trial: Trial, tab: Tab) -> None:
     """The finger is lifted while the page hangs: what comes after it is no command."""
-    takes_stick(trial, tab)
-    finger(tab, 0.0, 0.9)
-    wait_for("forward", trial.moving)
+    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
     trial.board.events()
     since_ns = time.monotonic_ns()
     tab.run("(() => { const until = performance.now() + 800; while (performance.now() < until); })()")
-    tab.until("document.getElementById('drive-why').textContent.includes('anew')")
+    tab.until("document.getElementById('drive-why').textContent.includes('again')")
     seen = judge(trial.board.events(), since_ns, was_moving=True)
     assert seen.stop_ns is not None
     assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
     assert seen.motion_after == 0
-    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    lift()
 
 
 def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
-    takes_stick(trial, tab)
-    finger(tab, 0.0, 0.9)
-    wait_for("forward", trial.moving)
+    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
     trial.board.events()
     since_ns = time.monotonic_ns()
     tab.run(
@@ -398,4 +418,4 @@ def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
     trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= since_ns, 5)
     assert judge(trial.board.events(), since_ns, was_moving=True).motion_after == 0
     assert not tab.run(HELD)
-    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    lift()

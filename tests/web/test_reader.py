@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web, driven
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial, TrialError, wait_for
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -112,7 +112,16 @@ def held(tab: Tab, name: str) -> Iterator[None]:
         lift()
 
 
-def wait_until_held(tab: Tab, button: str) -> None:
+def hold(tab: Tab, name: str, what: str, check: Callable[[], object]) -> None:
+    """Hold Enter on a button until it has worked; again where the page asks for that, as on a busy machine."""
+    for _ in range(5):
+        with held(tab, name), contextlib.suppress(TrialError):
+            wait_for(what, check, 5)
+            return
+    raise AssertionError(f"no way to {what}: {tab.text('#answer')}")
+
+
+def wait_until_free(tab: Tab, button: str) -> None:
     tab.until(f"document.getElementById('{button}').getAttribute('aria-disabled') === 'false'")
 
 
@@ -144,9 +153,8 @@ def test_an_operator_attends_limits_enables_and_disables_without_a_pointer(trial
     assert focused(tab)["pressed"] in (True, "true")
     press(tab, "25 percent")
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.25)
-    wait_until_held(tab, "enable")
-    with held(tab, "ENABLE"):
-        wait_for("motion to be enabled", lambda: trial.robot.state.enabled)
+    wait_until_free(tab, "enable")
+    hold(tab, "ENABLE", "enable motion", lambda: trial.robot.state.enabled)
     tab.until(f"{SPOKEN}.startsWith('CAN MOVE')")
     press(tab, "DISABLE")
     wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
@@ -154,7 +162,7 @@ def test_an_operator_attends_limits_enables_and_disables_without_a_pointer(trial
 
 
 def test_enter_that_is_let_go_enables_nothing(trial: Trial, tab: Tab) -> None:
-    wait_until_held(tab, "enable")
+    wait_until_free(tab, "enable")
     with held(tab, "ENABLE"):
         tab.until("document.getElementById('enable').classList.contains('held')")
     tab.until("!document.getElementById('enable').classList.contains('held')")
@@ -169,9 +177,8 @@ def test_stop_and_reset_without_a_pointer(trial: Trial, tab: Tab, key: tuple[str
     wait_for("the stop", lambda: trial.robot.state.epoch > before)
     tab.until("document.getElementById('stop').getAttribute('aria-describedby') === 'stop-said'")
     tab.until("document.getElementById('stop-said').textContent.includes('written')")
-    wait_until_held(tab, "reset")
-    with held(tab, "RESET"):
-        wait_for("the reset", lambda: not trial.robot.state.estop)
+    wait_until_free(tab, "reset")
+    hold(tab, "RESET", "reset", lambda: not trial.robot.state.estop)
 
 
 def test_space_on_any_button_is_stop_and_nothing_else(trial: Trial, tab: Tab) -> None:
@@ -197,11 +204,9 @@ def test_a_readers_click_stops_and_disables_and_is_told_how_to_hold(trial: Trial
     assert trial.robot.state.estop
     for detail in (0, 1):
         click_stop(trial, tab, detail)
-    with held(tab, "RESET"):
-        wait_for("the reset", lambda: not trial.robot.state.estop)
-    wait_until_held(tab, "enable")
-    with held(tab, "ENABLE"):
-        wait_for("motion to be enabled", lambda: trial.robot.state.enabled)
+    hold(tab, "RESET", "reset", lambda: not trial.robot.state.estop)
+    wait_until_free(tab, "enable")
+    hold(tab, "ENABLE", "enable motion", lambda: trial.robot.state.enabled)
     tab.until("document.getElementById('disable').getAttribute('aria-disabled') === 'false'")
     tab.run("document.getElementById('disable').click()")
     wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
@@ -222,10 +227,9 @@ WATCH = f"""
 
 
 def test_nothing_is_announced_ten_times_a_second(trial: Trial, tab: Tab) -> None:
-    wait_until_held(tab, "enable")
+    wait_until_free(tab, "enable")
     with driven(trial):
-        with held(tab, "ENABLE"):
-            wait_for("motion", lambda: trial.robot.state.moving)
+        hold(tab, "ENABLE", "move", lambda: trial.robot.state.moving)
         tab.until(f"{SPOKEN}.startsWith('MOVING')")
         tab.run(WATCH)
         tab.until(f"window.changes > {QUIET_PARTS}", timeout_s=30)

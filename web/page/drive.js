@@ -2,7 +2,7 @@
 import {send} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
-const GAP_MS = 300; // no question of the robot for this long: the command is over, and the stick has to be taken anew
+const GAP_MS = 300; // no question of the robot for this long: the command is over, and the stick has to be taken again
 const STEP = 0.01;
 const KEYS = {ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1]};
 const stick = $("stick"), knob = $("knob"), pressed = new Set();
@@ -34,7 +34,7 @@ function release(why) {
 export function command() {
   const now = performance.now(), gap = now - asked;
   asked = now;
-  if (gap > GAP_MS) release("The link was too slow: let go, and take the stick anew.");
+  if (gap > GAP_MS) release("The link was too slow: let go, and take the stick again.");
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 
