@@ -61,7 +61,7 @@ def origin_of(setting: str) -> str:
     """The origin that browsers see where a proxy is in between; empty: there is none. Raises FailstopError."""
     found = setting.lower().rstrip("/")
     scheme, _, host = found.partition("://")
-    if found and not (scheme in ("http", "https") and host_of(host)):
+    if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
         raise FailstopError(f"web.origin = {setting!r} is no address of a page: give one such as https://robot.example")
     return found
 

@@ -203,6 +203,6 @@ async def serve(name: str, settings: Settings) -> None:
     door.stop()
     commands.stop()
     page.close()
-    for viewer in tuple(page.viewers):
-        viewer.close(1001, "the page is stopping")
+    for socket_ in (*page.viewers, *page.stops.all()):
+        socket_.close(1001, "the page is stopping")
     await door.close_all_connections()

@@ -22,6 +22,7 @@ class Front:
         self.held: list[str] = []
         """The paths that wait for an answer now."""
         self._tls = tls
+        self._lost: set[socket.socket] = set()
         self._listening = socket.create_server(("127.0.0.1", 0), backlog=64)
         self._open: dict[socket.socket, tuple[socket.socket, str]] = {}
         """The browser's ends: the page's end, and the path that was asked for last."""
@@ -42,6 +43,11 @@ class Front:
             self._listening.shutdown(socket.SHUT_RDWR)
         self._listening.close()
         self.cut()
+
+    def lose(self, path: str) -> None:
+        """Deliver nothing more of the connections that are open for this path, and end none, as when a phone has
+        changed its network."""
+        self._lost |= {near for near, (_, asked) in self._open.items() if asked == path}
 
     def cut(self, *paths: str) -> None:
         """End every connection that is open now, or those of some paths."""
@@ -78,6 +84,8 @@ class Front:
             while data := near.recv(AT_ONCE):
                 words = data.split(b" ", 2) if data.startswith((b"GET ", b"POST ", b"HEAD ")) else []
                 path = words[1].decode("ascii", "replace") if len(words) > 2 else ""
+                if near in self._lost:
+                    continue
                 if path:
                     self._open[near] = far, path
                 if path and path.startswith(self.holds):

@@ -102,7 +102,9 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None
 
 def test_a_stolen_cookie_ends_with_its_device(web: Web) -> None:
     bert = web.pair("Bert's tablet")
-    assert web.ask("GET", "/api/me", headers=bert)[2] == b'{"pairing": true, "device": "Bert\'s tablet"}'
+    assert web.ask("GET", "/api/me", headers=bert)[2] == (
+        b'{"pairing": true, "device": "Bert\'s tablet", "drive": false}'
+    )
     listed = web.command("devices").stdout
     identity = next(line.split()[0] for line in listed.splitlines() if "Bert's tablet" in line)
     assert web.command("revoke", identity).returncode == 0

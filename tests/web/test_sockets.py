@@ -241,12 +241,13 @@ def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> N
 
 
 def test_a_defect_is_told_in_a_line_and_seldom(caplog: pytest.LogCaptureFixture) -> None:
-    page = SimpleNamespace(defect_limit=Limit(0.001, 2))
+    handler = Guarded.__new__(Guarded)
+    handler.page = SimpleNamespace(defect_limit=Limit(0.001, 2))  # type: ignore[assignment]
     try:
         raise RuntimeError("a defect")
     except RuntimeError as error:
         for _ in range(100):
-            Guarded.log_exception(SimpleNamespace(page=page), type(error), error, error.__traceback__)
+            handler.log_exception(type(error), error, error.__traceback__)
     assert len(caplog.messages) == 2
     assert "RuntimeError: a defect" in caplog.messages[0]
     assert "\n" not in caplog.messages[0]

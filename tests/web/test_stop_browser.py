@@ -106,6 +106,19 @@ def test_a_stop_leaves_while_every_connection_is_taken_and_the_websockets_come_b
     assert len(front.held) >= CONNECTIONS
 
 
+def test_a_stop_leaves_while_every_connection_is_taken_and_the_websocket_delivers_nothing(
+    trial: Trial, front: Front, tab: Tab
+) -> None:
+    before = driving(trial)
+    tab.run(TAKE)
+    wait_for("the connections", lambda: len(front.held) >= CONNECTIONS)
+    front.lose("/api/stop/live")
+    tab.tap("#stop")
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+    tab.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
+    assert len(front.held) >= CONNECTIONS
+
+
 def test_a_stop_leaves_while_another_page_of_the_browser_takes_every_connection(
     trial: Trial, browser: Browser, front: Front, tab: Tab
 ) -> None:

@@ -46,7 +46,7 @@ function begin(button) {
   const {verb, percent} = button.dataset, id = Math.random().toString(36).slice(2);
   if (can[verb]) { said(`Not now: ${can[verb]}.`, true); return; }
   if (verb === "disable" || percent <= limit) { ask(button.dataset); return; }
-  if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: the robot is not heard.", true); return; }
+  if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: no connection to the robot. Try again.", true); return; }
   said("", false);
   button.classList.add("held");
   const tick = () => { if (!late()) send({held: id}); };

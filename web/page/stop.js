@@ -9,13 +9,14 @@
   const TOLD = 3; // tries, before it is said that it is not written
   const ASIDE_MS = 4;
   const MOST_OPEN = 3; // of the six requests that a browser has open at a time
-  const PATIENT_MS = 3000; // for an answer, and for a connection
+  const PATIENT_MS = 3000; // for the answer to a request, and for a connection
+  const SILENT_MS = 1000; // of a websocket that owes an answer
   const CHECK_MS = 5000;
   const CLICK_MS = 1000; // a click that comes so soon after a finger is the finger's
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
-  let touched = -CLICK_MS, socket = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
+  let touched = -CLICK_MS, socket = null, spare = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
 
   function say(text, phase) {
     rests = false;
@@ -35,7 +36,7 @@
     return socket && socket.readyState === WebSocket.OPEN;
   }
 
-  // A connection that is not heard any more takes seconds to end: it is left, and a new one opened beside it.
+  // A connection that is not heard any more takes minutes to end: another is opened beside it, and takes its place.
   function connect() {
     const made = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stop/live`);
     const again = () => {
@@ -44,11 +45,16 @@
       setTimeout(() => { if (!socket) connect(); }, wait);
       wait = Math.min(2 * wait, LATER_MS);
     };
-    if (socket) socket.close();
+    if (isOpen()) spare = socket;
     socket = made;
     given = null;
     made.onmessage = (event) => { given = null; hear(JSON.parse(event.data)); };
-    made.onopen = () => { wait = EVERY_MS; if (now) send(now.last); else if (rests) rest(); };
+    made.onopen = () => {
+      wait = EVERY_MS;
+      if (spare) spare.close();
+      spare = null;
+      if (now) send(now.last); else if (rests) rest();
+    };
     made.onclose = again;
     setTimeout(() => { if (made.readyState === WebSocket.CONNECTING) { made.close(); again(); } }, PATIENT_MS);
   }
@@ -100,15 +106,15 @@
   async function stop() {
     const id = Math.random().toString(36).slice(2);
     const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: face && face.stop && face.stop.t};
+    const sent = send(id);
     say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
     dispatchEvent(new Event("stopping")); // what can wait gives up its connection
-    const sent = send(id);
     // What the browser does for a request would hold up the bytes of the websocket.
     if (sent) await new Promise((go) => setTimeout(go, ASIDE_MS));
     for (let number = 0; now === own; number++) {
       own.last = number ? `${id}-${number}` : id; // a stop anew, as the one before may be lost; and by both ways the same one
-      if (number && !send(own.last) || given && performance.now() - given > PATIENT_MS) connectAnew();
+      if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) connectAnew();
       request(own);
       await new Promise((next) => setTimeout(next, number < OFTEN ? EVERY_MS : LATER_MS));
       if (now === own && number >= TOLD) {
@@ -124,6 +130,7 @@
     try {
       const found = await ask("/api/check");
       refused = found.ok ? "" : found.error || "its requests are refused";
+      if (refused && !isOpen()) document.getElementById("why").textContent = "This page's requests are refused.";
       if (rests) rest();
     } catch { setTimeout(check, CHECK_MS); }
   }
