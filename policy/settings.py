@@ -177,6 +177,7 @@ DECLARED = (
     _word("web.origin", "", "the page's address in a browser where a proxy ends TLS: https://robot.example"),
     _word("web.tls", "auto", "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
     _word("web.pairing", "off", "paired devices may reset and enable; others see and stop", SWITCH),
+    _word("web.drive", "off", "paired devices that attend (attend.required) may drive with a thumb stick", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),

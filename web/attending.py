@@ -11,14 +11,18 @@ from failstop.web.lease import Lease
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.web.sockets import Live
 
 
 class Attending:
     """The operators who attend by the page."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, ended: Callable[[Live], None]) -> None:
+        """`ended`: is told of a viewer that attends no more."""
         self._name = name
+        self._ended = ended
         self._robot: Robot | None = None
         self._leases: dict[Live, tuple[str, Lease]] = {}
 
@@ -40,6 +44,7 @@ class Attending:
         too long ago."""
         last = self._last()
         found = self._leases.pop(viewer, None)
+        self._ended(viewer)
         if found is not None and found is last:
             self._tell()
 

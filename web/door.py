@@ -6,6 +6,9 @@ from collections import Counter
 from typing import Any, Generic, Protocol, TypeVar
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import SSLIOStream
+
+from failstop.web import plain
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -63,8 +66,9 @@ class Door(HTTPServer):
     """Every new connection has one of MOST places until it becomes a websocket, of which there are limits of their
     own."""
 
-    def initialize(self, *arguments: Any, **options: Any) -> None:
-        """As of tornado's HTTPServer; the limits are set here."""
+    def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
+        """As of tornado's HTTPServer; the limits are set here. `names`: what the robot answers to."""
+        self._names = names
         self._places: Places[IOStream] = Places(MOST)
         options |= {
             "idle_connection_timeout": IDLE_S,
@@ -82,6 +86,8 @@ class Door(HTTPServer):
                 if each.closed():
                     self._places.leave(each)
         self._places.take(stream, str(address[0]) if address else "")
+        if isinstance(stream, SSLIOStream):
+            plain.attend(stream, self._names)
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 NO_SERVICE = "NO SERVICE"
 BAD = "bad"
 """What colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
+ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "free", verdict.STOPPED: "stopped"}
+START = f"If the wheels turn: {steps.POWER.lower()}. Then start the service."
 
 BLOCKS = {
     blocks.DISABLED: "Motion is disabled, as after every start and every stop.",
@@ -41,8 +43,9 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "role": _role(state),
         "why": _why(state),
         "since": _since(state, events),
-        "next": steps.pressed(state),
         "epoch": state.epoch,
+        "next": steps.pressed(state),
+        "next_unpaired": steps.pressed(state, steps.ELSEWHERE),
         "latched": state.estop is not None,
         "enabled": state.enabled,
         "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
@@ -83,7 +86,8 @@ def absent(note: str) -> dict[str, Any]:
         "why": words.sentence(note),
         "since": None,
         "epoch": 0,
-        "next": f"If the wheels turn: {steps.POWER.lower()}. Then start the service.",
+        "next": START,
+        "next_unpaired": START,
         "latched": False,
         "enabled": False,
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
@@ -122,11 +126,7 @@ def _seen(observed_s: float) -> str:
 
 def _role(state: State) -> str:
     """What colours the word."""
-    if verdict.doubt(state) or verdict.unproven(state):
-        return BAD
-    if state.moving:
-        return "moves"
-    return "free" if state.enabled and not state.estop else "stopped"
+    return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
 
 
 def _why(state: State) -> str:

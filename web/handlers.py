@@ -158,7 +158,8 @@ class Me(Guarded):
     def get(self) -> None:
         """Its name, if it is paired."""
         device = self.device()
-        self.finish({"pairing": self.page.pairing_on, "device": device.name if device else None})
+        drives = device is not None and self.page.driving.on
+        self.finish({"pairing": self.page.pairing_on, "device": device.name if device else None, "drive": drives})
 
 
 class Pair(Guarded):
@@ -208,7 +209,7 @@ class Verb(Guarded):
 
     async def post(self, verb: str) -> None:
         """The gate decides."""
-        if self.paired() is None:
+        if (device := self.paired()) is None:
             return
         if not self.page.verb_limit.take(verb, time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
@@ -219,6 +220,8 @@ class Verb(Guarded):
             return
         done, said = await self.page.hands.ask(verb, self.who(), percent)
         if done:
+            if verb == "limit":
+                self.page.driving.chose(device.id)
             self.finish({"said": said})
         else:
             self.refuse(409, said)

@@ -2,7 +2,7 @@
 
 The robot sends a nonce, the device answers with its HMAC. Only the newest two nonces count, each once, and an answer
 proves the moment at which its nonce was made, not the one at which it came: what a network has held back renews
-nothing.
+nothing. A command that comes with an answer is proven by the same HMAC, and is as old as the nonce.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class Lease:
         self._open.append((nonce, now_ns))
         return nonce
 
-    def take(self, nonce: str, answer: str) -> bool:
-        """An answer; True when it proves something new."""
+    def take(self, nonce: str, answer: str, said: str = "") -> bool:
+        """An answer; True when it proves something new. `said`: a command that the answer proves with it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
-                right = answer_to(nonce, self._key)
+                right = answer_to(nonce + said, self._key)
                 if not hmac.compare_digest(right.encode(), answer.encode("utf-8", "replace")):
                     return False
                 self._open.remove(asked)

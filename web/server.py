@@ -16,9 +16,10 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 
 from failstop.api.errors import FailstopError
-from failstop.web import assets, control, devices, guard, handlers, kept, sockets, stopping
+from failstop.web import assets, control, devices, guard, handlers, kept, sockets, stopping, whereabouts
 from failstop.web.attending import Attending
 from failstop.web.door import Door, Places
+from failstop.web.driving import Driving
 from failstop.web.hands import TOUCHED, Hands
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
@@ -61,7 +62,8 @@ class Page:
         self.defect_limit = Limit(1 / 60, 2)
         self.asked = stopping.Asked()
         self.hands = Hands(name)
-        self.attending = Attending(name)
+        self.driving = Driving(name, settings)
+        self.attending = Attending(name, self.driving.end)
         self.incidents = Incidents(name)
         self._kept = kept.Kept(kept.folder(name, os.environ))
         self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
@@ -175,6 +177,7 @@ class Page:
         """Give everything back."""
         self._timer.stop()
         self.attending.close()
+        self.driving.close()
         self.hands.close()
         self.incidents.close()
         control.remove(self.control_path)
@@ -188,15 +191,14 @@ async def serve(name: str, settings: Settings) -> None:
     page = Page(name, settings)
     listening = bind_sockets(page.port, page.address)
     page.port = listening[0].getsockname()[1]
-    door = Door(page.application(), ssl_options=page.tls)
+    door = Door(page.application(), ssl_options=page.tls, names=page.names)
     page.let_in = door.let_in
     door.add_sockets(listening)
     commands = control.listen(page, page.control_path)
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    shown = f"[{page.address}]" if ":" in page.address else page.address
-    print(f"{page.whereabouts()['scheme']}://{shown}:{page.port}/", flush=True)
+    print("\n".join(whereabouts.urls(page.whereabouts())), flush=True)
     await ended.wait()
     door.stop()
     commands.stop()

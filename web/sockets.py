@@ -127,11 +127,24 @@ class Live(Socket):
             self._begin(str(verb), found)
         elif self._hold and any(found.get(word) == self._hold.identity for word in ("held", "sure", "released")):
             self._go_on(self._hold, found)
-        elif (held := self.page.attending.of(self)) and held.take(str(found.get("nonce")), str(found.get("answer"))):
-            if self.device() is None:  # revoked since
-                self.page.attending.end(self)
-            elif wrong := self.page.attending.proven(self):
-                self.send({"attend": wrong})
+        elif found.get("drive") is False:
+            self.page.driving.release(self)
+        elif held := self.page.attending.of(self):
+            self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
+
+    def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
+        """It is there, and it may drive; an answer without a command says that the stick is not held."""
+        if not held.take(nonce, answer, drive):
+            return
+        if self.device() is None:  # revoked since
+            self.page.attending.end(self)
+            return
+        if wrong := self.page.attending.proven(self):
+            self.send({"attend": wrong})
+        if not drive:
+            self.page.driving.release(self)
+        elif wrong := self.page.driving.command(self, drive, held.proven_ns, self.page.watcher.state):
+            self.send({"drive": wrong})
 
     def _attend(self) -> None:
         device = self.device()
@@ -179,6 +192,8 @@ class Live(Socket):
             done, said = False, hold.NEWER_STOP
         else:
             done, said = await self.page.hands.ask(held.verb, self.who(), held.percent, held.epoch)
+            if done and held.verb == "limit" and (device := self.device()):
+                self.page.driving.chose(device.id)
         self._end(held.identity, said, done=done)
 
     def _end(self, identity: str, said: str, *, done: bool = False) -> None:

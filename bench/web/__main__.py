@@ -128,7 +128,7 @@ def paired(browser: Browser, web: Web, url: str, device: str = "") -> Tab:
 
 
 def attends(trial: Trial, tab: Tab) -> None:
-    """Press ATTEND until the robot knows of it, and drive."""
+    """Press ATTEND until the robot knows of it."""
     trial.robot.disable()
     button = "document.getElementById('attend')"
     tab.until(
@@ -137,7 +137,6 @@ def attends(trial: Trial, tab: Tab) -> None:
     if tab.run(f"{button}.getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
     wait_for("the operator", lambda: trial.robot.state.attended_by)
-    moving(trial)
 
 
 Fault = Callable[[], None]
@@ -146,6 +145,7 @@ Fault = Callable[[], None]
 def ends(trial: Trial, tab: Tab, begin: Fault, mend: Fault) -> tuple[int | None, int]:
     """One end of an operator: (ns from the fault to the stop frame, motion frames after it)."""
     attends(trial, tab)
+    moving(trial)
     fault_ns = time.monotonic_ns()
     begin()
     with contextlib.suppress(Exception):

@@ -204,11 +204,20 @@ class Tab:
         """Down and up."""
         self.press(selector)()
 
+    def hold_key(self, key: str, code: str, number: int) -> Callable[[], None]:
+        """A key goes down; call what comes back to lift it."""
+        text = {"text": "\r" if key == "Enter" else key} if len(key) == 1 or key == "Enter" else {}
+        given = {"key": key, "code": code, "windowsVirtualKeyCode": number}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **given, **text)
+
+        def lift() -> None:
+            self.call("Input.dispatchKeyEvent", type="keyUp", **given)
+
+        return lift
+
     def key(self, key: str, code: str, number: int) -> None:
         """A key, down and up."""
-        for kind in ("keyDown", "keyUp"):
-            text = {"text": key} if len(key) == 1 and kind == "keyDown" else {}
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code, windowsVirtualKeyCode=number, **text)
+        self.hold_key(key, code, number)()
 
     def network(self, *, offline: bool = False, latency_ms: float = 0, down: float = -1, up: float = -1) -> None:
         """The network as the page has it; bytes a second."""

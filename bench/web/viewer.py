@@ -73,9 +73,9 @@ class Viewer:
         self.seen.append(found)
         return found
 
-    def answer(self, nonce: str, key: bytes | None = None) -> None:
-        """As the page does."""
-        self.send(nonce=nonce, answer=lease.answer_to(nonce, self.key if key is None else key))
+    def answer(self, nonce: str, key: bytes | None = None, drive: str = "") -> None:
+        """As the page does; with a command of the stick, if it is held."""
+        self.send(nonce=nonce, answer=lease.answer_to(nonce + drive, self.key if key is None else key), drive=drive)
 
     def attend(self) -> None:
         """Ask for nonces, and wait for the first."""
@@ -110,9 +110,9 @@ class Viewer:
         """What the newest face said; 0: there was none yet."""
         return next((message["face"]["epoch"] for message in reversed(self.seen) if "face" in message), 0)
 
-    def stay(self, seconds: float) -> None:
-        """Answer every nonce for so long."""
+    def stay(self, seconds: float, drive: str = "") -> None:
+        """Answer every nonce for so long, with that command if one is given."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if nonce := self.next().get("nonce"):
-                self.answer(nonce)
+                self.answer(nonce, drive=drive)

@@ -283,11 +283,13 @@ class Client:
             self._ring()
         return payload
 
-    def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
-        """Hand a velocity command to the gate; returns at once. What repeats the one just before it waits for the
-        gate's tick, which it would have waited for in any case. Raises NoService, and ValueError for a source that is
-        too long."""
-        command = self.tell("command", vx_mps, vy_mps, wz_radps, manual, source)
+    def command(
+        self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
+    ) -> None:
+        """Hand a velocity command to the gate, of that time if not of now; returns at once. A repetition of the one
+        just before waits for the gate's tick, which it would have waited for in any case. Raises NoService, and
+        ValueError for a source that is too long."""
+        command = self.tell("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()

@@ -90,14 +90,16 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 class Calls(Session):
     """Assert, look, stop: what both have, and what waits for nobody."""
 
-    def _command(self, vx: float, vy: float, wz: float, *, manual: bool, source: str) -> None:
+    def _command(
+        self, vx: float, vy: float, wz: float, *, manual: bool, source: str, proven_ns: int | None = None
+    ) -> None:
         """Hand a command over; the gate takes it by itself. Raises what drive() raises."""
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
             run = self._current()
             run.check("source", source)
-            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source, t_ns=proven_ns)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
         """The answer by what the gate has decided last, and whether it is settled (judge)."""
@@ -263,7 +265,15 @@ class Robot(Calls):
         self._close(in_order=not isinstance(raised[1], Exception))
 
     def drive(
-        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
+        self,
+        vx: float,
+        vy: float,
+        wz: float,
+        *,
+        manual: bool = False,
+        source: str = DEFAULT,
+        wait_s: float = 0.01,
+        proven_ns: int | None = None,
     ) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
         s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
@@ -273,11 +283,14 @@ class Robot(Calls):
         It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
         command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
 
+        A command that was under way for a while, as one by a network is, counts from `proven_ns` (CLOCK_MONOTONIC, ns),
+        the newest moment at which it is known to have been wanted.
+
         A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
         Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
         do not name, NoService when no service runs.
         """
-        self._command(vx, vy, wz, manual=manual, source=source)
+        self._command(vx, vy, wz, manual=manual, source=source, proven_ns=proven_ns)
         until_s = time.monotonic() + wait_s
         while True:
             answer, settled = self._judged(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
 
@@ -44,18 +45,28 @@ class Step(NamedTuple):
     """A sentence for the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
 
 
-def _table(state: State, told: str) -> list[list[tuple[object, Step]]]:
+HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "Hold ENABLE"}
+"""How a paired device does it, by the page's buttons."""
+ELSEWHERE = {
+    "reset": "reset it with a paired device or failstop reset",
+    "attend": "with a paired device or failstop attend",
+    "enable": "Enable motion with a paired device or failstop enable,",
+}
+"""How everybody else comes by it: their page has no such buttons."""
+
+
+def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
     """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: what the
-    reader has just been told."""
+    reader has just been told; `how`: HERE or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
     remedy = state.cause.kind.remedy if state.cause else ""
-    heed = "" if dead else words.sentence(f"{remedy}; then hold RESET")
+    heed = "" if dead else words.sentence(f"{remedy}; then {how['reset']}")
     start = host.start(state.name, path) if dead else ""
     go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
     lost = f"{POWER} if the wheels turn; then plug the board in."
-    attend, press = "have somebody attend (`failstop attend`, or the page)", "Somebody has to attend: press ATTEND."
+    attend, press = "have somebody attend (`failstop attend`, or the page)", f"Somebody has to attend: {how['attend']}."
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -67,11 +78,11 @@ def _table(state: State, told: str) -> list[list[tuple[object, Step]]]:
             (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
-        [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", "Hold RESET."))],
+        [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", words.sentence(how["reset"])))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
         [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
         [
-            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", "Hold ENABLE when nobody is in its way.")),
+            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way.")),
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
             (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "Start what is to drive.")),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
@@ -79,11 +90,11 @@ def _table(state: State, told: str) -> list[list[tuple[object, Step]]]:
     ]
 
 
-def todo(state: State, told: str = "") -> list[Step]:
+def todo(state: State, told: str = "", how: Mapping[str, str] = HERE) -> list[Step]:
     """Every step, in order; none while the wheels move. `told`: what the reader has just been told."""
     if state.block is None and state.moving:
         return []
-    found = [next((step for needed, step in group if needed), None) for group in _table(state, told)]
+    found = [next((step for needed, step in group if needed), None) for group in _table(state, told, how)]
     return [
         Step(purpose, words.named(typed, state.name), words.sentence(typed) if pressed is None else pressed)
         for purpose, typed, pressed in filter(None, found)
@@ -100,9 +111,13 @@ def line(state: State) -> str:
     return ", then ".join(typed(state))
 
 
-def pressed(state: State) -> str:
+def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
     """The first step on the page; empty where there is none."""
-    return next((step.pressed for step in todo(state) if step.pressed), "")
+    found = [step for step in todo(state, how=how) if step.pressed]
+    sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
+    if verdict.unanswered(state) and not sure:
+        return f"{POWER} if the wheels turn: the board has not answered."
+    return found[0].pressed or "" if found else ""
 
 
 def before(state: State, goal: Purpose) -> list[Step]:

@@ -16,6 +16,8 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
+MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
+"""Large words, beside STOPPED."""
 NEVER_ANSWERED = "the board has never answered"
 LINKS = {
     "unproven": NEVER_ANSWERED,
@@ -68,11 +70,27 @@ def proven_word(state: State) -> str:
 
 def large_word(state: State) -> str:
     """The word for a screen that is read at arm's length: whether the robot may begin to move counts more there than
-    what holds it."""
+    what holds it, and of a stop it says no more than is proved."""
     if doubt(state):
-        return "WHEELS MAY TURN"
-    found = "MOVING" if state.moving else "CAN MOVE" if state.enabled and not state.estop else "STOPPED"
-    return f"{found}, UNPROVEN" if unproven(state) else found
+        return WHEELS_MAY_TURN
+    found = MOVING if state.moving else CAN_MOVE if state.enabled and not state.estop else _stopped(state)
+    return f"{found}, UNPROVEN" if unproven(state) and found not in (WRITTEN, WHEELS_MAY_TURN) else found
+
+
+def _stopped(state: State) -> str:
+    """As much as is proved of the last stop: that the kernel has its bytes is no proof that the wheels stand."""
+    stop = state.last_stop
+    if stop is None:
+        return WHEELS_MAY_TURN if state.cause else STOPPED
+    if stop.acknowledged_s is not None or stop.observed_s is not None:
+        return STOPPED
+    return WRITTEN if stop.written_s is not None and stop.sent else WHEELS_MAY_TURN
+
+
+def unanswered(state: State) -> bool:
+    """True while a stop may not have reached the board, or has been written to one that has never answered."""
+    word = large_word(state)
+    return word == WHEELS_MAY_TURN or (word == WRITTEN and state.device.link == "unproven")
 
 
 def headline(state: State) -> str:

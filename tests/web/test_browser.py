@@ -140,6 +140,12 @@ def test_keys_stop(trial: Trial, tab: Tab, key: str, code: str, number: int) -> 
     tab.until(f"{SAID}.includes('written')")
 
 
+def test_a_stranger_is_told_of_no_button_that_it_has_not(trial: Trial, tab: Tab) -> None:
+    assert trial.robot.state.estop
+    tab.until("document.getElementById('next').textContent.includes('reset it with a paired device')")
+    assert "RESET" not in tab.text("#next")
+
+
 def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab) -> None:
     driving(trial, paired)
     asked_ns = time.monotonic_ns()
@@ -152,6 +158,27 @@ def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab
     paired.until(f"{WORD} === 'STOPPED'")
     paired.until(f"{SAID}.includes('acknowledged') && {SAID}.includes('observed')")
     assert "asked for a stop" in paired.text("#why")
+
+
+WATCHED = """
+window.words = [];
+new MutationObserver(() => window.words.push(document.getElementById("word").textContent))
+  .observe(document.getElementById("word"), {childList: true, characterData: true, subtree: true})"""
+
+
+def test_the_word_says_no_more_than_is_proved(trial: Trial, paired: Tab) -> None:
+    """A deaf board turns its wheels on, whatever is written to it."""
+    driving(trial, paired)
+    paired.run(WATCHED)
+    trial.board.deaf(True)
+    try:
+        paired.tap("#stop")
+        paired.until(f"{WORD} === 'WHEELS MAY TURN'")
+        assert "STOPPED" not in paired.run("words")
+        assert paired.run("words.at(-2)") == "STOP WRITTEN"
+    finally:
+        trial.board.deaf(False)
+    paired.until(f"{WORD} === 'STOPPED'")
 
 
 def held(tab: Tab, selector: str, what: str, check: Callable[[], object]) -> None:

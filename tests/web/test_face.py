@@ -18,6 +18,10 @@ from tests.support.states import NOW_S
 PORT = Device("/dev/ttyACM0", "open", "alive")
 UNPROVEN = dataclasses.replace(PORT, link="unproven")
 DEAF = dataclasses.replace(PORT, link="deaf")
+UNPROVEN = dataclasses.replace(PORT, link="unproven")
+WRITTEN = states.stop(acknowledged_s=None, observed_s=None)
+HELD = states.stop(acknowledged_s=None, observed_s=None, sent=False)
+SEEN = states.stop(acknowledged_s=None, observed_s=0.3)
 DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_radps": (6.0, 6.0, 6.0, 6.0)}
 
 
@@ -41,6 +45,12 @@ def shown(state: State) -> dict[str, Any]:
         (states.state(device=dataclasses.replace(PORT, state="lost")), "WHEELS MAY TURN", "is lost", "POWER SWITCH"),
         (states.latched(device=DEAF), "WHEELS MAY TURN", "does not answer", "POWER SWITCH"),
         (states.latched(causes.UNSTILL()), "WHEELS MAY TURN", "shake on", "POWER SWITCH"),
+        (states.latched(last_stop=WRITTEN), "STOP WRITTEN", "pressed key 1", "then hold RESET"),
+        (states.latched(last_stop=WRITTEN, device=UNPROVEN), "STOP WRITTEN", "pressed key 1", "POWER SWITCH"),
+        (states.latched(last_stop=SEEN, device=UNPROVEN), "STOPPED", "pressed key 1", "then hold RESET"),
+        (states.state(last_stop=WRITTEN), "STOP WRITTEN", "Motion is disabled", "Hold ENABLE"),
+        (states.latched(last_stop=HELD), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),
+        (states.latched(last_stop=None), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),
     ],
 )
 def test_word_reason_and_step(state: State, word: str, why: str, step: str) -> None:
@@ -50,6 +60,18 @@ def test_word_reason_and_step(state: State, word: str, why: str, step: str) -> N
     assert step in found["next"]
     assert bool(step) == bool(found["next"])
     json.dumps(found)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [states.state(), states.latched(), states.latched(last_stop=WRITTEN), states.state(attended_by=())],
+    ids=["disabled", "latched", "written", "nobody-attends"],
+)
+def test_a_device_without_buttons_is_told_of_none(state: State) -> None:
+    found = shown(state)
+    assert any(button in found["next"] for button in ("RESET", "ENABLE", "ATTEND"))
+    assert not any(button in found["next_unpaired"] for button in ("RESET", "ENABLE", "ATTEND"))
+    assert "a paired device or failstop " in found["next_unpaired"]
 
 
 @pytest.mark.parametrize("kind", causes.BY_NUMBER.values(), ids=lambda kind: kind.name)

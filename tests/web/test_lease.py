@@ -74,6 +74,17 @@ def test_the_key_is_of_the_token_alone() -> None:
     assert b"a token" not in KEY
 
 
+def test_a_command_is_proven_with_its_answer_and_no_other_is() -> None:
+    lease = Lease(KEY)
+    first, second = nonces(lease, 2)
+    proof = answer_to(first + "0.50 0.00", KEY)
+    for said in ("", "1.00 0.00", "0.50 0.00 ", "0.50 0.0"):
+        assert not lease.take(first, proof, said)
+    assert not lease.take(second, proof, "0.50 0.00"), "it is of one nonce"
+    assert lease.take(first, proof, "0.50 0.00")
+    assert not lease.take(first, proof, "0.50 0.00"), "it counts once"
+
+
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 5)), max_size=40))
 def test_whatever_is_answered_it_proves_the_newest_nonce_that_still_counted(steps: list[tuple[bool, int]]) -> None:
     lease = Lease(KEY)

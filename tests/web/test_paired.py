@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -104,7 +102,9 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None
 
 def test_a_stolen_cookie_ends_with_its_device(web: Web) -> None:
     bert = web.pair("Bert's tablet")
-    assert web.ask("GET", "/api/me", headers=bert)[2] == b'{"pairing": true, "device": "Bert\'s tablet"}'
+    assert web.ask("GET", "/api/me", headers=bert)[2] == (
+        b'{"pairing": true, "device": "Bert\'s tablet", "drive": false}'
+    )
     listed = web.command("devices").stdout
     identity = next(line.split()[0] for line in listed.splitlines() if "Bert's tablet" in line)
     assert web.command("revoke", identity).returncode == 0
@@ -144,15 +144,6 @@ def test_attending_needs_a_paired_device(web: Web) -> None:
 def test_an_incident_that_there_is_not(web: Web, identity: str) -> None:
     assert web.ask("GET", f"/api/incidents/{identity}/story")[0] == 404
     assert web.ask("GET", f"/api/incidents/{identity}/picture")[0] == 404
-
-
-def test_plain_http_is_not_answered(web: Web) -> None:
-    with socket.create_connection(("127.0.0.1", web.port), timeout=5) as plain:
-        plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        said = b""
-        with contextlib.suppress(ConnectionResetError):
-            said = plain.makefile("rb").read()
-        assert b"HTTP" not in said
 
 
 def test_without_pairing_nobody_may(trial: Trial) -> None:

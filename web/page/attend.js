@@ -1,6 +1,7 @@
 // Attend: this device proves, ten times a second, that its owner is here: awake, unlocked, and looking at this page.
 import {reconnect, send} from "/link.js";
 import {kept, sign} from "/keys.js";
+import {command} from "/drive.js";
 
 const $ = (id) => document.getElementById(id);
 let key = null, attends = false, paired = false, needed = false, known = true;
@@ -29,7 +30,10 @@ async function begin() {
 $("attend").addEventListener("click", () => (attends ? leave("Nobody attends by this device.") : begin()));
 addEventListener("lease", async ({detail}) => {
   if (detail.attend) { attends = false; show(detail.attend); return; }
-  if (attends && !document.hidden) send({nonce: detail.nonce, answer: await sign(key, detail.nonce)});
+  if (!detail.nonce || !attends || document.hidden) return;
+  let drive = command(), answer = await sign(key, detail.nonce + drive);
+  if (drive && !command()) answer = await sign(key, detail.nonce + (drive = "")); // let go meanwhile
+  send({nonce: detail.nonce, answer, drive});
 });
 addEventListener("visibilitychange", () => { if (document.hidden) leave("The page was hidden: attending has ended."); });
 addEventListener("pagehide", () => leave("The page was left."));

@@ -7,13 +7,13 @@ const $ = (id) => document.getElementById(id);
 const AGAIN_MS = 2000;
 let asked = 0, shown = 0; // an answer that comes after a later one is old
 
-function show({pairing, device}, number = ++asked) {
+function show({pairing, device, drive}, number = ++asked) {
   if (number < shown) return;
   shown = number;
   $("role").textContent = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
   $("pair").hidden = !pairing || !!device;
   $("forget").hidden = !device;
-  dispatchEvent(new CustomEvent("device", {detail: {device}}));
+  dispatchEvent(new CustomEvent("device", {detail: {device, drive}}));
 }
 
 async function look() {

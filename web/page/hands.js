@@ -5,7 +5,8 @@ import {post, send} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
 const TICK_MS = 100, LATE_MS = 400, SETTLES_MS = 30;
-let can = {}, limit = 100, epoch = 0, holding = null, asking = "";
+const CLICK_MS = 3000; // a click that comes so soon after a finger is the finger's
+let touched = -CLICK_MS, can = {}, limit = 100, epoch = 0, holding = null, asking = "";
 
 function said(text, refused) {
   $("answer").textContent = text;
@@ -66,6 +67,13 @@ async function enough(id) {
   send({sure: id});
 }
 
+// A screen reader's click is over at once: it does what takes a touch, and is told how to hold what is held.
+function click(button) {
+  const {verb, percent} = button.dataset;
+  if (can[verb] || verb === "disable" || percent <= limit) begin(button);
+  else said("Hold it for 2 s: with a finger, or with Enter (in a screen reader's focus mode).", true);
+}
+
 function isOn(button, {clientX, clientY}) {
   const {left, right, top, bottom} = button.getBoundingClientRect();
   return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
@@ -73,6 +81,7 @@ function isOn(button, {clientX, clientY}) {
 
 for (const button of document.querySelectorAll("#hands button")) {
   button.addEventListener("pointerdown", (event) => {
+    touched = event.timeStamp;
     if (!event.isPrimary || event.button) return;
     button.setPointerCapture(event.pointerId);
     begin(button);
@@ -80,7 +89,12 @@ for (const button of document.querySelectorAll("#hands button")) {
   button.addEventListener("pointermove", (event) => { if (!isOn(button, event)) cancel(); });
   for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, cancel);
   button.addEventListener("contextmenu", (event) => event.preventDefault());
-  button.addEventListener("keydown", (event) => { if (event.key === "Enter" && !event.repeat) begin(button); });
+  button.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault(); // no click of its own
+    if (!event.repeat) begin(button);
+  });
+  button.addEventListener("click", (event) => { if (event.timeStamp - touched > CLICK_MS) click(button); });
   button.addEventListener("keyup", cancel);
 }
 addEventListener("visibilitychange", cancel);

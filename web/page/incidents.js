@@ -3,7 +3,9 @@ import {inTurn} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
 const AGAIN_MS = 1000, LATER_MS = 4000; // a stop's file is written some seconds after it
+const FIRST = 5; // the older ones are a touch away
 const cards = new Map(); // one that is open stays open
+const rest = node("details", "");
 let shown = "", last = 0;
 
 function node(kind, content, more) {
@@ -58,7 +60,7 @@ function card({id, t, reason, proof}) {
     found.append(node("summary", ""));
     found.addEventListener("toggle", () => { if (found.open) open(found, id); });
   }
-  const when = new Date(t * 1000).toLocaleString([], {dateStyle: "medium", timeStyle: "medium"});
+  const when = new Date(t * 1000).toLocaleString([], {dateStyle: "medium", timeStyle: "medium", hourCycle: "h23"});
   found.firstChild.replaceChildren(node("b", reason), node("small", `${when}: ${proof}`));
   return found;
 }
@@ -69,7 +71,9 @@ async function look() {
   if (!text || text === shown) return;
   shown = text;
   const {incidents} = JSON.parse(text);
-  $("incidents").replaceChildren(...incidents.map((incident) => card(incident)));
+  const made = incidents.map((incident) => card(incident)), older = made.slice(FIRST);
+  $("incidents").replaceChildren(...made.slice(0, FIRST), ...(older.length ? [rest] : []));
+  rest.replaceChildren(node("summary", `${older.length} older`), ...older);
   if (!incidents.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
 }
 

@@ -4,7 +4,9 @@ import {connect} from "/link.js";
 import "/hands.js";
 import "/device.js";
 import "/attend.js";
+import "/drive.js";
 import "/incidents.js";
+import "/view.js";
 
 const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
@@ -12,14 +14,14 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
 const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
-let face = null, heard = -Infinity, behind = 0, asked = null, waits = false;
+let face = null, paired = false, heard = -Infinity, behind = 0, asked = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
 }
 
 function clock(unix) {
-  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false});
+  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23"});
 }
 
 function ago(unix) {
@@ -28,13 +30,21 @@ function ago(unix) {
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
 }
 
+// What a screen reader says of itself: a new word with its reason, and nothing of what changes all the time.
+function speak(word, why) {
+  if (spoken === word) return;
+  spoken = word;
+  text("spoken", `${word}. ${why}`);
+}
+
 function show() {
   text("robot", `${face.name || "failstop"} on ${location.hostname}`);
   text("word", face.word);
   $("word").classList.toggle("long", face.word.length > 9);
   $("head").dataset.role = face.role;
   text("why", face.why);
-  text("next", face.next);
+  text("next", paired ? face.next : face.next_unpaired);
+  speak(face.word, face.why);
   document.title = `${face.word} - failstop`;
   showStop();
   dispatchEvent(new CustomEvent("face", {detail: face}));
@@ -129,6 +139,7 @@ function lost() {
   $("head").dataset.role = "lost";
   $("word").classList.add("long");
   text("word", "NO CONTACT");
+  speak("NO CONTACT", "The robot is not heard.");
   text("why", `The robot is not heard.${face ? ` Last known: ${face.word}.` : ""}`);
   text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
   text("since", "");
@@ -138,7 +149,7 @@ function lost() {
 function news(message) {
   heard = performance.now();
   behind = message.t - Date.now() / 1000;
-  if ("nonce" in message || "attend" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
+  if ("nonce" in message || "attend" in message || "drive" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
   if ("live" in message) showLive(message.live);
   if (message.face) face = message.face;
   if (face && (message.face || $("head").dataset.role === "lost")) show();
@@ -146,8 +157,13 @@ function news(message) {
 }
 
 addEventListener("stopped", (event) => {
+  speak("STOP is written", "");
   asked = event.detail.asked;
   if (event.detail.face) { face = event.detail.face; heard = performance.now(); show(); }
+});
+addEventListener("device", ({detail}) => {
+  paired = !!detail.device;
+  if (face && $("head").dataset.role !== "lost") show();
 });
 setInterval(lost, 200);
 connect(news);

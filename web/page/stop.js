@@ -12,15 +12,18 @@
   const PATIENT_MS = 3000; // for the answer to a request, and for a connection
   const SILENT_MS = 1000; // of a websocket that owes an answer
   const CHECK_MS = 5000;
+  const CLICK_MS = 1000; // a click that comes so soon after a finger is the finger's
   const button = document.getElementById("stop");
-  const said = document.getElementById("stop-said");
+  const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
-  let socket = null, spare = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
+  let touched = -CLICK_MS, socket = null, spare = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
 
   function say(text, phase) {
     rests = false;
     said.textContent = text;
     button.dataset.phase = phase;
+    const alarm = phase === "failed" ? text : "";
+    if (heard.textContent !== alarm) heard.textContent = alarm; // what is written anew is said anew
   }
 
   function rest() {
@@ -138,11 +141,12 @@
     const newer = now && face.latched && face.stop && face.stop.written && face.stop.t !== now.before;
     if (newer) done(now, {asked: now.asked || face.stop.t, written: true});
   });
+  addEventListener("paired", connect); // the robot knows a connection by what it was when it began
   addEventListener("unstopped", () => { if (!now) rest(); });
   rest();
   // On touch-down, not when the finger is lifted; a click without one is a screen reader's or a keyboard's.
-  button.addEventListener("pointerdown", (event) => { event.preventDefault(); stop(); });
-  button.addEventListener("click", (event) => { if (!event.detail) stop(); });
+  button.addEventListener("pointerdown", (event) => { event.preventDefault(); touched = event.timeStamp; stop(); });
+  button.addEventListener("click", (event) => { if (event.timeStamp - touched > CLICK_MS) stop(); });
   addEventListener("keydown", (event) => {
     const writes = event.target.closest && event.target.closest("input");
     if (event.key === "Escape" || (event.key === " " && !writes)) {

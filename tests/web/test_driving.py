@@ -1,0 +1,287 @@
+"""Driving from the page: by whom, under which conditions, and for how long a command counts. The board says when the
+wheels stood; times are the robot's."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.web.parts import Web
+from bench.web.viewer import Viewer
+from failstop.api.errors import Refused
+from failstop.lab.trial import Trial, judge, wait_for
+from failstop.web import driving
+from failstop.web.lease import answer_to
+
+pytestmark = pytest.mark.page
+
+COMMAND_S, LATE_S = 0.3, 0.02
+"""A command's life, and what the gate and the wire may take beyond."""
+SETTINGS = (
+    '[attend]\nrequired = "on"\nlease_s = 1.0\n[web]\npairing = "on"\ndrive = "on"\n[sources.page]\npriority = 50\n'
+)
+FORWARD = "1.00 0.00"
+FULL_MPS = 0.2
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("driving") / "driving.toml"
+    path.write_text(SETTINGS)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def trial(settings: str) -> Iterator[Trial]:
+    """A service that needs an operator, whose page may drive."""
+    with Trial(f"driving-{os.getpid()}", ("--config", settings)) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, settings: str) -> Iterator[Web]:
+    """Its page."""
+    with Web(trial.name, "--config", settings, state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def anna(web: Web) -> dict[str, str]:
+    """The headers of a paired device."""
+    return web.pair("Anna")
+
+
+def enable(trial: Trial, viewer: Viewer) -> None:
+    """As soon as somebody attends."""
+
+    def enabled() -> bool:
+        viewer.stay(0.1)
+        with contextlib.suppress(Refused):
+            trial.enable()
+            return True
+        return False
+
+    wait_for("motion to be enabled", enabled)
+    trial.board.events()
+
+
+@contextlib.contextmanager
+def ready(trial: Trial, web: Web, headers: dict[str, str], percent: int = 100) -> Iterator[Viewer]:
+    """A device that attends and has chosen the limit; motion is enabled, and nothing moves."""
+    with Viewer(web, headers) as viewer:
+        viewer.attend()
+        trial.robot.limit_speed(1.0)
+        assert web.post("/api/limit", {"percent": percent}, headers)[0] == 200
+        enable(trial, viewer)
+        assert not trial.moving()
+        yield viewer
+    trial.robot.limit_speed(1.0)
+
+
+def motion(trial: Trial) -> int:
+    """Motion frames that the board has executed since somebody asked last."""
+    return sum(event.is_motion for event in trial.board.events())
+
+
+def told(viewer: Viewer) -> list[str]:
+    """What stood in the way of its commands."""
+    return [message["drive"] for message in viewer.seen if "drive" in message]
+
+
+def test_a_held_stick_drives_within_the_limit_and_as_its_own_source(
+    trial: Trial, web: Web, anna: dict[str, str]
+) -> None:
+    with ready(trial, web, anna, percent=50) as viewer:
+        viewer.stay(1.0, FORWARD)
+        state = trial.robot.state
+        assert state.body_vel.vx_mps == pytest.approx(FULL_MPS / 2, abs=0.001)
+        assert state.driver is not None
+        assert (state.driver.source, state.driver.who.partition(" (pid")[0]) == ("page", "Anna (page)")
+        viewer.stay(0.6, "0.00 -0.50")
+        assert trial.robot.state.body_vel.wz_radps == pytest.approx(-0.25, abs=0.001)
+
+
+def test_letting_go_is_zero_along_the_ramp(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.6, FORWARD)
+        trial.board.events()
+        since_ns = time.monotonic_ns()
+        viewer.send(drive=False)
+        viewer.stay(0.3)
+        events = trial.board.events()
+        seen = judge(events, since_ns, was_moving=True)
+        assert seen.stop_ns is not None
+        assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
+        assert seen.motion_after == 0
+        speeds = [max(map(abs, event.speeds)) for event in events if event.is_motor and event.arrival_ns >= since_ns]
+        assert speeds[1:] == sorted(speeds[1:], reverse=True)
+        assert trial.robot.state.enabled, "it is no stop"
+
+
+def test_who_leaves_while_another_attends_drives_no_further(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as viewer, Viewer(web, web.pair("Emil")) as other:
+        other.attend()
+        viewer.stay(0.5, FORWARD)
+        other.stay(0.1)
+        trial.board.events()
+        since_ns = time.monotonic_ns()
+        viewer.send(attend=False)
+        other.stay(0.3)
+        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        assert seen.stop_ns is not None
+        assert seen.stop_ns / 1e9 < 0.1
+        assert seen.motion_after == 0
+        assert trial.robot.state.attended_by == ("Emil",)
+
+
+@pytest.mark.parametrize("way", ["silent", "hangs-up"])
+def test_a_command_is_good_for_a_third_of_a_second(trial: Trial, web: Web, anna: dict[str, str], way: str) -> None:
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.6, FORWARD)
+        trial.board.events()
+        since_ns = time.monotonic_ns()
+        if way == "hangs-up":
+            viewer.hang_up()
+        wait_for("the end of the command", lambda: not trial.moving())
+        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        assert seen.stop_ns is not None
+        assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
+        wait_for("the operator to be gone", lambda: trial.robot.state.estop)
+        assert motion(trial) == 0
+
+
+def test_a_backlog_of_commands_moves_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    """Right, in order, and all at once, as a network lets them go; and each once more."""
+    with ready(trial, web, anna) as viewer:
+        held_back: list[str] = []
+        while len(held_back) < 12:
+            trial.robot.attend("another operator")
+            if nonce := viewer.next().get("nonce"):
+                held_back.append(nonce)
+        trial.board.events()
+        for nonce in (*held_back[:-3], *held_back[:-3]):
+            viewer.answer(nonce, drive=FORWARD)
+        viewer.next()
+        viewer.next()
+        assert motion(trial) == 0
+        assert not trial.robot.state.sources
+        assert trial.robot.state.enabled
+
+
+def test_an_old_answer_is_as_old_as_its_nonce(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    """Of the second newest nonce: its command ends sooner by as much as it came late."""
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.5, FORWARD)
+        nonce = ""
+        while not (nonce := viewer.next().get("nonce", "")):
+            pass
+        since_ns = time.monotonic_ns()
+        while not viewer.next().get("nonce"):
+            pass
+        trial.board.events()
+        viewer.answer(nonce, drive=FORWARD)
+        wait_for("the end of the command", lambda: not trial.moving())
+        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        assert seen.stop_ns is not None
+        assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
+
+
+@pytest.mark.parametrize("said", ["1.01 0.00", "nan 0.00", "inf 0.00", "0.5", "0.5 0.5 0.5", "x y", "true 1", "[1] 2"])
+def test_what_is_no_command_moves_nothing(trial: Trial, web: Web, anna: dict[str, str], said: str) -> None:
+    assert driving.share(said) is None
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.3, said)
+        assert motion(trial) == 0
+
+
+def test_a_changed_command_is_not_proven(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as viewer:
+        for _ in range(5):
+            if nonce := viewer.next().get("nonce"):
+                viewer.send(nonce=nonce, answer=answer_to(f"{nonce}0.10 0.00", viewer.key), drive=FORWARD)
+        assert motion(trial) == 0
+        assert trial.robot.state.enabled
+
+
+def test_who_does_not_attend_drives_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as attending, Viewer(web, web.pair("Bert")) as bert, Viewer(web) as stranger:
+        for viewer in (bert, stranger):
+            for _ in range(4):
+                viewer.next()
+                viewer.answer("00" * 16, drive=FORWARD)
+                viewer.send(drive=FORWARD)
+        attending.stay(0.2)
+        assert motion(trial) == 0
+        assert trial.robot.state.enabled
+
+
+def test_the_speed_limit_is_chosen_first_and_again_each_time(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.4, FORWARD)
+        assert motion(trial)
+        viewer.send(attend=False)
+        wait_for("the stop", lambda: trial.robot.state.estop)
+        viewer.attend()
+        enable(trial, viewer)
+        viewer.stay(0.4, FORWARD)
+        assert motion(trial) == 0
+        assert told(viewer)[-1] == driving.LIMIT_FIRST
+        assert web.post("/api/limit", {"percent": 25}, anna)[0] == 200
+        viewer.stay(0.4, FORWARD)
+        assert motion(trial)
+
+
+def test_a_stick_that_is_held_while_motion_is_enabled_moves_nothing(
+    trial: Trial, web: Web, anna: dict[str, str]
+) -> None:
+    with ready(trial, web, anna) as viewer:
+        trial.robot.disable()
+        viewer.stay(0.3, FORWARD)
+        trial.enable()
+        trial.board.events()
+        viewer.stay(0.3, FORWARD)
+        assert motion(trial) == 0
+        assert told(viewer)[-1] == driving.DISABLED
+        viewer.stay(0.2)
+        viewer.stay(0.3, FORWARD)
+        assert motion(trial)
+
+
+def test_two_devices_do_not_drive_at_once(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    other = web.pair("Cleo")
+    with ready(trial, web, anna) as viewer, Viewer(web, other) as cleo:
+        cleo.attend()
+        assert web.post("/api/limit", {"percent": 100}, other)[0] == 200
+        viewer.stay(0.2, FORWARD)
+        for _ in range(4):
+            viewer.stay(0.1, FORWARD)
+            cleo.stay(0.1, "-1.00 0.00")
+        assert trial.robot.state.estop is None
+        assert "Anna drives" in told(cleo)
+        assert trial.robot.state.body_vel.vx_mps > 0
+        viewer.send(drive=False)
+        viewer.stay(0.2)
+        cleo.stay(0.8, "-1.00 0.00")
+        assert trial.robot.state.body_vel.vx_mps < 0
+
+
+def test_it_is_off_unless_a_setting_says_otherwise(trial: Trial, tmp_path: Path) -> None:
+    """By one of both settings: nobody drives from a page that proves nobody's presence."""
+    for number, text in enumerate(('[attend]\nrequired = "on"\n[web]\n', '[web]\ndrive = "on"\n')):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(f'{text}pairing = "on"\n')
+        with Web(trial.name, "--config", str(path), state=str(tmp_path)) as other:
+            headers = other.pair()
+            assert other.ask("GET", "/api/me", headers=headers)[2].endswith(b'"drive": false}')
+            with Viewer(other, headers) as viewer:
+                viewer.attend()
+                assert other.post("/api/limit", {"percent": 100}, headers)[0] == 200
+                trial.board.events()
+                viewer.stay(0.3, FORWARD)
+                assert motion(trial) == 0
+                assert told(viewer)[-1] == driving.OFF

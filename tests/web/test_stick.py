@@ -1,0 +1,169 @@
+"""The page's thumb stick in a real browser: a finger, keys, a page that hangs or is hidden. `make web` runs it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from bench.web.browser import CHROMIUM, Browser, Tab
+from bench.web.parts import Web
+from failstop.api.errors import Refused
+from failstop.lab.trial import Trial, TrialError, judge, wait_for
+from tests.web.test_driving import COMMAND_S, LATE_S, SETTINGS
+
+pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
+
+WORD = "document.getElementById('word').textContent"
+HELD = "document.getElementById('stick').classList.contains('held')"
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("stick") / "stick.toml"
+    path.write_text(SETTINGS)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def trial(settings: str) -> Iterator[Trial]:
+    """A service that needs an operator, whose page may drive."""
+    with Trial(f"stick-{os.getpid()}", ("--config", settings)) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, settings: str) -> Iterator[Web]:
+    """Its page."""
+    with Web(trial.name, "--config", settings, state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def tab(web: Web) -> Iterator[Tab]:
+    """A phone that is paired, attends, and has chosen a limit; no script may throw."""
+    with Browser() as browser:
+        found = browser.tab(f"{web.url.replace('127.0.0.1', 'localhost')}#{web.code()}")
+        found.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+        found.run("document.getElementById('device-name').value = 'Dora'")
+        found.tap("#pair button")
+        found.until("!document.getElementById('drive').hidden")
+        yield found
+        assert found.errors == []
+
+
+def takes_stick(trial: Trial, tab: Tab) -> None:
+    """Attend, choose the limit, enable."""
+    trial.robot.disable()
+    trial.robot.limit_speed(1.0)
+    if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
+        tab.tap("#attend")
+    wait_for("the operator", lambda: trial.robot.state.attended_by == ("Dora",))
+    tab.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '100'")
+    tab.tap("#limit [data-percent='50']")
+    wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.5)
+
+    def enabled() -> bool:
+        with contextlib.suppress(Refused):
+            trial.enable()
+            return True
+        return False
+
+    wait_for("motion to be enabled", enabled)
+    tab.until(f"{WORD} === 'CAN MOVE'")
+
+
+def finger(tab: Tab, x: float, y: float, kind: str = "touchStart") -> None:
+    """A finger on the stick, at a place from -1 to 1: right and up."""
+    wide = tab.run("document.getElementById('stick').clientWidth")
+    middle_x, middle_y = tab.place("#stick")
+    point = {"x": middle_x + x * wide / 2, "y": middle_y - y * wide / 2}
+    tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=[point])
+
+
+def moved(
+    trial: Trial, tab: Tab, begin: Callable[[], Callable[[], None]], check: Callable[[], bool]
+) -> Callable[[], None]:
+    """Take the stick until the robot moves so; again where the page asks for that, as on a busy machine. Returns how to
+    let it go."""
+    for _ in range(5):
+        takes_stick(trial, tab)
+        lift = begin()
+        with contextlib.suppress(TrialError):
+            wait_for("motion", check, 3)
+            return lift
+        lift()
+    raise AssertionError(f"the stick moves nothing: {tab.text('#drive-why')}")
+
+
+def thumb(tab: Tab) -> Callable[[], None]:
+    """A finger goes up on the stick; returns how to lift it."""
+    finger(tab, 0.0, 0.9)
+
+    def lift() -> None:
+        tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    return lift
+
+
+def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
+    lift = moved(trial, tab, lambda: thumb(tab), lambda: trial.robot.state.body_vel.vx_mps > 0.05)
+    finger(tab, 0.9, 0.0, "touchMove")
+    wait_for("to the right", lambda: trial.robot.state.body_vel.wz_radps < -0.2)
+    trial.board.events()
+    since_ns = time.monotonic_ns()
+    lift()
+    wait_for("rest", lambda: not trial.moving())
+    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    assert seen.stop_ns is not None
+    assert seen.stop_ns / 1e9 < COMMAND_S
+    assert trial.robot.state.enabled
+
+
+def test_arrow_keys_drive_while_they_are_held_and_space_stops(trial: Trial, tab: Tab) -> None:
+    def key(name: str, number: int) -> Callable[[], None]:
+        tab.run("document.getElementById('stick').focus()")
+        return tab.hold_key(name, name, number)
+
+    lift = moved(trial, tab, lambda: key("ArrowDown", 40), lambda: trial.robot.state.body_vel.vx_mps < -0.05)
+    lift()
+    wait_for("rest", lambda: not trial.moving())
+    assert trial.robot.state.enabled
+    lift = moved(trial, tab, lambda: key("ArrowUp", 38), trial.moving)
+    tab.key(" ", "Space", 32)
+    wait_for("the stop", lambda: trial.robot.state.estop)
+    lift()
+    tab.until(f"{WORD} === 'STOPPED'")
+
+
+def test_a_page_that_is_held_up_drives_no_further(trial: Trial, tab: Tab) -> None:
+    """The finger is lifted while the page hangs: what comes after it is no command."""
+    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
+    trial.board.events()
+    since_ns = time.monotonic_ns()
+    tab.run("(() => { const until = performance.now() + 800; while (performance.now() < until); })()")
+    tab.until("document.getElementById('drive-why').textContent.includes('again')")
+    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    assert seen.stop_ns is not None
+    assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
+    assert seen.motion_after == 0
+    lift()
+
+
+def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
+    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
+    trial.board.events()
+    since_ns = time.monotonic_ns()
+    tab.run(
+        "Object.defineProperty(document, 'hidden', {value: true, configurable: true}); "
+        "document.dispatchEvent(new Event('visibilitychange', {bubbles: true})); delete document.hidden"
+    )
+    wait_for("the stop", lambda: trial.robot.state.estop)
+    assert "operator gone: Dora" in str(trial.robot.state.estop)
+    trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= since_ns, 5)
+    assert judge(trial.board.events(), since_ns, was_moving=True).motion_after == 0
+    assert not tab.run(HELD)
+    lift()

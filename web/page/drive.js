@@ -1,0 +1,74 @@
+// Drive: a thumb stick. What it says goes out with the answers that prove this device (attend.js), and with nothing else.
+import {send} from "/link.js";
+
+const $ = (id) => document.getElementById(id);
+const GAP_MS = 300; // no question of the robot for this long: the command is over, and the stick has to be taken again
+const STEP = 0.01;
+const KEYS = {ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1]};
+const stick = $("stick"), knob = $("knob"), pressed = new Set();
+let wanted = null, asked = -Infinity, may = false, needed = false, mode = "";
+
+function draw() {
+  const [forward, turn] = wanted || [0, 0];
+  knob.style.transform = `translate(${-turn * 50}%, ${-forward * 50}%)`;
+  stick.classList.toggle("held", !!wanted);
+}
+
+function set(forward, turn) {
+  const within = (value) => Math.max(-1, Math.min(1, Math.round(value / STEP) * STEP));
+  if (!wanted) asked = performance.now();
+  wanted = [within(forward), within(turn)];
+  draw();
+}
+
+function release(why) {
+  pressed.clear();
+  if (!wanted) return;
+  wanted = null;
+  send({drive: false});
+  draw();
+  if (typeof why === "string") $("drive-why").textContent = why;
+}
+
+// The command for the robot's question that has just come; empty: none.
+export function command() {
+  const now = performance.now(), gap = now - asked;
+  asked = now;
+  if (gap > GAP_MS) release("The link was too slow: let go, and take the stick again.");
+  return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
+}
+
+function follow({clientX, clientY}) {
+  const {left, top, width, height} = stick.getBoundingClientRect();
+  set(1 - 2 * (clientY - top) / height, 1 - 2 * (clientX - left) / width);
+}
+
+stick.addEventListener("pointerdown", (event) => {
+  if (!event.isPrimary || event.button) return;
+  stick.setPointerCapture(event.pointerId);
+  mode = "finger";
+  $("drive-why").textContent = "";
+  follow(event);
+});
+stick.addEventListener("pointermove", (event) => { if (wanted && mode === "finger") follow(event); });
+for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) stick.addEventListener(end, release);
+stick.addEventListener("contextmenu", (event) => event.preventDefault());
+function press(event, down) {
+  if (!(event.key in KEYS)) return;
+  event.preventDefault();
+  if (event.repeat) return;
+  if (down) { pressed.add(event.key); mode = "keys"; } else pressed.delete(event.key);
+  if (!pressed.size) { release(); return; }
+  if (down || wanted) set(...[0, 1].map((axis) => [...pressed].reduce((sum, key) => sum + KEYS[key][axis], 0)));
+}
+stick.addEventListener("keydown", (event) => press(event, true));
+stick.addEventListener("keyup", (event) => press(event, false));
+for (const end of ["visibilitychange", "pagehide", "link-lost", "stopping"]) addEventListener(end, () => release());
+addEventListener("lease", ({detail}) => { if (detail.drive) release(`Not now: ${detail.drive}.`); });
+function show() { $("drive").hidden = !(may && needed); }
+addEventListener("face", ({detail}) => {
+  needed = detail.attended !== null;
+  if (!detail.enabled) release();
+  show();
+});
+addEventListener("device", ({detail}) => { may = !!detail.device && !!detail.drive; if (!may) release(); show(); });

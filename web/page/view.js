@@ -1,0 +1,11 @@
+// View: while fingers enlarge the page, or a keyboard covers its foot, STOP follows to where it is seen, and keeps its size.
+const bar = document.getElementById("bar"), view = window.visualViewport;
+
+function follow() {
+  bar.style.transform = "";
+  const foot = bar.getBoundingClientRect().bottom, seen = view.offsetTop + view.height;
+  if (view.scale === 1 && Math.abs(seen - foot) < 1) return;
+  bar.style.transform = `translate(${view.offsetLeft}px, ${seen - foot}px) scale(${1 / view.scale})`;
+}
+
+if (view) for (const change of ["resize", "scroll"]) view.addEventListener(change, follow);

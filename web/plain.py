@@ -1,0 +1,56 @@
+"""Plain: an answer for a browser that speaks HTTP to the port of HTTPS, as one does when `https://` was not typed."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import ssl
+
+from failstop.web import guard
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tornado.iostream import IOStream
+
+HOST = re.compile(rb"\r\nHost:[ \t]*([A-Za-z0-9.:\[\]-]{1,255})[ \t]*\r\n", re.IGNORECASE)
+SENTENCE = "This is the port of HTTPS: the page's address begins with https://"
+MOST = 16 * 1024
+
+
+def answer(request: bytes, known: frozenset[str]) -> bytes:
+    """What is sent back, for a request whose first bytes may be missing: the way to the same name by HTTPS where the
+    robot answers to that name, and a sentence in any case."""
+    found = HOST.search(request)
+    host = found[1].decode("ascii") if found else ""
+    name = guard.host_of(host)
+    own = guard.is_address(name) or name in known
+    rows = [
+        "HTTP/1.1 307 Temporary Redirect" if own else "HTTP/1.1 400 Bad Request",
+        *([f"Location: https://{host}/"] if own else []),
+        "Content-Type: text/plain; charset=utf-8",
+        f"Content-Length: {len(SENTENCE) + 1}",
+        "Connection: close",
+    ]
+    return ("\r\n".join(rows) + f"\r\n\r\n{SENTENCE}\n").encode()
+
+
+def attend(stream: IOStream, known: frozenset[str]) -> None:
+    """Have a TLS connection answered before it is closed, if it is closed because it spoke HTTP."""
+    close_fd = stream.close_fd
+
+    def answered() -> None:
+        if isinstance(stream.error, ssl.SSLError) and stream.error.reason == "HTTP_REQUEST":
+            with contextlib.suppress(OSError):
+                _tell(stream.socket, known)
+        close_fd()
+
+    stream.close_fd = answered  # type: ignore[method-assign]
+
+
+def _tell(connection: socket.socket, known: frozenset[str]) -> None:
+    """Beside TLS, which has taken the first bytes only. What is not read before the end makes the kernel reset the
+    connection, and the answer is lost."""
+    request = socket.socket.recv(connection, MOST)
+    socket.socket.send(connection, answer(request, known))
+    socket.socket.shutdown(connection, socket.SHUT_WR)
