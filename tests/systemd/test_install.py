@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -25,9 +25,18 @@ LINK = "/dev/failstop"
 """There is no udev inside: what its rule would make is made by the tests."""
 SETTINGS = "/etc/failstop/failstop.toml"
 OLDER = "0.0.9"
+ASKING = "0.0.8"
 OPERATES = "/etc/systemd/system/failstop-web.service.d"
 PLACES = (
-    *("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd", "/usr/lib/sysusers.d", "/usr/bin"),
+    *(
+        "/opt/failstop",
+        "/etc",
+        "/var/lib/failstop",
+        "/run/failstop",
+        "/usr/lib/systemd",
+        "/usr/lib/sysusers.d",
+        "/usr/bin",
+    ),
     *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
     "/usr/share/man/man1",
 )
@@ -144,17 +153,39 @@ def package(built: list[str]) -> str:
     return f"/packages/{Path(built[0]).name}"
 
 
+Rebuild = Callable[[str, Mapping[str, str]], str]
+
+
 @pytest.fixture(scope="module")
-def older(built: list[str], module_place: Place, tmp_path_factory: pytest.TempPathFactory) -> str:
+def rebuild(built: list[str], module_place: Place, tmp_path_factory: pytest.TempPathFactory) -> Rebuild:
+    """A function that builds the same package with another version and some files more; returns its path inside."""
+
+    def build(version: str, more: Mapping[str, str]) -> str:
+        place = tmp_path_factory.mktemp("older") / "package"
+        subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
+        control = place / "DEBIAN/control"
+        lines = control.read_text().splitlines(keepends=True)
+        control.write_text("".join(f"Version: {version}\n" if line.startswith("Version:") else line for line in lines))
+        for name, text in more.items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_text(text)
+        out = module_place.packages / f"failstop_{version}.deb"
+        subprocess.run(["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(place), str(out)], check=True)
+        return f"/packages/{out.name}"
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def older(rebuild: Rebuild) -> str:
     """The path inside of the same package with another version."""
-    place = tmp_path_factory.mktemp("older") / "package"
-    subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
-    control = place / "DEBIAN/control"
-    lines = control.read_text().splitlines(keepends=True)
-    control.write_text("".join(f"Version: {OLDER}\n" if line.startswith("Version:") else line for line in lines))
-    out = module_place.packages / f"failstop_{OLDER}.deb"
-    subprocess.run(["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(place), str(out)], check=True)
-    return f"/packages/{out.name}"
+    return rebuild(OLDER, {})
+
+
+@pytest.fixture(scope="module")
+def asking(rebuild: Rebuild) -> str:
+    """The path inside of an older package that dpkg asks about: the settings are among its files."""
+    return rebuild(ASKING, {"DEBIAN/conffiles": f"{SETTINGS}\n", SETTINGS.lstrip("/"): "# the package's\n"})
 
 
 def stopped(board: SimBoard) -> bool:
@@ -180,6 +211,7 @@ def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
     names = {line.split(":")[0] for line in fields.splitlines() if not line.startswith(" ")}
     assert names >= {"Package", "Version", "Architecture", "Maintainer", "Installed-Size", "Depends", "Description"}
     assert f"Depends: {tree.PYTHON}, libc6 (>= 2." in fields
+    assert "Recommends: openssl" in fields, "HTTPS of the page needs it"
     rows = [row.split(maxsplit=5) for row in place.box.run("dpkg-deb", "--contents", package).stdout.splitlines()]
     assert {row[1] for row in rows} == {"root/root"}
     assert {row[0] for row in rows} == {"drwxr-xr-x", "-rw-r--r--", "-rwxr-xr-x", "lrwxrwxrwx"}
@@ -257,6 +289,84 @@ def test_an_upgrade_and_a_way_back_stop_the_wheels_and_keep_the_settings(
     assert not place.ready()
 
 
+def test_a_way_back_to_a_package_that_asks_says_what_to_answer_and_asks_nothing_with_the_option(
+    place: Place, package: str, asking: str
+) -> None:
+    place.plug()
+    place.dpkg("-i", package)
+    mine = f'# mine\n[device]\npath = "{LINK}"\n'
+    place.box.path(SETTINGS).write_text(mine)
+    said = place.dpkg("-i", asking, code=1)  # nobody is there to answer
+    assert "*** failstop.toml" in said
+    assert "the service is down until this ends; if dpkg asks about failstop.toml, N keeps your settings" in said
+    assert not place.ready()
+    assert "force-confold" in (ROOT / "docs/install.md").read_text()
+    place.dpkg("-i", package)
+    place.dpkg("--force-confold", "-i", asking)
+    assert place.ready()
+    assert place.settings() == mine
+    place.box.run("dpkg", "--purge", "failstop")
+
+
+@contextlib.contextmanager
+def by_hand(place: Place, name: str) -> Iterator[None]:
+    """A service that root has started from this checkout, on a board of its own."""
+    with SimBoard(place.packages.parent / "board" / name, mode=0o666):
+        place.box.write(f"/tmp/{name}.toml", f'[device]\npath = "/board/{name}"\n')
+        words = ("-m", "failstop", "run", "--name", name, "--config", f"/tmp/{name}.toml")
+        running = place.box.entering("env", f"PYTHONPATH={ROOT}", sys.executable, *words)
+        with subprocess.Popen(running, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as service:
+            try:
+                yield
+            finally:
+                # The signal is for the supervisor: nsenter does not pass it on.
+                place.box.run("sh", "-c", f"kill $(cat /run/failstop/{name}/lock)")
+                service.wait(20)
+
+
+def test_a_service_that_was_started_by_hand_outlives_a_removal(place: Place, package: str) -> None:
+    """Its pipe stays where its clients look for it."""
+    place.plug()
+    place.dpkg("-i", package)
+    wait_for("the service to be ready", place.ready)
+    pipe = place.box.path("/run/failstop/byhand/stop")
+    with by_hand(place, "byhand"):
+        wait_for("the pipe of the other service", pipe.exists)
+        said = place.dpkg("-r", "failstop")
+        assert "'byhand' was not started by a unit of the package, and goes on" in said
+        assert pipe.exists()
+        assert not place.box.path("/run/failstop/failstop").exists()
+    place.dpkg("-i", package)
+    place.dpkg("-r", "failstop")
+    assert not place.box.path("/run/failstop").exists()
+
+
+def test_a_purge_takes_the_page_s_keys_and_devices_and_what_the_fleet_remembers(place: Place, package: str) -> None:
+    place.plug()
+    place.dpkg("-i", package)
+    place.box.run("failstop", "fleet", "key")
+    units = ("failstop-web.service", "failstop-fleet.service")
+    place.box.ctl("enable", "--now", *units)
+    kept = [f"/var/lib/private/{unit.removesuffix('.service')}" for unit in units]
+    wait_for("their folders", lambda: all(place.box.path(path).is_dir() for path in kept))
+    place.box.write(f"{kept[0]}/failstop/devices.json", "{}")
+    place.dpkg("-r", "failstop")
+    assert all(place.box.path(path).is_dir() for path in kept), "a removal keeps them"
+    place.dpkg("-P", "failstop")
+    links = [path.replace("private/", "") for path in kept]
+    assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
+
+
+def test_where_systemd_does_not_run_the_installation_says_that_nothing_stops_the_wheels(
+    place: Place, package: str
+) -> None:
+    hidden = "mount -t tmpfs tmpfs /run/systemd && dpkg -i"
+    said = place.box.run("unshare", "--mount", "sh", "-c", f"{hidden} {package}", timeout_s=90)
+    assert "systemd does not run here, so nothing was started: NOTHING STOPS THE WHEELS" in said.stderr
+    assert "failstop run --config /etc/failstop/failstop.toml" in said.stderr
+    assert not place.ready()
+
+
 def test_without_a_board_it_waits_for_it(place: Place, package: str) -> None:
     said = place.dpkg("-i", package)
     assert "failstop does not run yet: is the board plugged in" in said
@@ -318,7 +428,6 @@ def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, packag
     assert not any(place.active(unit) for unit in more)
     assert not [path for path in place.files() if path.endswith(more)]
     place.box.run("rm", "-r", "/opt/ros", OPERATES)
-    place.box.run("rm", "-rf", "/var/lib/private", "/var/lib/failstop-web", "/var/lib/failstop-fleet")
 
 
 def test_the_package_does_not_go_over_an_older_installation(place: Place, package: str) -> None:
