@@ -16,7 +16,7 @@ from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
 from failstop.fleet import FleetError, publisher, report, settings, signed, topics, view
-from failstop.fleet.broker import ANYHOW, Broker
+from failstop.fleet.broker import Broker
 from failstop.fleet.roster import Roster
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
@@ -109,7 +109,7 @@ def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
 
     manufacturer = found.text("robot.manufacturer")
     wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
-    return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", dict.fromkeys(wanted, ANYHOW), hear)
+    return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", wanted, hear)
 
 
 def _listen(broker: Broker, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:

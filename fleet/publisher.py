@@ -16,7 +16,7 @@ from failstop.api.events import EventLog
 from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.fleet import FleetError, signed, topics, vda5050
-from failstop.fleet.broker import ANYHOW, ONCE, Broker
+from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.procs.telemetry.state_files import state_directory
@@ -116,11 +116,12 @@ class Publisher:
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
-        self.broker = Broker(settings, f"failstop-{robot_id}", self._stop_topics(), self._hear, self._up)
+        name = f"failstop-{robot_id}"
+        self.broker = Broker(settings, name, self._stop_topics(), self._hear, self._up, newest_first=True)
         self._will()
 
-    def _stop_topics(self) -> dict[str, int]:
-        return dict.fromkeys((self._stop_topic, topics.stop(self._manufacturer, self.robot_id)), ONCE)
+    def _stop_topics(self) -> tuple[str, str]:
+        return self._stop_topic, topics.stop(self._manufacturer, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
         """Wait for the broker, for as long as there is nothing else to do, then do that."""
