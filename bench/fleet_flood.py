@@ -43,7 +43,8 @@ CONNECT = b"\x10\x13\x00\x04MQTT\x04\x02\x00\x00\x00\x07flooder"
 
 def packet(topic: str, payload: bytes, qos: int) -> bytes:
     """A message as MQTT has it."""
-    rest = struct.pack(">H", len(topic)) + topic.encode() + (b"\x00\x01" if qos else b"") + payload
+    name = topic.encode()
+    rest = struct.pack(">H", len(name)) + name + (b"\x00\x01" if qos else b"") + payload
     length, size = len(rest), b""
     while True:
         length, digit = divmod(length, 128)

@@ -189,12 +189,12 @@ class Broker:
         with contextlib.suppress(OSError, ValueError):
             self._client.disconnect()
 
-    def _on_socket(self, _client: Client, _: object, found: Any) -> None:
+    def _on_socket(self, _client: Any, _: object, found: Any) -> None:
         """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._client.wire = Wire()
 
-    def _on_connect(self, client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+    def _on_connect(self, client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):
             self.problem = f"the broker at {self.where} refuses: {reason}"
             return
@@ -204,13 +204,13 @@ class Broker:
         self._unconfirmed = {client.subscribe(topic, qos=ANYHOW)[1]: topic for topic in self._subscriptions}
         self._up()
 
-    def _on_subscribe(self, _client: Client, _: object, number: int, reasons: Any, _properties: object) -> None:
+    def _on_subscribe(self, _client: Any, _: object, number: int, reasons: Any, _properties: object) -> None:
         topic = self._unconfirmed.pop(number, "")
         if topic and any(reason.is_failure for reason in reasons):
             self.denied = (*self.denied, topic)
         self.listening = not self._unconfirmed
 
-    def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+    def _on_disconnect(self, _client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         self.listening = False
         if self.problem in ("", NOT_YET):
             self.problem = f"the broker at {self.where} has ended the connection: {reason}"

@@ -7,6 +7,7 @@ import json
 import secrets
 import time
 
+from failstop.api import words
 from failstop.fleet import FleetError, levels, settings, signed, topics
 from failstop.fleet.broker import Broker
 from failstop.fleet.levels import Order
@@ -98,7 +99,7 @@ class Sender:
             return
         robot, last = topics.robot_of(topic)
         if last == topics.CONNECTION:
-            self.tally.connection(robot, connection_word(payload))
+            self.tally.connection(words.printable(robot), connection_word(payload))
             return
         try:
             answer = levels.read_answer(self._key, payload)

@@ -14,6 +14,8 @@ CONFIRMED = levels.ACKNOWLEDGED
 """From this level on a robot counts as stopped: its board was in step after the stop."""
 WORDS = {vda5050.OFFLINE: "its publisher was ended", vda5050.BROKEN: "its connection is broken"}
 
+MUTE = "has it the fleet's key, and does the broker's access list let it read the stops?"
+
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
@@ -84,4 +86,6 @@ class Tally:
                 why = self._whys[robot]
                 return f"{level}: {why}" if why else "asked, but not written as far as it knows"
         connection = self._connections.get(robot, "")
+        if connection == vda5050.ONLINE:
+            return f"no answer, though it is connected: {MUTE}"
         return f"no answer: {WORDS[connection]}" if connection in WORDS else "no answer"

@@ -166,6 +166,10 @@ def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, packag
         ]
         assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
     assert place.box.show(more[2], "User") == {"User": "daemon"}
+    fleet = "failstop-fleet.service"
+    wait_for("the publisher's word", lambda: place.box.show(fleet, "StatusErrno") == {"StatusErrno": "107"}, 20.0)
+    assert place.box.show(fleet, "StatusText")["StatusText"].startswith("obeys no fleet stop: no broker at 127.0.0.1")
+    assert "obeys no fleet stop: no broker" in place.box.run("failstop", "doctor", "--quick", check=False).stdout
     place.dpkg("-r", "failstop")
     assert not any(place.active(unit) for unit in more)
     assert not [path for path in place.files() if path.endswith(more)]
