@@ -10,6 +10,7 @@ import socket
 import ssl
 import time
 
+from failstop import extras
 from failstop.fleet import FleetError
 from failstop.fleet.wire import Wire
 from failstop.shm import durable
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from failstop.fleet.client import Client
     from failstop.fleet.settings import FleetSettings
 
-EXTRA = "this needs paho-mqtt: pip install 'failstop[fleet]'"
 CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
@@ -66,7 +66,7 @@ class Broker:
 
             from failstop.fleet.client import Client
         except ImportError:
-            raise FleetError(EXTRA) from None
+            raise FleetError(extras.missing("this needs paho-mqtt", "fleet")) from None
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
         self.listening = False

@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Iterator
 
+from failstop import extras
 from failstop.api.errors import FailstopError
 from failstop.api.state import StateReader
 from failstop.fleet import FleetError, metrics
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from prometheus_client.core import Metric
 
     from failstop.api.state import State
-
-EXTRA = "this needs prometheus-client: pip install 'failstop[fleet]'"
 
 
 class Collector:
@@ -58,7 +57,7 @@ def registry(name: str) -> CollectorRegistry:
     try:
         from prometheus_client import CollectorRegistry
     except ImportError:
-        raise FleetError(EXTRA) from None
+        raise FleetError(extras.missing("this needs prometheus-client", "fleet")) from None
     made = CollectorRegistry()
     made.register(Collector(name))
     return made

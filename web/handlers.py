@@ -234,7 +234,7 @@ class Story(Guarded):
         if what == "picture":
             picture = await self.page.incidents.picture(identity)
             if picture is None:
-                self.refuse(404, "no picture: that needs failstop[plots] on the robot")
+                self.refuse(404, "no picture: that needs matplotlib on the robot")
                 return
             self.set_header("Content-Type", "image/png")
             self.set_header("Cache-Control", "private, max-age=86400, immutable")

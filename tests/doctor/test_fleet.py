@@ -11,6 +11,7 @@ from .parts import look
 
 INSTALLED = {"LoadState": "loaded", "ActiveState": "inactive", "UnitFileState": "disabled", "StatusErrno": "0"}
 RUNS = {**INSTALLED, "ActiveState": "active", "UnitFileState": "enabled"}
+DOWN = f"{UNIT} is enabled and failed: the robot obeys no stop of the fleet"
 DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107"}
 
 
@@ -22,10 +23,9 @@ DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107
         (INSTALLED, OK, "the robot is in no fleet", ""),
         ({**RUNS, "StatusText": "obeys a fleet stop"}, OK, "the robot obeys a fleet stop", ""),
         (DEAF, WARN, "the robot obeys no fleet stop: no key", f"journalctl -u {UNIT}"),
-        ({**RUNS, "ActiveState": "activating"}, WARN, f"{UNIT} is enabled and activating: the robot obeys no stop of the "
-         "fleet", f"journalctl -xeu {UNIT}"),
+        ({**RUNS, "ActiveState": "failed"}, WARN, DOWN, f"journalctl -xeu {UNIT}"),
     ],
-)  # fmt: skip
+)
 def test_what_the_publisher_says_of_itself(unit: dict[str, str] | None, level: str, text: str, fix: str) -> None:
     said = None if unit is None else "".join(f"{key}={value}\n" for key, value in unit.items())
     [found] = fleet(look(says={"systemctl": said}))

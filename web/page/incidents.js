@@ -12,7 +12,7 @@ async function open(card, identity) {
   if (card.dataset.open) return;
   card.dataset.open = "1";
   const picture = node("img", "", {src: `/api/incidents/${identity}/picture`, alt: "The seconds around the stop"});
-  const none = "No picture: that needs failstop[plots] on the robot.";
+  const none = "No picture: that needs matplotlib on the robot.";
   picture.onerror = () => picture.replaceWith(node("p", none, {className: "dim"}));
   const link = node("a", "", {href: picture.src, target: "_blank", rel: "noopener"});
   link.append(picture);
