@@ -315,7 +315,7 @@ def _import(name: str, package: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ChannelMissing(f"{package} is not installed: pip install 'failstop[bench]'") from None
+        raise ChannelMissing(f"{package} is not installed: pip install {package}") from None
 
 
 OURS = "ring + bell"

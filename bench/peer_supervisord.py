@@ -61,7 +61,7 @@ class Supervisord:
             # Not by its import name: in a checkout that is this project's own folder.
             importlib.metadata.version("supervisor")
         except importlib.metadata.PackageNotFoundError:
-            raise PeerMissing("supervisor is not installed: pip install 'failstop[bench]'") from None
+            raise PeerMissing("supervisor is not installed: pip install supervisor") from None
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-peer-")
         self._config = os.path.join(self._directory.name, "supervisord.conf")
         with open(self._config, "w", encoding="utf-8") as file:

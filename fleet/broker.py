@@ -10,19 +10,19 @@ import socket
 import ssl
 import time
 
+from failstop import extras
 from failstop.fleet import FleetError
+from failstop.fleet.wire import Wire
 from failstop.shm import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from typing import Any
 
-    from paho.mqtt.client import Client, MQTTMessage
-
+    from failstop.fleet.client import Client
     from failstop.fleet.settings import FleetSettings
 
-EXTRA = "this needs paho-mqtt: pip install 'failstop[fleet]'"
 CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
@@ -33,13 +33,16 @@ overrun."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
 """Messages of ours that may wait for the broker; of a state the newest counts."""
-MOST_READS = 100
-"""Messages that are read in one turn, so that a flood leaves time for the rest."""
+MOST_READS = 16
+"""Reads of up to client.READ_BYTES in one turn, so that a flood leaves time for the rest."""
+HEAR_S = 0.02
+"""How long the messages of one turn are heard where the newest comes first: those that are left are dropped."""
 ONCE = 1
 """MQTT's quality of service for what the broker keeps until it has arrived: a thousand at most for each client, of
 which a few are on their way at a time."""
 ANYHOW = 0
-"""And for what goes out as it comes, in any number, and is lost with the connection."""
+"""MQTT's quality of service for what goes out as it comes, in any number, and is lost with the connection. All
+subscriptions have it: a broker waits for no acknowledgement then, whatever floods the topic."""
 
 
 class Broker:
@@ -49,26 +52,33 @@ class Broker:
         self,
         settings: FleetSettings,
         client_id: str,
-        subscriptions: dict[str, int],
+        subscriptions: Sequence[str],
         hear: Callable[[str, bytes, bool], None],
         up: Callable[[], None] = lambda: None,
+        *,
+        newest_first: bool = False,
     ) -> None:
-        """`subscriptions`: the quality of service by topic; `hear`: is given topic, payload, and whether it was
-        retained; `up`: is called at each connection. Raises FleetError: no paho-mqtt, a file that can't be read."""
+        """`subscriptions`: topics; `hear`: is given topic, payload, and whether it was retained; `up`: is called at
+        each connection; `newest_first`: of what has come at once the newest is heard first, for HEAR_S. Raises
+        FleetError: no paho-mqtt, a file that can't be read."""
         try:
-            from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
+
+            from failstop.fleet.client import Client
         except ImportError:
-            raise FleetError(EXTRA) from None
+            raise FleetError(extras.missing("this needs paho-mqtt", "fleet")) from None
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
         self.listening = False
-        """The broker has confirmed every subscription: from then on nothing is missed."""
-        self._unconfirmed: set[int | None] = set()
+        """The broker has answered every subscription: from then on nothing is missed."""
+        self.denied: tuple[str, ...] = ()
+        """Topics that the broker does not let this client hear."""
+        self._unconfirmed: dict[int | None, str] = {}
         self._settings = settings
         self._subscriptions = subscriptions
         self._hear = hear
         self._up = up
+        self._newest_first = newest_first
         self._wait_s = FIRST_WAIT_S
         self._try_at_s = 0.0
         self._client: Client = Client(
@@ -79,7 +89,6 @@ class Broker:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
-        self._client.on_message = self._on_message
         self._client.on_socket_open = self._on_socket
         self._secure()
 
@@ -123,7 +132,7 @@ class Broker:
             if self.fileno() < 0:
                 time.sleep(timeout_s)
             return
-        self.serve(readable=self._poll(0.0 if self._buffered() else timeout_s))
+        self.serve(readable=self._poll(0.0 if self._client.buffered() else timeout_s))
 
     def _poll(self, timeout_s: float) -> bool:
         """Wait at most so long; True when something is there to be read, or the connection has ended."""
@@ -136,18 +145,28 @@ class Broker:
     def serve(self, *, readable: bool) -> None:
         """Read what has come, write what waits, keep the connection alive."""
         for _ in range(MOST_READS):
-            if not (readable or self._buffered()):
+            if not (readable or self._client.buffered()):
                 break
-            self._client.loop_read()  # one message
+            self._client.loop_read()
             readable = self._poll(0.0)
+        self._deliver()
         if self.wants_write():
             self._client.loop_write()
         self._client.loop_misc()
 
-    def _buffered(self) -> bool:
-        """Bytes that TLS has read already: no poll tells of them."""
-        found = self._client.socket()
-        return isinstance(found, ssl.SSLSocket) and found.pending() > 0
+    def _deliver(self) -> None:
+        """Hand on the messages that were read. Where the newest comes first, a flood's older ones are dropped: the
+        sender of a genuine one repeats it."""
+        messages = self._client.wire.messages()
+        if not self._newest_first:
+            for message in messages:
+                self._hear(*message)
+            return
+        until_s = time.monotonic() + HEAR_S
+        for message in reversed(messages):
+            self._hear(*message)
+            if time.monotonic() > until_s:
+                return
 
     def connect(self, now_s: float) -> None:
         """Try to, if it is time; the broker's answer comes in a turn."""
@@ -170,32 +189,31 @@ class Broker:
         with contextlib.suppress(OSError, ValueError):
             self._client.disconnect()
 
-    def _on_socket(self, _client: Client, _: object, found: Any) -> None:
-        """Small messages leave at once: waiting for more to send costs 40 ms each time."""
+    def _on_socket(self, _client: Any, _: object, found: Any) -> None:
+        """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client.wire = Wire()
 
-    def _on_connect(self, client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+    def _on_connect(self, client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):
             self.problem = f"the broker at {self.where} refuses: {reason}"
             return
         self.problem = ""
         self._wait_s = FIRST_WAIT_S
-        self._unconfirmed = {
-            client.subscribe(topic, qos=self._subscriptions[topic])[1] for topic in self._subscriptions
-        }
+        self.denied = ()
+        self._unconfirmed = {client.subscribe(topic, qos=ANYHOW)[1]: topic for topic in self._subscriptions}
         self._up()
 
-    def _on_subscribe(self, _client: Client, _: object, number: int, _reasons: object, _properties: object) -> None:
-        self._unconfirmed.discard(number)
+    def _on_subscribe(self, _client: Any, _: object, number: int, reasons: Any, _properties: object) -> None:
+        topic = self._unconfirmed.pop(number, "")
+        if topic and any(reason.is_failure for reason in reasons):
+            self.denied = (*self.denied, topic)
         self.listening = not self._unconfirmed
 
-    def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+    def _on_disconnect(self, _client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         self.listening = False
         if self.problem in ("", NOT_YET):
             self.problem = f"the broker at {self.where} has ended the connection: {reason}"
-
-    def _on_message(self, _client: Client, _: object, message: MQTTMessage) -> None:
-        self._hear(message.topic, bytes(message.payload), message.retain)
 
 
 def read_secret(path: str) -> str:

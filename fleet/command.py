@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import getpass
 import json
+import os
 import secrets
 import signal
 import socket
@@ -12,15 +14,17 @@ from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Callable
 from contextlib import closing
 
+from failstop.api import words
 from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
 from failstop.fleet import FleetError, publisher, report, settings, signed, topics, view
-from failstop.fleet.broker import ANYHOW, Broker
+from failstop.fleet.broker import Broker
 from failstop.fleet.roster import Roster
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.shm import instance
+from failstop.supervisor.status import Notify
 
 EXAMPLES = """\
 failstop fleet                       # every robot, live
@@ -78,14 +82,25 @@ def _publish(arguments: Namespace) -> int:
     service = publisher.Service(arguments.name)
     robot = found.robot_id(arguments.name)
     publishing = publisher.Publisher(found, arguments.name, service, robot, publisher.store(arguments.name))
+    manager = Notify.taken_from(os.environ, os.getpid())
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda by, _: ended.append(by))
     standard.say(f"publishing {arguments.name!r} as {robot} at {publishing.broker.where}")
+    said = None
     while not ended:
         publishing.turn()
+        if (deaf := publishing.deaf()) != said:
+            said = deaf
+            manager.say(_status(deaf))
     publishing.close()
     return 0
+
+
+def _status(deaf: str) -> str:
+    """What `systemctl status` shows, and `failstop doctor` reads."""
+    text = f"obeys no fleet stop: {words.printable(deaf)}" if deaf else "obeys a fleet stop"
+    return f"STATUS={text}\nERRNO={errno.ENOTCONN if deaf else 0}"
 
 
 def _key(arguments: Namespace) -> int:
@@ -109,7 +124,7 @@ def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
 
     manufacturer = found.text("robot.manufacturer")
     wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
-    return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", dict.fromkeys(wanted, ANYHOW), hear)
+    return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", wanted, hear)
 
 
 def _listen(broker: Broker, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
@@ -153,6 +168,8 @@ def _stop(arguments: Namespace) -> int:
     by = arguments.by or f"{getpass.getuser()}@{socket.gethostname()}"
     sender = Sender(_settings(arguments), " ".join(arguments.reason), by)
     done = sender.run(arguments.wait)
+    if sender.broker.denied:
+        standard.say(f"the broker does not let you read {' and '.join(sender.broker.denied)}: see its access list")
     if arguments.json:
         print(json.dumps(report.as_dict(sender.tally), indent=2))
     else:
@@ -164,16 +181,17 @@ def _forget(arguments: Namespace) -> int:
     found, name = _settings(arguments), arguments.robot
     roster, broker = _seen(found)
     with closing(broker):
-        _listen(broker, LIST_S, lambda: name in roster.robots)
+        _listen(broker, LIST_S, lambda: name in (robot.id for robot in roster.robots.values()))
         if broker.problem:
             raise FleetError(broker.problem)
-        if not (robot := roster.robots.get(name)):
+        known = {robot.id: in_topic for in_topic, robot in roster.robots.items()}
+        if (in_topic := known.get(name)) is None:
             raise FleetError(f"no robot {name!r} is known to the broker at {broker.where}")
-        if not robot.lost():
+        if not roster.robots[in_topic].lost():
             raise FleetError(f"{name} is connected: end its publisher first, or it is back at its next message")
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
-            broker.say(topics.of_robot(found.text("robot.manufacturer"), name, last), b"", retain=True)
-        _listen(broker, LIST_S, lambda: name not in roster.robots)
+            broker.say(topics.of_robot(found.text("robot.manufacturer"), in_topic, last), b"", retain=True)
+        _listen(broker, LIST_S, lambda: in_topic not in roster.robots)
     standard.tell(f"{name} is forgotten: a fleet stop does not miss it any more")
     return 0
 

@@ -7,20 +7,17 @@ import socket
 import threading
 from collections.abc import Iterator
 
+from failstop import extras
 from failstop.api.errors import FailstopError
 from failstop.api.state import StateReader
 from failstop.fleet import FleetError, metrics
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from wsgiref.simple_server import WSGIServer
-
     from prometheus_client import CollectorRegistry
     from prometheus_client.core import Metric
 
     from failstop.api.state import State
-
-EXTRA = "this needs prometheus-client: pip install 'failstop[fleet]'"
 
 
 class Collector:
@@ -60,7 +57,7 @@ def registry(name: str) -> CollectorRegistry:
     try:
         from prometheus_client import CollectorRegistry
     except ImportError:
-        raise FleetError(EXTRA) from None
+        raise FleetError(extras.missing("this needs prometheus-client", "fleet")) from None
     made = CollectorRegistry()
     made.register(Collector(name))
     return made
@@ -78,20 +75,18 @@ def text(name: str) -> str:
 def serving(name: str, host: str, port: int) -> Iterator[int]:
     """Serve /metrics, in threads, while the context lasts; gives the port. Raises FleetError."""
     found = registry(name)
-    from prometheus_client import start_http_server
+    from prometheus_client import make_wsgi_app
 
-    server: WSGIServer
+    from failstop.fleet import scraped
+
     try:
-        server, thread = start_http_server(port, host, found)
+        server = scraped.Server(host, port)
     except (OSError, OverflowError) as error:
         why = error.strerror if isinstance(error, OSError) else "no such port"
         raise FleetError(f"{host}:{port} can't be listened at: {why}; choose another with --serve HOST:PORT") from None
-    try:
-        yield server.server_port
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    server.set_app(make_wsgi_app(found))
+    with scraped.running(server) as bound:
+        yield bound
 
 
 def address(text: str) -> tuple[str, int]:

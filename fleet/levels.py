@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.api import words
 from failstop.fleet import replay, signed
 
 TYPE_CHECKING = False
@@ -94,7 +95,7 @@ def _text(body: dict[str, Any], key: str) -> str:
     found = body.get(key)
     if not isinstance(found, str):
         raise signed.Forged(f"no {key}")
-    return "".join(c if c.isprintable() else "?" for c in found[:MOST_TEXT])
+    return words.printable(found[:MOST_TEXT])[:MOST_TEXT]
 
 
 def _number(body: dict[str, Any], key: str) -> float:

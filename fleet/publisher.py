@@ -16,7 +16,7 @@ from failstop.api.events import EventLog
 from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.fleet import FleetError, signed, topics, vda5050
-from failstop.fleet.broker import ANYHOW, ONCE, Broker
+from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.procs.telemetry.state_files import state_directory
@@ -54,6 +54,7 @@ MOST_EVENTS = 20
 FORGED_S = 60.0
 """How long a message that was not the fleet's is told of."""
 SEEN = "fleet-stops.json"
+NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
@@ -113,14 +114,16 @@ class Publisher:
         self._unsaved = False
         """Written after the answers have left: a disk may take its time."""
         self._said_forged = 0
+        self._said_denied = ""
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
-        self.broker = Broker(settings, f"failstop-{robot_id}", self._stop_topics(), self._hear, self._up)
+        name = f"failstop-{robot_id}"
+        self.broker = Broker(settings, name, self._stop_topics(), self._hear, self._up, newest_first=True)
         self._will()
 
-    def _stop_topics(self) -> dict[str, int]:
-        return dict.fromkeys((self._stop_topic, topics.stop(self._manufacturer, self.robot_id)), ONCE)
+    def _stop_topics(self) -> tuple[str, str]:
+        return self._stop_topic, topics.stop(self._manufacturer, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
         """Wait for the broker, for as long as there is nothing else to do, then do that."""
@@ -128,6 +131,10 @@ class Publisher:
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         if self.broker.problem != was:
             standard.say(self.broker.problem or f"the broker at {self.broker.where} knows this robot {self.robot_id}")
+        if (denied := self._denied()) != self._said_denied:
+            self._said_denied = denied
+            if denied:
+                standard.say(f"WARNING: no stop of the fleet is obeyed here: {denied}")
         self.look(time.monotonic())
 
     def look(self, now_s: float) -> None:
@@ -149,6 +156,14 @@ class Publisher:
         if not self.broker.problem:
             for event in self._robot.events()[-MOST_EVENTS:]:
                 self._tell(event)
+
+    def deaf(self) -> str:
+        """Why no stop of the fleet is obeyed here now; empty: it would be."""
+        return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
+
+    def _denied(self) -> str:
+        denied = " and ".join(self.broker.denied)
+        return f"the broker does not let this robot read {denied}: see its access list" if denied else ""
 
     def busy(self, now_s: float) -> bool:
         """True while a stop of the fleet is carried out."""
@@ -197,8 +212,8 @@ class Publisher:
 
     def _own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
         found = []
-        if self._off:
-            found.append(vda5050.warning("fleetStopOff", f"no stop of the fleet is obeyed here: {self._off}", ""))
+        if off := self._off or self._denied():
+            found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
             found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+from failstop.api import words
 from failstop.fleet import topics, vda5050
 
 TYPE_CHECKING = False
@@ -20,6 +21,7 @@ class Robot:
     """One robot, as far as it was told of."""
 
     id: str
+    """Its name, printable."""
     connection: str = ""
     """ONLINE, OFFLINE or CONNECTIONBROKEN; empty: never told."""
     word: str = ""
@@ -31,6 +33,8 @@ class Robot:
     errors: tuple[str, ...] = ()
     """Types of those that need a person."""
     warnings: int = 0
+    deaf: str = ""
+    """Why it obeys no stop of the fleet; empty: it says nothing of the kind."""
     stamped_s: float | None = None
     """Of its last state, by its own clock."""
     heard_s: float | None = None
@@ -52,6 +56,7 @@ class Roster:
 
     def __init__(self) -> None:
         self.robots: dict[str, Robot] = {}
+        """By their names in topics."""
         self.strange = 0
         """Messages that could not be read."""
 
@@ -65,7 +70,7 @@ class Roster:
             if len(payload) > MOST_BYTES:
                 raise ValueError
             found = json.loads(payload)
-            known = self.robots.get(robot) or Robot(robot)
+            known = self.robots.get(robot) or Robot(words.printable(robot))
             if last == topics.CONNECTION:
                 known.connection = str(found["connectionState"])
             elif last == topics.STATE:
@@ -90,18 +95,15 @@ def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> Non
     volts = found["batteryState"].get("batteryVoltage")
     robot.driving = found["driving"] is True
     # A robot of another maker has the interface's own fields alone.
-    robot.word = _line(told.get("word", "") or ("DRIVING" if robot.driving else "STANDING"))
-    robot.why, robot.next = _line(told.get("why", "")), _line(told.get("next", ""))
+    robot.word = words.printable(told.get("word", "") or ("DRIVING" if robot.driving else "STANDING"))
+    robot.why, robot.next = words.printable(told.get("why", "")), words.printable(told.get("next", ""))
     robot.latched = stop != "NONE"
-    robot.errors = tuple(_line(str(row["errorType"])) for row in errors if row["errorLevel"] == vda5050.FATAL)
+    robot.errors = tuple(words.printable(str(row["errorType"])) for row in errors if row["errorLevel"] == vda5050.FATAL)
     robot.warnings = len(errors) - len(robot.errors)
+    deaf = [str(row["errorDescription"]) for row in errors if row["errorType"] == vda5050.DEAF]
+    robot.deaf = words.printable(deaf[0]) if deaf else ""
     robot.volts = float(volts) if volts is not None else None
     robot.stamped_s, robot.heard_s = vda5050.seconds(found["timestamp"]), now_s
-
-
-def _line(text: str) -> str:
-    """On one line of a terminal, whoever wrote it."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

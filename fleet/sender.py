@@ -7,8 +7,9 @@ import json
 import secrets
 import time
 
+from failstop.api import words
 from failstop.fleet import FleetError, levels, settings, signed, topics
-from failstop.fleet.broker import ANYHOW, Broker
+from failstop.fleet.broker import Broker
 from failstop.fleet.levels import Order
 from failstop.fleet.tally import Tally
 
@@ -51,9 +52,7 @@ class Sender:
             self._probe,
         )
         # All at once, from a thousand robots: what is lost all the same, the next sending is answered with.
-        self.broker = Broker(
-            found, f"failstop-stop-{self.id[:12]}", dict.fromkeys(wanted, ANYHOW), self._hear, self._up
-        )
+        self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
     def run(self, wait_s: float, progress: Callable[[Tally], None] = lambda _: None) -> bool:
         """Send until all have confirmed, `wait_s` at most; returns whether they did. Raises FleetError when no broker
@@ -100,7 +99,7 @@ class Sender:
             return
         robot, last = topics.robot_of(topic)
         if last == topics.CONNECTION:
-            self.tally.connection(robot, connection_word(payload))
+            self.tally.connection(words.printable(robot), connection_word(payload))
             return
         try:
             answer = levels.read_answer(self._key, payload)

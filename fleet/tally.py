@@ -18,6 +18,8 @@ UNCONFIRMED = {
 """What is known of a robot that has not come to the level that confirms."""
 WORDS = {vda5050.OFFLINE: "its publisher was ended", vda5050.BROKEN: "its connection is broken"}
 
+MUTE = "has it the fleet's key, and does the broker's access list let it read the stops?"
+
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
@@ -103,4 +105,6 @@ class Tally:
                 why = self._whys[robot]
                 return f"{level}: {why}" if why else UNCONFIRMED[levels.WRITTEN]
         connection = self._connections.get(robot, "")
+        if connection == vda5050.ONLINE:
+            return f"no answer, though it is connected: {MUTE}"
         return f"no answer: {WORDS[connection]}" if connection in WORDS else "no answer"

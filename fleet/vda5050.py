@@ -29,6 +29,8 @@ OFFLINE = "OFFLINE"
 BROKEN = "CONNECTIONBROKEN"
 GOOD_CHARGE, LOW_CHARGE = 80.0, 20.0
 """What the interface has for batteries that are known to be well or low, and no more."""
+DEAF = "fleetStopOff"
+"""The type of a robot's error: it obeys no stop of the fleet."""
 WARNING = "WARNING"
 FATAL = "FATAL"
 BY_HAND = ("gamepad", "teleop")

@@ -45,7 +45,7 @@ def why(robot: Robot) -> str:
     if robot.lost():
         last = f"last seen {robot.word}" if robot.word else "never seen"
         return f"connection broken; {last}, and what it does now is not known here"
-    return robot.why
+    return f"OBEYS NO FLEET STOP: {robot.deaf}; {robot.why}" if robot.deaf else robot.why
 
 
 def counts(robots: Sequence[Robot]) -> Line:
@@ -55,6 +55,8 @@ def counts(robots: Sequence[Robot]) -> Line:
     for name in dict.fromkeys((*ORDER, *found)):
         if number := found.count(name):
             line += [("   ", PLAIN), (f"{number} {name}", ROLES.get(name, PLAIN))]
+    if deaf := sum(bool(robot.deaf) for robot in robots if not robot.lost()):
+        line += [("   ", PLAIN), (f"{deaf} OBEY NO FLEET STOP" if deaf > 1 else "1 OBEYS NO FLEET STOP", FAIL)]
     return line
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from argparse import ArgumentParser, Namespace
 
-from failstop import config
+from failstop import config, extras
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
 from failstop.policy.settings import Settings
@@ -37,7 +37,7 @@ def main(arguments: Namespace) -> int:
     try:
         import tornado  # noqa: F401  # what every action needs
     except ImportError:
-        raise FailstopError("the page needs tornado: pip install 'failstop[web]'") from None
+        raise FailstopError(extras.missing("the page needs tornado", "web")) from None
     return ACTIONS[arguments.action](arguments)
 
 

@@ -1,4 +1,4 @@
-"""Words: times, ages and velocities as people read them."""
+"""Words: times, ages, velocities and the texts of others as people read them."""
 
 from __future__ import annotations
 
@@ -28,6 +28,12 @@ def span(seconds: float) -> str:
     if seconds < 2 * DAY_S:
         return f"{minutes // 60} h {minutes % 60} min"
     return f"{seconds / DAY_S:.0f} days"
+
+
+def printable(text: str) -> str:
+    """A text of somebody else's on one line of a terminal: what controls a terminal or turns the direction of writing
+    is shown as its code, as `\\x1b` or `\\u202e`."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def clock(unix_s: float, now_s: float) -> str:

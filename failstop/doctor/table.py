@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.doctor import machine, port, service, stop_path
+from failstop.doctor import fleet, machine, port, service, stop_path
 from failstop.doctor.look import LEVELS, Finding, Look
 
 CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
@@ -18,6 +18,7 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "clients": service.clients,
     "ROS 2": service.bridge,
     "unit": service.unit,
+    "fleet": fleet.fleet,
     "rights": machine.rights,
     "deaths": machine.early_news,
     "shared memory": machine.shared_memory,

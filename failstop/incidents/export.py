@@ -7,12 +7,13 @@ from io import BytesIO
 from math import tau
 from typing import Any
 
+from failstop import extras
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import WHEELS, Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 
-NEEDS = "an export needs MCAP: pip install 'failstop[export]'"
+NEEDS = extras.missing("an export needs MCAP", "export")
 SUFFIX = ".mcap"
 FRAME = "base_link"
 TOPICS = {

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from failstop import extras
 from failstop.incidents import files, memory, report, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 Panel = tuple[str, float, Callable[["Axes", Incident], None]]
 
 FORMATS = (".png", ".svg", ".pdf")
-NEEDS = "a plot needs matplotlib: pip install 'failstop[plots]'"
+NEEDS = extras.missing("a plot needs matplotlib", "plots")
 ZOOM_MS = (-60.0, 140.0)
 """A tick of 20 ms is to be seen, and the burst's repeats at 20 and 100 ms."""
 LEAST_MS = 200.0

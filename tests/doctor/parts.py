@@ -41,7 +41,7 @@ KERNEL: dict[str, Any] = {
     "ticks": TICKS,
 }
 """What the functions of System say, whatever they are asked."""
-SAYS: dict[str, str | None] = {"busctl": "b true\n"}
+SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
 """What a command prints."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}

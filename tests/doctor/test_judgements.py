@@ -26,6 +26,8 @@ PORT = STATE.device
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
 REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
+DEAF = "LoadState=loaded\nActiveState=active\nStatusText=obeys no fleet stop: no key\nStatusErrno=107\n"
+"""What systemd says of the robot's publisher."""
 BY_HAND: dict[str, Any] = {"unit": {}, "owners": {"/proc/100": "anna"}}
 """Started by a person."""
 
@@ -81,6 +83,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("rights", look(service=NOBODY, realtime=False), WARN, "this user gets no real-time priority"),
     ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
     ("shared memory", look(room=1024, service=NOBODY), FAIL, "1 KiB free"),
+    ("fleet", look(says={"systemctl": DEAF}), WARN, "obeys no fleet stop: no key"),
     ("RemoveIPC", look(**BY_HAND), WARN, "when anna logs out"),
     ("RemoveIPC", look(service=NOBODY, unit={}), WARN, "when anna logs out"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),

@@ -16,7 +16,7 @@ from typing import Any
 
 from failstop.api.events import Event
 from failstop.api.state import State
-from failstop.fleet.broker import ONCE, Broker
+from failstop.fleet.broker import Broker
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
 from failstop.lab.trial import wait_for
@@ -122,9 +122,7 @@ class Listener:
     def __init__(self, settings: FleetSettings, *wanted: str) -> None:
         self.last: dict[str, bytes] = {}
         self.all: list[tuple[str, bytes]] = []
-        self.broker = Broker(
-            settings, f"listener-{time.monotonic_ns()}", dict.fromkeys(wanted or ("#",), ONCE), self._hear
-        )
+        self.broker = Broker(settings, f"listener-{time.monotonic_ns()}", wanted or ("#",), self._hear)
 
     def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         self.last[topic] = payload

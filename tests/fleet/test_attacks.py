@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from bench.fleet_flood import packet
+from failstop.fleet import broker as broker_module
 from failstop.fleet import levels, signed, topics
 from failstop.fleet.levels import Answer, Order
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.fleet.tally import Tally
+from failstop.fleet.tally import MUTE, Tally
 from tests.support import states
 
 from .conftest import Enrol, maker
@@ -179,6 +181,32 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     assert sum(sent) > 1000
 
 
+def test_of_a_pile_the_newest_is_heard_first(enrol: Enrol, key: str, settings: FleetSettings) -> None:
+    """The rest is left when the time for one turn is over."""
+    heard: list[bytes] = []
+    publisher = enrol()
+    broker = publisher.broker
+    ticks = iter(range(100))
+    junk = [f"{number}".encode() for number in range(10)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(broker, "_hear", lambda _topic, payload, _retained: heard.append(payload))
+        patch.setattr("failstop.fleet.broker.time.monotonic", lambda: next(ticks) * broker_module.HEAR_S / 3)
+        broker._client.wire.feed(b"".join(packet("t", payload, 0) for payload in junk))
+        broker._deliver()
+    assert heard == [b"9", b"8", b"7", b"6"]
+    assert broker._client.wire.messages() == []
+
+
+def test_a_message_of_twenty_megabytes(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    wire = publisher.broker._client.wire
+    listener.broker.say(topics.stop(settings.text("robot.manufacturer")), bytes(20_000_000), qos=0)
+    pump("it to be skipped", lambda: wire.skipped, publisher, listener)
+    assert publisher.broker._client.wire is wire, "on the same connection"
+    assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
+
+
 def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path) -> None:
     """By who sees the stop's id and has no key; and one of another stop, recorded."""
     signed.make_key(str(tmp_path / "other"))
@@ -262,7 +290,7 @@ def test_no_key_on_the_robot_is_said_and_missed(
 
     pump("the warning", said, publisher, listener)
     tally = stop_all(settings, publisher, wait_s=1.0)
-    assert [row.why for row in tally.missing()] == ["no answer"]
+    assert [row.why for row in tally.missing()] == [f"no answer, though it is connected: {MUTE}"]
     assert robot.asked == []
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import socket
+import threading
 import urllib.request
 
 import pytest
@@ -11,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from failstop.api.snapshot import Device
 from failstop.api.state import State
-from failstop.fleet import FleetError, exposition, metrics, page
+from failstop.fleet import FleetError, exposition, metrics, page, scraped
 from failstop.policy import causes
 from failstop.version import VERSION
 from tests.support import states
@@ -151,6 +154,18 @@ def test_served_over_http_and_gone_afterwards() -> None:
             pass
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(url, timeout=10)
+
+
+def test_idle_connections_take_few_threads_and_keep_nobody_from_the_metrics() -> None:
+    before = threading.active_count()
+    with exposition.serving("nobody", "127.0.0.1", 0) as port, contextlib.ExitStack() as idle:
+        for number in range(40):
+            with contextlib.suppress(OSError):  # its backlog is full for a moment
+                idle.enter_context(socket.create_connection(("127.0.0.1", port), 5))
+            assert threading.active_count() <= before + 1 + scraped.MOST_CONNECTIONS, number
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
+            assert b"\nfailstop_up 0.0\n" in answer.read()
+        assert threading.active_count() <= before + 1 + scraped.MOST_CONNECTIONS
 
 
 @pytest.mark.parametrize("given", ["", "9464", "localhost", "127.0.0.1:x", "127.0.0.1:65536", "127.0.0.1:-1"])

@@ -2,165 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import shutil
-import subprocess
-import sys
-import tempfile
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from bench.container import Bind, Container, ContainerMissing
-from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.deb import tree
-from tests.support.pages import ROOT
 
-UNIT = "failstop.service"
-BOARD = "/board/port"
-LINK = "/dev/failstop"
-"""There is no udev inside: what its rule would make is made by the tests."""
-SETTINGS = "/etc/failstop/failstop.toml"
-OLDER = "0.0.9"
-OPERATES = "/etc/systemd/system/failstop-web.service.d"
-PLACES = (
-    *("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd", "/usr/lib/sysusers.d", "/usr/bin"),
-    *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
-    "/usr/share/man/man1",
-)
+from .installing import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
-
-
-class Place:
-    """A container with an empty directory for packages, and a board."""
-
-    def __init__(self, box: Container, board: SimBoard, packages: Path) -> None:
-        self.box = box
-        self.board = board
-        self.packages = packages
-
-    def dpkg(self, *words: str, code: int = 0) -> str:
-        """Run dpkg inside; returns all that it and the package's scripts said. It must end with this code."""
-        done = self.box.run("dpkg", *words, check=False, timeout_s=90)
-        assert done.returncode == code, (done.stdout + done.stderr)[-3000:]
-        return done.stdout + done.stderr
-
-    def files(self) -> set[str]:
-        """Every path where failstop could leave something; the container's own changes there are not counted."""
-        found = self.box.run("find", *PLACES, check=False).stdout.splitlines()
-        own = ("/etc/.pwd.lock", "/etc/passwd-", "/etc/group-", "/etc/shadow-", "/etc/gshadow-")
-        return {path for path in found if path not in own and "__pycache__" not in path}
-
-    def accounts(self) -> list[str]:
-        """What the user and group files say of failstop."""
-        return self.box.run("grep", "-h", "failstop", "/etc/passwd", "/etc/group", check=False).stdout.splitlines()
-
-    def plug(self) -> None:
-        """The board has the name that the udev rule gives it."""
-        self.box.path(LINK).symlink_to(BOARD)
-
-    def unplug(self) -> None:
-        self.box.path(LINK).unlink(missing_ok=True)
-
-    @contextlib.contextmanager
-    def driving(self) -> Iterator[None]:
-        """The wheels turn, and a client goes on commanding."""
-        self.box.run("failstop", "enable")
-        words = self.box.entering("failstop", "drive", "0.1", "0", "0", "--for", "60")
-        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:
-            self.board.wait_wheels(True, 5.0)
-            try:
-                yield
-            finally:
-                client.kill()
-
-    def ready(self) -> bool:
-        return self.active(UNIT)
-
-    def active(self, unit: str) -> bool:
-        found = self.box.show(unit, "ActiveState", "SubState")
-        return found == {"ActiveState": "active", "SubState": "running"}
-
-    def pid(self, unit: str) -> int:
-        """Inside; 0: none."""
-        return int(self.box.show(unit, "MainPID")["MainPID"])
-
-    def settings(self) -> str:
-        return self.box.run("cat", SETTINGS).stdout
-
-
-@pytest.fixture(scope="module")
-def module_place() -> Iterator[Place]:
-    tools = ("dpkg", "dpkg-deb", "deb-systemd-helper", f"/usr/bin/{tree.PYTHON}")
-    if absent := [tool for tool in tools if not shutil.which(tool)]:
-        pytest.skip(f"not installed: {', '.join(absent)}")
-    with tempfile.TemporaryDirectory(prefix="failstop-install-") as name:
-        directory = Path(name)
-        directory.chmod(0o755)
-        for part in ("board", "packages"):
-            (directory / part).mkdir()
-        binds = [Bind(str(directory / "board"), "/board"), Bind(str(directory / "packages"), "/packages")]
-        with SimBoard(directory / "board" / "port", mode=0o666) as board:
-            try:
-                # Images for containers forbid the start of services by packages.
-                box = Container({}, binds, "rm -f /usr/sbin/policy-rc.d")
-            except ContainerMissing as reason:
-                pytest.skip(str(reason))
-            with box:
-                # No index of every manual page of the machine after each installation.
-                box.path("/var/lib/man-db/auto-update").unlink(missing_ok=True)
-                yield Place(box, board, directory / "packages")
-
-
-@pytest.fixture
-def place(module_place: Place) -> Iterator[Place]:
-    """Without failstop, before and after."""
-    before = module_place.files()
-    assert module_place.accounts() == []
-    yield module_place
-    # A test that failed does not spoil the next.
-    module_place.box.run("dpkg", "--purge", "failstop", check=False)
-    module_place.unplug()
-    left = module_place.files() ^ before, module_place.accounts(), module_place.box.pids(UNIT)
-    assert left == (set(), [], [])
-
-
-@pytest.fixture(scope="module")
-def built(module_place: Place) -> list[str]:
-    """What the build says."""
-    build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(module_place.packages)]
-    done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
-@pytest.fixture(scope="module")
-def package(built: list[str]) -> str:
-    """The package's path inside."""
-    return f"/packages/{Path(built[0]).name}"
-
-
-@pytest.fixture(scope="module")
-def older(built: list[str], module_place: Place, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The path inside of the same package with another version."""
-    place = tmp_path_factory.mktemp("older") / "package"
-    subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
-    control = place / "DEBIAN/control"
-    lines = control.read_text().splitlines(keepends=True)
-    control.write_text("".join(f"Version: {OLDER}\n" if line.startswith("Version:") else line for line in lines))
-    out = module_place.packages / f"failstop_{OLDER}.deb"
-    subprocess.run(["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(place), str(out)], check=True)
-    return f"/packages/{out.name}"
-
-
-def stopped(board: SimBoard) -> bool:
-    """The board's word: the last motor frame was a stop, and the wheels are still."""
-    motor = [event for event in board.events() if event.is_motor]
-    return bool(motor) and motor[-1].is_stop and not any(board.wheels())
 
 
 def completes(place: Place, script: str) -> bool:
@@ -180,6 +31,7 @@ def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
     names = {line.split(":")[0] for line in fields.splitlines() if not line.startswith(" ")}
     assert names >= {"Package", "Version", "Architecture", "Maintainer", "Installed-Size", "Depends", "Description"}
     assert f"Depends: {tree.PYTHON}, libc6 (>= 2." in fields
+    assert "Recommends: openssl" in fields, "HTTPS of the page needs it"
     rows = [row.split(maxsplit=5) for row in place.box.run("dpkg-deb", "--contents", package).stdout.splitlines()]
     assert {row[1] for row in rows} == {"root/root"}
     assert {row[0] for row in rows} == {"drwxr-xr-x", "-rw-r--r--", "-rwxr-xr-x", "lrwxrwxrwx"}
@@ -314,11 +166,14 @@ def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, packag
         ]
         assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
     assert place.box.show(more[2], "User") == {"User": "daemon"}
+    fleet = "failstop-fleet.service"
+    wait_for("the publisher's word", lambda: place.box.show(fleet, "StatusErrno") == {"StatusErrno": "107"}, 20.0)
+    assert place.box.show(fleet, "StatusText")["StatusText"].startswith("obeys no fleet stop: no broker at 127.0.0.1")
+    assert "obeys no fleet stop: no broker" in place.box.run("failstop", "doctor", "--quick", check=False).stdout
     place.dpkg("-r", "failstop")
     assert not any(place.active(unit) for unit in more)
     assert not [path for path in place.files() if path.endswith(more)]
     place.box.run("rm", "-r", "/opt/ros", OPERATES)
-    place.box.run("rm", "-rf", "/var/lib/private", "/var/lib/failstop-web", "/var/lib/failstop-fleet")
 
 
 def test_the_package_does_not_go_over_an_older_installation(place: Place, package: str) -> None:

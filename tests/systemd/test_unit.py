@@ -249,5 +249,6 @@ def test_the_fleets_unit_can_not_drive_and_the_service_does_not_need_it() -> Non
     assert not {"PartOf", "Requires", "BindsTo", "Wants", "SupplementaryGroups", "Group", "User"} & set(given)
     assert (given["DynamicUser"], given["Restart"]) == ("yes", "always")
     later = {"Type": 240, "DynamicUser": 235, "LoadCredential": 247, "StateDirectory": 235, "PrivateDevices": 209}
+    later |= {"LimitNOFILE": 1, "CPUWeight": 231, "MemoryMax": 231, "TasksMax": 227}
     later |= {"RestrictAddressFamilies": 211, "RestrictRealtime": 231, "After": 1, "Description": 1}
     assert [key for key, _ in found if {**SINCE, **later}.get(key, 999) > OLDEST] == []

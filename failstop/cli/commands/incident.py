@@ -39,8 +39,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|plot|export")
     listing = actions.add_parser("list", help="every incident that is kept, the newest last")
     told = actions.add_parser("show", help="what happened: the facts, and the story in order")
-    plot = actions.add_parser("plot", help="a picture of one, as PNG, SVG or PDF; needs failstop[plots]")
-    export = actions.add_parser("export", help="one as MCAP with ROS 2 messages, for Foxglove; needs failstop[export]")
+    plot = actions.add_parser("plot", help="a picture of one, as PNG, SVG or PDF; needs matplotlib")
+    export = actions.add_parser("export", help="one as MCAP with ROS 2 messages, for Foxglove; needs mcap")
     for action in (told, plot, export):
         action.add_argument("id", nargs="?", default=files.LAST, help=WHICH)
     told.add_argument("--all", action="store_true", help="every line of the story, the machine, settings, versions")

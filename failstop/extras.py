@@ -1,0 +1,26 @@
+"""Extras: packages that a part of failstop needs and the service does not, and what to type where they are missing.
+
+No index has failstop itself: a person is told the packages by their own names, for the environment that runs this.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shlex
+import sys
+
+PACKAGES = {
+    "export": ("mcap", "mcap-ros2-support"),
+    "fleet": ("paho-mqtt", "prometheus-client"),
+    "plots": ("matplotlib",),
+    "web": ("segno", "tornado"),
+}
+"""By the extra of pyproject.toml that names them."""
+
+
+def missing(what: str, extra: str) -> str:
+    """The message for something that needs an extra which is not there."""
+    packages = " ".join(PACKAGES[extra])
+    if importlib.util.find_spec("pip") is None:
+        return f"{what}, and there is no pip in {sys.prefix}: do it on a machine with failstop's source and {packages}"
+    return f"{what}: {shlex.quote(sys.executable)} -m pip install {packages}"

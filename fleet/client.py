@@ -1,0 +1,33 @@
+"""Client: paho-mqtt's, with a Wire between it and its socket. Needs paho-mqtt."""
+
+from __future__ import annotations
+
+import ssl
+
+from paho.mqtt import client
+
+from failstop.fleet.wire import Wire
+
+READ_BYTES = 1 << 16
+
+
+class Client(client.Client):
+    """Messages are taken from its wire, and come by no callback."""
+
+    wire = Wire()
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        """Bytes that paho-mqtt asks for: of the connection, read once, what is no message."""
+        if not self.wire.holds():
+            data = super()._sock_recv(READ_BYTES)
+            if not data:
+                return b""
+            self.wire.feed(data)
+            if not self.wire.holds():
+                raise BlockingIOError
+        return self.wire.take(bufsize)
+
+    def buffered(self) -> bool:
+        """True while there are bytes that no poll tells of: sorted out, or read by TLS."""
+        found = self.socket()
+        return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)

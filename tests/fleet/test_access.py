@@ -1,0 +1,140 @@
+"""What a broker lets whom read and write: the access list of docs/fleet.md, and a robot that may not hear the stops."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.fleet import levels, topics, vda5050
+from failstop.fleet.publisher import Publisher
+from failstop.fleet.sender import Sender
+from tests.support.pages import ROOT
+
+from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
+
+PASSWORDS = shutil.which("mosquitto_passwd")
+PLUGIN = next(iter(Path("/usr/lib").glob("*/mosquitto_dynamic_security.so")), None)
+MAKER = "failstop"
+"""The manufacturer of the page's access list."""
+USERS = ("r1", "r2", "operator")
+pytestmark = pytest.mark.skipif(MOSQUITTO is None or PASSWORDS is None, reason="needs mosquitto: `make fleet`")
+
+
+def access_list() -> str:
+    """As the page has it."""
+    [found] = re.findall(r"```text\n(pattern .*?)```", (ROOT / "docs/fleet.md").read_text(), re.DOTALL)
+    return str(found)
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[Mosquitto]:
+    """A broker with a password for each, and the page's access list."""
+    assert PASSWORDS is not None
+    stored, listed = tmp_path / "stored", tmp_path / "list"
+    for name in USERS:
+        create = () if stored.exists() else ("-c",)
+        subprocess.run([PASSWORDS, "-b", *create, str(stored), name, name], check=True, capture_output=True)
+        (tmp_path / name).write_text(f"{name}\n")
+        (tmp_path / name).chmod(0o600)
+    listed.write_text(access_list())
+    with mosquitto(tmp_path, "allow_anonymous false", f"password_file {stored}", f"acl_file {listed}") as running:
+        yield running
+
+
+def known(broker: Mosquitto, user: str) -> dict[str, object]:
+    """The settings of a user."""
+    return {"broker__user": user, "broker__password_file": str(broker.folder / user), "robot__manufacturer": MAKER}
+
+
+def robot(broker: Mosquitto, key: str, name: str, **changed: object) -> Publisher:
+    settings = broker.settings(**{**known(broker, name), "stop__key_file": key, **changed})
+    (broker.folder / f"{name}-store").mkdir()
+    made = Publisher(settings, "failstop", Pretended(), name, str(broker.folder / f"{name}-store"))
+    pump("its connection", lambda: made.broker.listening, made)
+    return made
+
+
+def test_with_the_page_s_access_list_a_fleet_stop_reaches_every_robot(guarded: Mosquitto, key: str) -> None:
+    robots = [robot(guarded, key, name) for name in ("r1", "r2")]
+    sender = Sender(guarded.settings(**known(guarded, "operator"), stop__key_file=key), "smoke", "ann")
+    running = threading.Thread(daemon=True, target=sender.run, args=(10.0,))
+    running.start()
+    while running.is_alive():
+        for each in robots:
+            each.turn(0.005)
+    assert sender.tally.robots() == ["r1", "r2"]
+    assert sender.tally.all_reached(levels.ACKNOWLEDGED)
+    for each in robots:
+        each.broker.close()
+
+
+def test_with_the_page_s_access_list_a_robot_writes_what_is_its_own_alone(guarded: Mosquitto, key: str) -> None:
+    """No stop, nothing in another's name: neither reaches the other robot nor the operator."""
+    victim = Pretended()
+    other = robot(guarded, key, "r2")
+    other._robot = victim
+    operator = Listener(guarded.settings(**known(guarded, "operator")))
+    stranger = Listener(guarded.settings(**known(guarded, "r1")), "nothing")
+    for each in (operator, stranger):
+        pump("a connection", lambda each=each: each.broker.listening, each)  # type: ignore[misc]
+    forbidden = [
+        topics.stop(MAKER),
+        topics.stop(MAKER, "r2"),
+        topics.answer(MAKER, "f" * 32, "r2"),
+        topics.of_robot(MAKER, "r2", topics.CONNECTION),
+    ]
+    for topic in forbidden:
+        stranger.broker.say(topic, b"by r1")
+    own = topics.of_robot(MAKER, "r1", topics.EVENT)
+    stranger.broker.say(own, b"by r1")
+    pump("its own", lambda: own in operator.last, operator, stranger, other)
+    assert not [topic for topic in forbidden if operator.last.get(topic) == b"by r1"]
+    assert other._obedience.forged == 0
+    for broker in (operator.broker, stranger.broker, other.broker):
+        broker.close()
+
+
+def dynamic(folder: Path, *, subscribe: bool) -> str:
+    """A configuration of mosquitto's plugin, by which nobody, or everybody, may subscribe."""
+    allowed = {"publishClientSend": True, "publishClientReceive": True, "subscribe": subscribe, "unsubscribe": True}
+    acls = [{"acltype": kind, "topic": "#", "priority": 0, "allow": allow}
+            for kind, allow in (("publishClientSend", True), ("publishClientReceive", True),
+                                ("subscribePattern", subscribe))]  # fmt: skip
+    everybody = {"groupname": "everybody", "roles": [{"rolename": "all"}], "clients": []}
+    found = {
+        "defaultACLAccess": allowed,
+        "clients": [],
+        "groups": [everybody],
+        "roles": [{"rolename": "all", "acls": acls}],
+        "anonymousGroup": "everybody",
+    }
+    path = folder / "dynamic.json"
+    path.write_text(json.dumps(found))
+    return str(path)
+
+
+@pytest.mark.skipif(PLUGIN is None, reason="needs mosquitto's plugin for dynamic security")
+def test_a_robot_that_may_not_hear_the_stops_says_so(
+    tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In its state, so that `failstop fleet` has it, and of itself."""
+    lines = ("allow_anonymous true", f"plugin {PLUGIN}", f"plugin_opt_config_file {dynamic(tmp_path, subscribe=False)}")
+    with mosquitto(tmp_path, *lines) as broker:
+        publisher = robot(broker, key, "r1", broker__user="", broker__password_file="")
+        assert publisher.broker.denied == (topics.stop(MAKER), topics.stop(MAKER, "r1"))
+        assert publisher.deaf() == (
+            f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
+            "see its access list"
+        )
+        [error] = [row for row in publisher._own_errors(0.0) if row["errorType"] == vda5050.DEAF]
+        assert error["errorDescription"] == publisher.deaf()
+        publisher.turn(0.0)
+        assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())
+        publisher.broker.close()
