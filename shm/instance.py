@@ -91,12 +91,12 @@ def publish(runtime_dir: str, incarnation: int) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Take away what a run has put into its directory, all but the lock; as far as it is there."""
+    """Take away what a run has put into its directory, its name first, all but the lock; as far as it is there."""
     try:
         where = place.directory(runtime_dir)
     except OSError:
         return
-    for path in (stop_path, bell_path, claims_path, run_path, _draft_path):
+    for path in (run_path, stop_path, bell_path, claims_path, _draft_path):
         with contextlib.suppress(OSError):
             os.unlink(os.path.basename(path(runtime_dir)), dir_fd=where)
     os.close(where)

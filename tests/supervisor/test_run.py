@@ -29,7 +29,10 @@ def name() -> str:
 
 
 def new(name: str, directory: Path | str) -> Run:
-    return Run(World(), Settings(), name, str(directory))
+    """A run that can be found."""
+    found = Run(World(), Settings(), name, str(directory))
+    found.publish()
+    return found
 
 
 def close(made: Run) -> None:

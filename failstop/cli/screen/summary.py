@@ -111,7 +111,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
 def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port, link = state.device.state, state.device.link
-    found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
+    found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     return [*found, (", link ", PLAIN), LINKS.get(link, (link, WARN))] if port == "open" else found
 
 
