@@ -37,7 +37,7 @@ def start(words: dict[str, str]) -> int:
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         rights.take_descriptors()
-        run = Run(world, settings, words["name"], words["dir"], journal)
+        run = Run(world, settings, words["name"], words["dir"], journal, words["again"])
         supervisor = _found(run, port, notify)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)

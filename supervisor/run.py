@@ -47,7 +47,13 @@ class Run:
     """Shared memory, pipes, claims, bells and control sockets of one run; its settings, loop and events."""
 
     def __init__(
-        self, world: World, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None
+        self,
+        world: World,
+        settings: Settings,
+        name: str,
+        runtime_dir: str,
+        journal: Outbox | None = None,
+        again: str = "",
     ) -> None:
         """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
         publish(). Raises segment.AttachError, instance.InstanceError, OSError, and leaves a dead run's memory then, and
@@ -56,6 +62,8 @@ class Run:
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
+        self._again = again
+        """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segment.memory(name, self.incarnation)
         """What the segments are named after."""
@@ -120,7 +128,10 @@ class Run:
 
     def publish(self) -> None:
         """Let the run be found by its name. Last of all: by now everything is there that clients read at once (rules,
-        settings, the supervisor's heartbeat and process table). Raises OSError."""
+        settings, the supervisor's heartbeat and process table). How it was started is kept for when it has ended.
+        Raises OSError."""
+        device = os.path.abspath(self.settings.text("device.path"))
+        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos()))
         self.published = instance.publish(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import msgpack
 
+from failstop.api import host
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
@@ -93,7 +94,7 @@ def send_stop(name: str, reason: str, who: str = "") -> None:
 
 def gone(name: str) -> NoService:
     """The error of every call to a service that was there before."""
-    return NoService(f"the service {name!r} has gone: start it with `failstop run{instance.option(name)}`")
+    return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
 
 
 class Run:

@@ -71,7 +71,7 @@ def steps(state: State) -> list[str]:
     if state.blocked is None:
         return [] if state.moving else [words.named(drive, state.name)]
     if any(process.state == "dead" for process in state.processes.values()):
-        return [host.start(state.name, state.device.path), words.named("`failstop enable`", state.name)]
+        return [host.start(state.name), words.named("`failstop enable`", state.name)]
     found = []
     if state.device.state != "open":
         found.append(f"plug the board in ({state.device.path})")
