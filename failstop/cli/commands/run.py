@@ -71,6 +71,7 @@ def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
     rights.take_descriptors()
+    rights.take_stack()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = config.checked({**read, **given}, arguments.config)
