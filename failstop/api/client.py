@@ -170,6 +170,7 @@ class Client:
                 self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
                 taken.callback(os.close, self._bell)
                 self.slot, self._segment = self._claim_slot(claims, found, gate.incarnation)
+                taken.callback(self._segment.close)
             except PermissionError:
                 raise FailstopError(
                     f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the "
