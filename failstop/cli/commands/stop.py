@@ -50,7 +50,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
     add_name(parser)
     parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE} and {WAIT} are used")
-    parser.add_argument("--device", metavar="PATH", help=f"the board's port (default: {DEVICE}, else {device})")
+    parser.add_argument(
+        "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
+    )
     parser.add_argument("--wait", metavar="S", type=float, help=f"how long to try (default: {WAIT}, else {wait_s:g} s)")
     parser.add_argument(
         "--services",
