@@ -533,15 +533,18 @@ class Interrupted(Exception):
 
 
 @contextlib.contextmanager
-def raising_at_alarm() -> Iterator[None]:
-    """The handler of SIGALRM raises."""
+def raising_at_alarm() -> Iterator[threading.Event]:
+    """The handler of SIGALRM raises, the first time that it comes; the event is then set."""
+    raised = threading.Event()
 
     def handler(*_: object) -> None:
-        raise Interrupted
+        if not raised.is_set():
+            raised.set()
+            raise Interrupted
 
     before = signal.signal(signal.SIGALRM, handler)
     try:
-        yield
+        yield raised
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
@@ -551,18 +554,20 @@ def test_an_exception_of_a_signal_s_handler_leaves_no_thread(held: Segment) -> N
     """It comes while the thread has begun and does not hold the word yet; then the caller gives the file back."""
     threads, descriptors = _thread._count(), len(os.listdir("/proc/self/fd"))
     may_hold = threading.Event()
+    with raising_at_alarm() as raised:
 
-    class Slow(Futex):
-        """One that takes its time."""
+        class Slow(Futex):
+            """One that takes its time."""
 
-        def hold(self, lines: int = 1) -> object:
-            os.kill(os.getpid(), signal.SIGALRM)
-            assert may_hold.wait(20.0)
-            return super().hold(lines)
+            def hold(self, lines: int = 1) -> object:
+                while not raised.wait(0.001):  # a signal that comes just before a wait for a lock does not end that
+                    os.kill(os.getpid(), signal.SIGALRM)
+                assert may_hold.wait(20.0)
+                return super().hold(lines)
 
-    word = Slow(held.fileno(), held.spec.offsets["held"] + 40 * LINE_BYTES, write=True)
-    with raising_at_alarm(), pytest.raises(Interrupted):
-        HeldByThread(word)
+        word = Slow(held.fileno(), held.spec.offsets["held"] + 40 * LINE_BYTES, write=True)
+        with pytest.raises(Interrupted):
+            HeldByThread(word)
     assert _thread._count() == threads + 1, "its thread has begun"
     held.close()
     with open(os.devnull) as other:  # the file that has the number now
