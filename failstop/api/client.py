@@ -132,7 +132,10 @@ class Run:
 
     def over(self) -> bool:
         """True when this run has ended: its supervisor has died. One system call: cheap enough for every call."""
-        return not segment.lives(self._life)
+        try:
+            return not segment.lives(self._life)
+        except OSError:  # a program that closes what is not its own: the next look makes another
+            return True
 
     def silent(self, now_ns: int) -> bool:
         """True when the supervisor's lease has run out: then nothing admits motion."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 
 from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
@@ -33,6 +32,8 @@ def start(name: str) -> str:
 
 def stop(device: str | None = None) -> str:
     """The command that writes a stop without a service, in backquotes."""
+    import shlex  # a program that drives need not have it
+
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 

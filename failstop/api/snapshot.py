@@ -115,6 +115,7 @@ class Device:
     """The port of the board."""
 
     path: str
+    """Of its file, as the settings or `--device` name it."""
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link

@@ -174,6 +174,16 @@ def test_a_supervisor_that_can_t_begin_leaves_nothing_but_the_memory_of_the_run_
     assert segment.dead_runs(service.name) == [dead.memory]
 
 
+def test_a_program_that_has_closed_every_descriptor_finds_its_run_again(service: Service) -> None:
+    run = service.start()
+    robot = Robot(service.name)
+    reader = robot._current()
+    os.close(reader._life)
+    assert reader.over()
+    assert robot.state.cause is None
+    assert robot._current().found[0] == run.memory
+
+
 def test_the_name_goes_first(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     run = service.start()
     unlink = segment.unlink
