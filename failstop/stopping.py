@@ -27,9 +27,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 
-def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+def stop(
+    path: str,
+    wait: Callable[[PortError], float],
+    say: Callable[[str], None],
+    otherwise: Callable[[PortError], bool] = lambda _: False,
+) -> float:
     """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
-    has failed: the answer may be in a file. Raises PortError, the last one met."""
+    has failed: the answer may be in a file. `otherwise`: called after each try that has failed; True: a stop is out by
+    another way. Raises PortError, the last one met."""
     start_s = time.monotonic()
     wait_s = -1.0
     warned = False
@@ -38,6 +44,8 @@ def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], Non
         try:
             write(path)
         except PortError as error:
+            if otherwise(error):
+                return waited_s
             wait_s = wait(error) if wait_s < 0 else wait_s
             if waited_s >= wait_s:
                 raise

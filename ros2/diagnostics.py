@@ -82,7 +82,7 @@ def _level(process: Process) -> int:
 
 def _port(state: State) -> Status:
     found = state.device.state
-    return _status("port", OK if found == "open" else ERROR, found, path=state.device.path or "")
+    return _status("port", OK if found == "open" else ERROR, found, path=state.device.path)
 
 
 def _link(state: State) -> Status:

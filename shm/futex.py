@@ -52,12 +52,13 @@ class Futex:
     Only the kernel reaches it through the mapping: a file that somebody has truncated costs no SIGBUS.
     """
 
-    __slots__ = ("_address", "_fd", "_offset", "_page")
+    __slots__ = ("_address", "_fd", "_offset", "_owned", "_page")
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
         """Lines that belong together are in one page. The descriptor stays the caller's, and open as long as somebody
         waits. Raises OSError."""
         self._fd = fd
+        self._owned = False
         self._offset = offset
         start = offset // mmap.PAGESIZE * mmap.PAGESIZE
         access = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
@@ -65,6 +66,12 @@ class Futex:
         if self._page == ctypes.c_void_p(-1).value:
             raise OSError(ctypes.get_errno(), "a futex can't be mapped")
         self._address = self._page + offset - start
+
+    def detach(self) -> None:
+        """Have a descriptor of its own: whenever the caller closes that of before, a thread that is about to hold this
+        does not write to the next file of that number. Once. Raises OSError."""
+        self._fd = os.dup(self._fd)
+        self._owned = True
 
     def _value(self) -> int:
         try:
@@ -121,6 +128,8 @@ class Futex:
     def close(self) -> None:
         """Take it out of this process's memory, once no thread of it holds it or waits for it."""
         _libc.munmap(self._page, mmap.PAGESIZE)
+        if self._owned:
+            os.close(self._fd)
 
 
 def _set_robust_list(kept: ctypes.Array[ctypes.c_char]) -> int:

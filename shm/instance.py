@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 
 from failstop.shm import bell, place, root
+from failstop.shm.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -15,6 +17,19 @@ DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
+LAST_BYTES = 65536
+"""More than the longest paths of port and settings file, quoted for a shell."""
+
+
+class Last(Data):
+    """How the last run of a name was started."""
+
+    device: str = ""
+    """Its port; empty: there was no run that this user can see."""
+    command: str = ""
+    """The command line that starts it again."""
+    servos: tuple[int, ...] = ()
+    """Of the robot's arm."""
 
 
 class InstanceError(Exception):
@@ -67,18 +82,61 @@ bell_path = _file("bell")
 """The FIFO by which clients wake the gate."""
 run_path = _file("run")
 """The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
-_draft_path = _file("run.new")
+last_path = _file("last")
+"""The file that says how the last run was started; it stays when that has ended."""
+
+
+def _draft_of(path: str) -> str:
+    """Where a file is written before it takes its name."""
+    return f"{path}.new"
 
 
 def publish(runtime_dir: str, incarnation: int) -> int:
     """Say which run serves this directory; returns the descriptor of the file that says so. Raises OSError."""
-    draft, path = _draft_path(runtime_dir), run_path(runtime_dir)
+    return _put(runtime_dir, run_path(runtime_dir), f"{incarnation:016x}\n".encode())
+
+
+def remember(runtime_dir: str, last: Last) -> None:
+    """Keep how this run was started, for when it has ended. Raises OSError."""
+    words = last.device, last.command, *map(str, last.servos)
+    os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
+
+
+def last(name: str) -> Last:
+    """How the last run of this name was started, as far as this user can see one. Raises nothing."""
+    found: list[tuple[int, list[str]]] = []
+    # A name that can't be one; a file that is not there, or not to be trusted.
+    with contextlib.suppress(InstanceError):
+        for path in map(last_path, places(name)):
+            with contextlib.suppress(OSError):
+                found.append(_read(path))
+    try:
+        device, command, *servos = max(found)[1]
+        return Last(device, command if command.isprintable() else "", tuple(map(int, servos)))
+    except ValueError:  # nothing was found, or nonsense
+        return Last()
+
+
+def _read(path: str) -> tuple[int, list[str]]:
+    """When a file was written (Unix time, ns), and the words in it. Raises OSError."""
+    fd = place.opened(path, os.O_RDONLY)
+    try:
+        return os.fstat(fd).st_mtime_ns, os.fsdecode(os.read(fd, LAST_BYTES)).split("\0")
+    finally:
+        os.close(fd)
+
+
+def _put(runtime_dir: str, path: str, data: bytes) -> int:
+    """Put a file that everybody may read into a runtime directory, whole or not at all; returns its descriptor. Raises
+    OSError."""
+    draft = _draft_of(path)
     above = place.directory(runtime_dir)
     fd = -1
     try:
         fd = place.opened(draft, os.O_RDWR | os.O_CREAT)
         os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{incarnation:016x}\n".encode(), 0)
+        if os.pwrite(fd, data, 0) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
         os.fchmod(fd, 0o644)
         os.rename(os.path.basename(draft), os.path.basename(path), src_dir_fd=above, dst_dir_fd=above)
     except BaseException:
@@ -91,14 +149,16 @@ def publish(runtime_dir: str, incarnation: int) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Take away what a run has put into its directory, all but the lock; as far as it is there."""
+    """Take away what a run has put into its directory, its name first, all but the lock and how it was started; as far
+    as it is there."""
     try:
         where = place.directory(runtime_dir)
     except OSError:
         return
-    for path in (stop_path, bell_path, claims_path, run_path, _draft_path):
+    each = [path(runtime_dir) for path in (run_path, stop_path, bell_path, claims_path)]
+    for path in (*each, *(_draft_of(path(runtime_dir)) for path in (run_path, last_path))):
         with contextlib.suppress(OSError):
-            os.unlink(os.path.basename(path(runtime_dir)), dir_fd=where)
+            os.unlink(os.path.basename(path), dir_fd=where)
     os.close(where)
 
 
@@ -144,5 +204,10 @@ def open_stop(name: str) -> tuple[str, int]:
 
 
 def no_service(name: str, doubts: str = "") -> NoService:
-    """The refusal to whoever asks for a service that does not run. `doubts`: what was found and is not believed."""
-    return NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`{doubts}")
+    """The refusal to a client of a service that does not run. `doubts`: what was found and is not believed."""
+    return NoService(f"no service named {name!r} is running: start it with `{start_command(name)}`{doubts}")
+
+
+def start_command(name: str) -> str:
+    """The command line that starts a service of this name as its last run was started."""
+    return last(name).command or f"failstop run{option(name)}"

@@ -168,17 +168,30 @@ def unlink_all(memory: str) -> None:
 
 
 def living(memory: str, folder: str = SHM) -> bool:
-    """True while the supervisor of this run lives: it holds the lock on its segment, which others may only read."""
+    """True while the supervisor of this run lives."""
     try:
         fd = os.open(path_of(memory, SUPERVISOR, folder), os.O_RDONLY | _FLAGS)
     except OSError:
         return False
     try:
-        return claim.held(fd, 0, by_writer=True)
+        return lives(fd)
     except OSError:  # no regular file
         return False
     finally:
         os.close(fd)
+
+
+def open_life(memory: str, owner: int) -> int:
+    """A descriptor by which lives() tells of this run's supervisor, for whoever wants to know it more than once.
+    Raises AttachError."""
+    return _open(memory, SUPERVISOR, False, owner)
+
+
+def lives(fd: int) -> bool:
+    """True while the supervisor of the run lives: it holds the lock on its segment, of which this is a descriptor, from
+    the moment when it has made it; others may only read it. One system call; it needs no pid, so it tells the same in
+    every container. Raises OSError when this is no regular file."""
+    return claim.held(fd, 0, by_writer=True)
 
 
 def version(memory: str) -> str:

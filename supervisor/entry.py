@@ -38,7 +38,8 @@ def start(words: dict[str, str]) -> int:
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         rights.take_descriptors()
-        run = Run(world, settings, words["name"], words["dir"], journal)
+        run = Run(world, settings, words["name"], words["dir"], journal, words["again"])
+        supervisor = _found(run, port, notify)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
@@ -47,10 +48,22 @@ def start(words: dict[str, str]) -> int:
         port.close()
         return 1
     # Not where it fails: then every moment counts, and the next run saves what is left behind.
-    code = _serve(Supervisor(run, port, notify))
+    code = _serve(supervisor)
     run.remove()
     port.close()  # an exit would wait for a port that does not drain
     return code
+
+
+def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
+    """The supervisor of a run that can be found from here on. Its heartbeat and its process table are there before the
+    run's name is: a client reads them as soon as it finds that. Raises what a Run raises, and leaves as little."""
+    try:
+        supervisor = Supervisor(run, port, notify)
+        run.publish()
+    except BaseException:
+        run.remove()
+        raise
+    return supervisor
 
 
 def _serve(supervisor: Supervisor) -> int:

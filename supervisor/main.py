@@ -79,6 +79,7 @@ class Supervisor:
         self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
         self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
         self._gate_stops = run.views[layout.GATE].ring_reader("stops")
+        self.status.publish(self.status.missing(stopping=False))
         self._begin()
 
     def _begin(self) -> None:

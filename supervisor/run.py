@@ -1,5 +1,8 @@
 """Run: what a run of the service makes before its first process starts, what its parts share, and how it goes again.
 
+A run is found by its name, the file that says which shared memory is the service's. That file comes last and goes
+first: whoever finds the name can believe all that is found under it.
+
 Whoever has a segment attached goes on working when its name is taken away, as logind's RemoveIPC=yes does when the
 service's user logs out. But no process can be started again from then on, no client can come, and without the name of
 the stop pipe nobody can ask for a stop. Nothing here can mend that: the next run makes its own.
@@ -45,21 +48,31 @@ class Run:
     """Shared memory, pipes, claims, bells and control sockets of one run; its settings, loop and events."""
 
     def __init__(
-        self, world: World, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None
+        self,
+        world: World,
+        settings: Settings,
+        name: str,
+        runtime_dir: str,
+        journal: Outbox | None = None,
+        again: str = "",
     ) -> None:
-        """The caller holds the instance's lock: whatever is found there is a dead run's. Raises segment.AttachError,
-        instance.InstanceError, OSError, and leaves what it found then, and nothing else."""
+        """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
+        publish(). Raises segment.AttachError, instance.InstanceError, OSError, and leaves a dead run's memory then, and
+        nothing else."""
         self.world = world
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
+        self._again = again
+        """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segment.memory(name, self.incarnation)
         """What the segments are named after."""
         self._refuse_living()
-        dead = segment.dead_runs(name)
-        self.left = segment.open_all(dead[-1]) if dead else {}
-        """The segments of a run that was not ended in order: its black box. They go when this run has its own."""
+        self._dead = segment.dead_runs(name)
+        self.left = segment.open_all(self._dead[-1]) if self._dead else {}
+        """The segments of a run that was not ended in order: its black box. Their names go when this run has its
+        own."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
         """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
@@ -72,8 +85,6 @@ class Run:
         except BaseException:
             self.remove()
             raise
-        for run in dead:
-            segment.unlink_all(run)
         self.events = Events(world, name, self.own.ring_writer("events"), journal)
         self._looked_ns = 0
 
@@ -87,13 +98,13 @@ class Run:
             raise instance.already_running(self.name, "unknown")
 
     def _make(self, gid: int) -> None:
+        instance.clear(self.runtime_dir)  # the name of a dead run, before anything under it is another's
         # One after the other: what is there is known, whichever can't be made.
         for spec in layout.SEGMENTS:
             self._segments.append(segment.create(self.memory, spec.name, self.incarnation, gid))
         self.readable = segment.open_all(self.memory)
         if missing := [process for process in layout.PROCESSES if process not in self.readable]:
             raise segment.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
-        self.published = instance.publish(self.runtime_dir, self.incarnation)
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(self.runtime_dir), 0o620, gid)
@@ -102,11 +113,7 @@ class Run:
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
         """A descriptor of whatever others find by its name."""
-        self.named |= {
-            "the stop pipe": self.stop_pipe,
-            "the bell of the clients": self.client_bell,
-            "the name of the run": self.published,
-        }
+        self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESSES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
 
@@ -120,6 +127,17 @@ class Run:
         }
         self.own.latest_writer("rules").write(pack(rules))
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
+
+    def publish(self) -> None:
+        """Let the run be found by its name. Last of all: by now everything is there that clients read at once (rules,
+        settings, the supervisor's heartbeat and process table). How it was started is kept for when it has ended.
+        Raises OSError."""
+        device = os.path.abspath(self.settings.text("device.path"))
+        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos()))
+        self.published = instance.publish(self.runtime_dir, self.incarnation)
+        self.named["the name of the run"] = self.published
+        for run in self._dead:
+            segment.unlink_all(run)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
         """Every descriptor that a process of the table may be given, by the name it has there."""
@@ -150,10 +168,10 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Take away every name; descriptors and mappings end with their processes."""
+        """Take away every name, the run's own first; descriptors and mappings end with their processes."""
+        instance.clear(self.runtime_dir)
+        segment.unlink_all(self.memory)
         for made in self._segments:
             made.close()
         while self.readable:
             os.close(self.readable.popitem()[1])
-        segment.unlink_all(self.memory)
-        instance.clear(self.runtime_dir)

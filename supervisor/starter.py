@@ -38,12 +38,12 @@ def environment(settings: Settings) -> dict[str, str]:
     return found | {name: os.environ[name] for name in PASSED_ON if name in os.environ}
 
 
-def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int) -> None:
+def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
     """Replace this process by the supervisor, under the same pid; it inherits the lock and the open port. The command
-    line's own imports would double its size. Raises OSError."""
+    line's own imports would double its size. `again`: the command line that starts such a run. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
-    words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port}
+    words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}
     arguments = script_command(CHILD, "supervisor", words=words)
     handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
     os.execve(arguments[0], arguments, environment(settings) | handed)

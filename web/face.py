@@ -54,7 +54,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "driver": next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), ""),
         "battery_v": state.battery_v,
         "plugged": state.plugged,
-        "port": f"{state.device.path or 'no port'} {state.device.state}",
+        "port": f"{state.device.path} {state.device.state}",
         "link": state.device.link,
         "clients": [f"{client.name} (pid {client.pid})" for client in state.clients],
         "attended": state.attended_by,

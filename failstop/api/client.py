@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 
 import msgpack
 
-from failstop.api import reason
+from failstop.api import host, reason
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.lifeline import Lifeline, pid_namespace
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.words import Barrier
 
 T = TypeVar("T")
@@ -73,8 +73,13 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
     """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
     FailstopError."""
     memory, owner = found or run(name)
+    return _there(lambda: segment.attach(memory, which, owner=owner))
+
+
+def _there(take: Callable[[], T]) -> T:
+    """What is taken of a run. Raises NoService, FailstopError."""
     try:
-        return segment.attach(memory, which, owner=owner)
+        return take()
     except segment.AttachError as error:
         kind = NoService if error.kind == "absent" else FailstopError
         raise kind(str(error)) from None
@@ -117,82 +122,63 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 def gone(name: str) -> NoService:
     """The error of every call to a service that was there before."""
-    return NoService(f"the service {name!r} has gone: start it with `failstop run{instance.option(name)}`")
-
-
-def starting(name: str) -> FailstopError:
-    """The error of a call that needs what a service tells when it has begun."""
-    return FailstopError(f"the service {name!r} is still starting: try again in a moment")
+    return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
 
 
 class Run:
     """The run that is there when this is made: whether it goes on, and what its settings declare. Not for several
-    threads at once."""
+    threads at once.
+
+    A run's name is published when all that this reads is there (supervisor/entry.py), and whether its supervisor lives
+    is asked of the kernel each time. So nothing that is read here once can be true of a moment alone.
+    """
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
-        self._life: Lifeline | None = None
+        self._life = -1
         self.name = name
         self.found = run(name)
         """What its segments are named after, and whose they are."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
+        self._life = _there(lambda: segment.open_life(*self.found))
         self._beat = HeartbeatReader(self.supervisor)
-        self._record = self.supervisor.latest_reader("rules")
-        self._rules: dict[str, Any] = {}
-        self._died = False
+        self.began_ns, self._rules = self.told("rules")
+        """When the supervisor told the rules, which it does once (CLOCK_MONOTONIC)."""
 
     def __del__(self) -> None:
-        if self._life:
-            with contextlib.suppress(OSError):  # whoever closes what is not theirs
-                self._life.close()
-
-    def _follow(self) -> dict[str, Any]:
-        """What the supervisor says once, when it has begun; empty before that."""
-        if not self._rules and (entry := self._record.read()):
-            self._rules = msgpack.unpackb(entry[2])
-            # The kernel tells of the supervisor's death where its pid means the same process here as there.
-            if self.shares_pids():
-                try:
-                    self._life = Lifeline(self._beat.pid.get())
-                except ProcessLookupError:
-                    self._died = True
-                except OSError:
-                    pass  # no descriptor is left, or this call is forbidden: then its silence tells
-        return self._rules
+        if self._life >= 0:
+            with contextlib.suppress(OSError):  # a program that closes what is not its own
+                os.close(self._life)
 
     def shares_pids(self) -> bool:
         """True where a pid of the service means the same process here as there."""
-        return bool(pid_namespace() == self._rules.get("pid_namespace", 0) != 0)
+        return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
-    def dead(self) -> bool:
-        """True once the kernel says that the supervisor has died; False where it can't be asked."""
-        self._follow()
-        return self._life.wait(0) if self._life else self._died
+    def told(self, record: str) -> tuple[int, dict[str, Any]]:
+        """A record of the supervisor's that is there before the run's name is: when it was told, and what. Raises
+        FailstopError when somebody has damaged it."""
+        entry = self.supervisor.latest_reader(record).read()
+        if entry is None:
+            raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")
+        return entry[1], msgpack.unpackb(entry[2])
+
+    def over(self) -> bool:
+        """True when this run has ended: its supervisor has died. One system call: cheap enough for every call."""
+        try:
+            return not segment.lives(self._life)
+        except OSError:  # a program that closes what is not its own: the next look makes another
+            return True
 
     def silent(self, now_ns: int) -> bool:
         """True when the supervisor's lease has run out: then nothing admits motion."""
-        rules = self._follow()
-        return bool(rules) and self._beat.age_ns(now_ns) > rules["lease_ns"]
-
-    def over(self) -> bool:
-        """True when this run has ended. One system call at most while it goes on: cheap enough for every call."""
-        return self.dead() or (not self._life and self.silent(time.monotonic_ns()) and self._replaced())
-
-    def _replaced(self) -> bool:
-        """True when no service of this name, or another run of it, is there."""
-        try:
-            return run(self.name) != self.found
-        except FailstopError:
-            return True
+        return bool(self._beat.age_ns(now_ns) > self._rules["lease_ns"])
 
     def check(self, kind: str, *names: str) -> None:
         """Raises Undeclared for a "source" that no client may command as, or an "interlock" that the settings do not
-        name; FailstopError while the service starts."""
-        declared: list[str] = self._follow().get(f"{kind}s", [])
+        name."""
+        declared: list[str] = self._rules[f"{kind}s"]
         for name in names:
             if name not in declared:
-                if not self._rules:
-                    raise starting(self.name)
                 told = f"no {kind} {name[:LONGEST_SHOWN]!r} in the settings of {self.name!r}, which declare"
                 hint = f"add [{kind}s.NAME] and restart the service"
                 raise Undeclared(f"{told}: {', '.join(declared) or 'none'}; {hint}")
@@ -219,6 +205,7 @@ class Client:
                 self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
                 taken.callback(os.close, self._bell)
                 self.slot, self._segment = self._claim_slot(claims, found, gate.incarnation)
+                taken.callback(self._segment.close)
             except PermissionError:
                 raise FailstopError(
                     f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the "

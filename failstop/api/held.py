@@ -6,6 +6,10 @@ import _thread
 import contextlib
 import os
 import signal
+import weakref
+
+# The C module under `queue`.
+from _queue import SimpleQueue
 
 from failstop.shm import futex
 from failstop.shm.futex import Futex
@@ -14,33 +18,43 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex that a thread of its own holds, which does nothing else: whichever thread may let it go."""
+    """A futex that a thread of its own holds, which does nothing else: any thread may let it go. The thread ends when
+    nobody refers to this any more, too: whatever moment an exception of a signal's handler comes at, none is left."""
 
     def __init__(self, word: Futex) -> None:
-        """Returns once it is held. Raises RuntimeError when there are no more threads."""
-        self._until = _thread.allocate_lock()
-        self._until.acquire()
+        """Returns once it is held. Raises RuntimeError when there are no more threads, OSError when there are no more
+        descriptors."""
+        self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
-        _thread.start_new_thread(self._live, (word, held))
-        held.acquire()
-
-    def _live(self, word: Futex, held: _thread.LockType) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the program's own threads
-        # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, _FIRST, os.sched_param(1))
-        kept = None
+        # The thread keeps the reference that tells it of this object's end. In Python's words, as in a __del__, the
+        # next handler's exception could keep the thread from being told.
+        gone = weakref.ref(self, self._ends.put)
+        word.detach()
         try:
-            with contextlib.suppress(OSError):  # without it there is the late news
-                kept = word.hold()
-        finally:
-            held.release()
-        self._until.acquire()
-        futex.let_go()
-        del kept
-        word.close()
+            _thread.start_new_thread(_live, (word, self._ends, held, gone))
+            held.acquire()
+        except BaseException:
+            self.let_go()
+            raise
 
     def let_go(self) -> None:
-        """Once. The word is the caller's to clear, before."""
-        self._until.release()
+        """End the thread. The word is the caller's to clear, before."""
+        self._ends.put(None)
+
+
+def _live(word: Futex, ends: SimpleQueue[object], held: _thread.LockType, _gone: object) -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the program's own threads
+    # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, _FIRST, os.sched_param(1))
+    kept = None
+    try:
+        with contextlib.suppress(OSError):  # without it there is the late news
+            kept = word.hold()
+    finally:
+        held.release()
+    ends.get()
+    futex.let_go()
+    del kept
+    word.close()

@@ -1,4 +1,4 @@
-"""Host: how a service is started on this machine - by systemd where it has the unit, else by hand."""
+"""Host: how a service is started on this machine - as it was the last time, else by systemd where it has the unit."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ def unit(name: str) -> str:
     return found.removesuffix(".service") if there and os.path.isdir(root.at(BOOTED)) else ""
 
 
-def start(name: str, device: str | None = None) -> str:
-    """The command that starts it, in backquotes. `device`: the port that it had, where that is known."""
-    if found := unit(name):
+def start(name: str) -> str:
+    """The command that starts it, in backquotes: the last run's own command line, where there was a run."""
+    if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
-    return f"`failstop run{instance.option(name)}{f' --device {device}' if device and device != DEVICE else ''}`"
+    return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
     """The command that writes a stop without a service, in backquotes."""
-    return f"`failstop stop{f' --device {device}' if device and device != DEVICE else ''}`"
+    import shlex  # a program that drives need not have it
+
+    return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:

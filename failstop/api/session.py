@@ -161,7 +161,7 @@ class Session:
     @property
     def state(self) -> State:
         """One snapshot of the service. When its supervisor has just died it says so, as a latched stop; raises
-        NoService once the last of its processes has ended, FailstopError while it starts."""
+        NoService once the last of its processes has ended, FailstopError."""
         with self._lock:
             return self._current().read()
 

@@ -115,8 +115,8 @@ class Process:
 class Device:
     """The port of the board."""
 
-    path: str | None
-    """None: it was not opened yet."""
+    path: str
+    """Of its file, as the settings or `--device` name it."""
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link
@@ -356,7 +356,7 @@ class State:
     attended_by: tuple[str, ...] | None = None
     """The operators who are there; None: none is needed (setting attend.required)."""
     arm: ArmState | None = None
-    """None without an arm in the settings."""
+    """None without an arm in the settings, and while a service starts, until its gate has told of the arm."""
     unmet: str = ""
     """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
     starved_times: int = 0

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 import msgpack
 
 from failstop.api import snapshot
-from failstop.api.client import Run, attach, starting
+from failstop.api.client import Run, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -32,9 +32,19 @@ WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
 
+NOTHING_YET: dict[str, Any] = {
+    "enabled": False,
+    "limit": 100,
+    "estop": None,
+    "blocked": blocks.DISABLED,
+    "body_vel": (0.0, 0.0, 0.0),
+    "wheels_rps": (0.0, 0.0, 0.0, 0.0),
+    "sources": [],
+    "clients": [],
+    "scan_ns": 0,
+}
+"""The gate's record before a run's first gate has published one: a run begins with motion disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
-    "processes": (layout.SUPERVISOR, msgpack.unpackb),
-    "settings": (layout.SUPERVISOR, msgpack.unpackb),
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
     "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
     "latch": (layout.SUPERVISOR, records.LATCH.unpack),
@@ -89,15 +99,9 @@ class StateReader(Run):
         entry = self._latest[record].read()
         return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
-    def _begun(self, record: str) -> Any:
-        """The same of one that each service that runs has. Raises FailstopError before that."""
-        if (found := self._value(record)) is None:
-            raise starting(self.name)
-        return found
-
     def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
-        found: dict[str, float | str] = self._begun("settings")
+        """Every setting that the service was started with, by its whole key. Raises FailstopError."""
+        found: dict[str, float | str] = self.told("settings")[1]
         return found
 
     @cached_property
@@ -118,7 +122,7 @@ class StateReader(Run):
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """The arm's joints by name. Raises FailstopError while the service starts."""
+        """The arm's joints by name. Raises FailstopError."""
         return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
 
     @cached_property
@@ -131,10 +135,16 @@ class StateReader(Run):
         given = Settings(dict(self.settings()))
         return [(int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS]
 
+    @property
+    def _nothing_yet(self) -> dict[str, Any]:
+        """The gate's record before this run's first gate has published one."""
+        attended: dict[str, Any] = {"attended": ()} if Settings(dict(self.settings())).on("attend.required") else {}
+        return {**NOTHING_YET, **attended}
+
     def read(self) -> State:
-        """A snapshot now. Raises FailstopError while the service has not published one yet."""
+        """A snapshot now. Raises FailstopError."""
         decided, cause, epoch, told_ns, dead = self.decided()
-        known: dict[str, Any] = self._begun("processes")
+        _, known = self.told("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
         bias, pad = self._value("bias"), self._value("pad")
@@ -191,17 +201,19 @@ class StateReader(Run):
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
-        supervisor is dead: the part of read() that a driving program needs each time. Raises FailstopError.
+        supervisor is dead: the part of read() that a driving program needs each time. Before a run's first gate has
+        published anything: that motion is disabled, as of the begin of the run. Raises FailstopError.
 
         A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
         owner admits nothing of an older epoch, and the gate's successor starts latched. The same holds for a gate that
         says on what it said before the supervisor died or fell silent."""
-        dead = self.dead()
+        dead = self.over()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
-        if (entry := self._latest["state"].read()) is None:
-            raise starting(self.name)
-        _, told_ns, payload = entry
-        decided: dict[str, Any] = RECORDS["state"][1](payload)
+        if entry := self._latest["state"].read():
+            _, told_ns, payload = entry
+            decided: dict[str, Any] = RECORDS["state"][1](payload)
+        else:
+            told_ns, decided = self.began_ns, self._nothing_yet
         own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
@@ -227,7 +239,8 @@ class StateReader(Run):
         return tuple(snapshot.Client(**client, **said.get(client["slot"], {})) for client in clients)
 
     def _device(self) -> snapshot.Device:
-        *_, state, path = self._value("port") or (records.PORT_CLOSED, None)
+        # A run begins with an open port, which its supervisor has; then the port owner tells of it.
+        *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
         found = cast("snapshot.PortState", records.PORT_STATES[state])
         return snapshot.Device(path, found, self._value("link") or "unproven")
 

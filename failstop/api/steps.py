@@ -63,7 +63,7 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
     remedy = state.cause.kind.remedy if state.cause else ""
     heed = "" if dead else words.sentence(f"{remedy}; then {how['reset']}")
-    start = host.start(state.name, path) if dead else ""
+    start = host.start(state.name) if dead else ""
     go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
     lost = f"{POWER} if the wheels turn; then plug the board in."
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"Somebody has to attend: {how['attend']}."

@@ -38,7 +38,7 @@ SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 def doubt(state: State) -> str:
     """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
     if state.device.state != "open":
-        return f"the port {state.device.path or ''} is {state.device.state}, so no stop reaches the board"
+        return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
     if state.cause and state.cause.kind is causes.UNSTILL:

@@ -101,7 +101,7 @@ class Look:
         """The board's port, and who says so."""
         if self.device_path:
             return self.device_path, "--device"
-        if self.state and self.state.device.path:
+        if self.state:
             return self.state.device.path, "of the running service"
         path, found, _ = self.settings
         return found.text("device.path"), path or "the default of device.path"

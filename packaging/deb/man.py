@@ -36,8 +36,9 @@ FILES = (
     ("/etc/failstop/failstop.toml", "Settings, where the system's service reads them."),
     (
         "/run/failstop/NAME",
-        "Runtime directory of a service: lock, claims, the pipe for stop requests, the gate's bell, and which run's "
-        "shared memory it is. One that somebody else could have put there is not believed.",
+        "Runtime directory of a service: lock, claims, the pipe for stop requests, the gate's bell, how the last run "
+        "was started, and which run's shared memory it is. One that somebody else could have put there is "
+        "not believed.",
     ),
     ("/var/lib/failstop", "State directory."),
 )

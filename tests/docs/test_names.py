@@ -23,7 +23,7 @@ KEYS = {*BY_KEY, *OF_FLEET}
 SECTIONS = {key.partition(".")[0] for key in KEYS} - {"robot"}
 """Of the fleet there is one `robot`, as programs call theirs."""
 FILES = ("md", "py", "toml")
-OF_MESSAGES = ("api", "board", "failstop/config.py", "policy", "shm", "supervisor")
+OF_MESSAGES = ("api", "board", "failstop/config.py", "policy", "procs/rights.py", "shm", "supervisor")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

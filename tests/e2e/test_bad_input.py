@@ -202,12 +202,12 @@ def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
     assert trial.robot.state.clients[0].slot == 1
 
 
-def test_nothing_is_left_behind(name: str) -> None:
+def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
     with Trial(name) as trial:
         runtime = Path(instance.find(name))
         assert trial.service.end() == 0
         assert not [found for found in os.listdir("/dev/shm") if name in found]
-        assert {found.name for found in runtime.iterdir()} <= {"lock"}
+        assert {found.name for found in runtime.iterdir()} == {"lock", "last"}
 
 
 def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial
-from failstop.procs.rights import DESCRIPTORS
+from failstop.procs.rights import DESCRIPTORS, STACK_BYTES
 from failstop.shm import instance, root
 from tests.support.children import NOBODY, Child, needs_root
 from tests.support.commands import FAILSTOP
@@ -103,6 +103,35 @@ def test_limits_of_the_process(name: str, board: SimBoard, limit: str) -> None:
     if most != 65536:  # else the supervisor says it, in its own words
         assert f"the stop is written to {board.link}" in said
     assert left(name) == []
+
+
+ISOLATED = (sys.executable, "-I", "-m", "failstop")
+"""As the package's command starts. Without -I the interpreter itself needs more than 80 KB of stack before it has read
+a line of any program."""
+
+
+@pytest.mark.parametrize("most_kb", [40, 48, 64, 255])
+def test_too_small_a_stack_is_told_after_the_stop(name: str, board: SimBoard, most_kb: int) -> None:
+    """The supervisor would be ended by SIGSEGV, without a word."""
+    most = most_kb * 1024
+    command = *ISOLATED, *service(name, board)[len(FAILSTOP) :]
+    said = refused(board, *command, before=lambda: resource.setrlimit(resource.RLIMIT_STACK, (most, most)))
+    assert f"RLIMIT_STACK is {most_kb} KB, and 256 KB are needed: raise it (`ulimit -s 8192`" in said
+    assert f"the stop is written to {board.link}" in said
+    assert left(name) == []
+
+
+def test_a_soft_limit_of_the_stack_is_raised(name: str) -> None:
+    trial = Trial(name)
+    prelude = "import os, resource as r, sys; r.setrlimit(r.RLIMIT_STACK, (65536, r.getrlimit(r.RLIMIT_STACK)[1])); "
+    prelude += "os.execv(sys.argv[1], sys.argv[1:])"
+    trial.service._command = [sys.executable, "-c", prelude, *ISOLATED, *trial.service._command[len(FAILSTOP) :]]
+    with trial:
+        trial.enable()
+        trial.drive(0.2)
+        assert trial.moving()
+        for pid in trial.service.pids().values():
+            assert resource.prlimit(pid, resource.RLIMIT_STACK)[0] == STACK_BYTES
 
 
 def test_a_soft_limit_is_raised(name: str) -> None:

@@ -15,7 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from failstop import config, instances, stopping
-from failstop.board.burst import BURST
+from failstop.api import ask
+from failstop.board.burst import BURST, burst_with
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError
 from failstop.cli import main as cli
@@ -58,7 +59,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Waits:
     """What the tool is asked for: (device, seconds)."""
     found: Waits = []
 
-    def stopped(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+    def stopped(path: str, wait: Callable[[PortError], float], *_: object) -> float:
         found.append((path, wait(PortError("absent", f"no device {path}"))))
         return 0.0
 
@@ -127,6 +128,114 @@ def test_of_another_name_the_default_is_a_guess(asked: Waits, alone: Path, capsy
     assert cli.main(["stop", "--name", "left"]) == 0
 
 
+def last_run(device: str, *servos: int, name: str = "failstop") -> None:
+    """A service that somebody has started by hand, and that has died, was on this port."""
+    instance.remember(instances.make_runtime_dir(name), instance.Last(device, "failstop run", servos))
+
+
+def test_the_last_run_s_port_goes_before_what_a_file_says(asked: Waits, alone: Path) -> None:
+    (alone / "failstop.toml").write_text('device.path = "/dev/board"\nstop.wait_s = 5\n')
+    last_run("/dev/last")
+    assert cli.main(["stop"]) == 0
+    assert asked == [("/dev/last", 5.0)]
+
+
+def test_what_is_named_goes_before_the_last_run_s_port(asked: Waits, file: Path) -> None:
+    last_run("/dev/last")
+    file.write_text('device.path = "/dev/board"\n')
+    assert cli.main(["stop", "--config", str(file)]) == 0
+    assert cli.main(["stop", "--device", "/dev/other"]) == 0
+    assert [device for device, _ in asked] == ["/dev/board", "/dev/other"]
+
+
+def test_the_last_run_of_another_name_is_no_guess_at_all(asked: Waits, capsys: pytest.CaptureFixture[str]) -> None:
+    last_run("/dev/left", name="left")
+    assert cli.main(["stop", "--name", "left"]) == 0
+    assert cli.main(["stop"]) == 0
+    assert [device for device, _ in asked] == ["/dev/left", "/dev/ttyACM0"]
+    assert capsys.readouterr().out == (
+        "stop frame sent (after 0.0 s), directly to /dev/left, the port of the last run (no service 'left' runs)\n"
+        "stop frame sent (after 0.0 s), directly to /dev/ttyACM0 (no service 'failstop' runs)\n"
+    )
+
+
+def test_the_last_run_s_port_is_written_to_at_once(board: tuple[str, int], capsys: pytest.CaptureFixture[str]) -> None:
+    link, master = board
+    last_run(link, 1, 10)
+    assert cli.main(["stop"]) == 0
+    expected = BURST + burst_with((1, 10))
+    found = b""
+    while len(found) < len(expected):
+        found += os.read(master, 4096)
+    assert found == expected
+    assert f"directly to {link}, the port of the last run (" in capsys.readouterr().out
+
+
+def test_where_the_last_run_s_port_has_gone_the_other_is_written_to_and_doubted(
+    board: tuple[str, int], alone: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link, master = board
+    last_run("/dev/gone", 1)
+    (alone / "failstop.toml").write_text(f'device.path = "{link}"\n')
+    assert cli.main(["stop"]) == 1
+    assert os.read(master, 4096) == BURST
+    said = capsys.readouterr()
+    assert f"directly to {link} (no service" in said.out
+    assert said.err == (
+        f"failstop: /dev/gone of the last run is not there, so it went to {link}: is this the board? Name it with "
+        "--device\n"
+    )
+
+
+def test_a_port_of_the_last_run_that_is_there_and_fails_is_no_reason_to_write_to_another(
+    board: tuple[str, int], alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link, master = board
+    (tmp_path / "no-tty").touch()
+    last_run(str(tmp_path / "no-tty"))
+    (alone / "failstop.toml").write_text(f'device.path = "{link}"\n')
+    assert cli.main(["stop", "--wait", "0"]) == 1
+    os.set_blocking(master, False)
+    with pytest.raises(BlockingIOError):
+        os.read(master, 1)
+    assert f"{tmp_path}/no-tty" in capsys.readouterr().err
+
+
+def test_two_ports_that_are_not_there_are_both_named(alone: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    last_run("/dev/gone")
+    (alone / "failstop.toml").write_text('device.path = "/dev/nor-this"\n')
+    assert cli.main(["stop", "--wait", "0"]) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("failstop: no device /dev/gone: ")
+    assert said.endswith(" (it was the last run's; /dev/nor-this is not there either)")
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_service_that_was_just_starting_is_asked_once_it_listens(
+    stops: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It has the port before it can be asked."""
+    tries: list[str] = []
+    asked: list[str] = []
+
+    def busy(path: str, servos: tuple[int, ...] = ()) -> None:
+        tries.append(path)
+        raise PortError("busy", f"{path} is held")
+
+    def ask_it(name: str, reason: str, who: str) -> tuple[str, str]:
+        asked.append(reason)
+        return ("stop latched", "") if stops else ("", "it hangs")
+
+    monkeypatch.setattr(stopping, "write", busy)
+    monkeypatch.setattr(instances, "listens", lambda name: bool(tries))
+    monkeypatch.setattr(ask, "stop", ask_it)
+    assert cli.main(["stop", "a", "hand", "--wait", "0.2"]) == (0 if stops else 1)
+    assert asked == ["a hand"]
+    said = capsys.readouterr()
+    assert said.out == ("stop latched\n" if stops else "")
+    assert ("is held exclusively by another process; asked in vain: failstop" in said.err) != stops
+
+
 @pytest.mark.parametrize("name", ["no/slash", ""])
 def test_what_can_be_no_name_stops_all_the_same(name: str, asked: Waits) -> None:
     assert cli.main(["stop", "--name", name]) == 1
@@ -193,7 +302,7 @@ def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_
 ) -> None:
     waits: list[float] = []
 
-    def stalled(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+    def stalled(path: str, wait: Callable[[PortError], float], *_: object) -> float:
         waits.append(wait(PortError("io", f"{path} takes no bytes")))
         return 0.0
 

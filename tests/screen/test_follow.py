@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from failstop import instances
 from failstop.api import host
 from failstop.api.errors import NoService
 from failstop.cli.screen import follow
 from failstop.cli.screen.follow import CHECK_S, Follower
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout, root
+from failstop.shm import instance, layout, root
 from tests.support.commands import failstop
 
 SECONDS = 20
@@ -92,13 +93,25 @@ def test_a_unit_counts_where_systemd_runs_and_has_it(
     assert host.unit("failstop" if name != "failstop" else "left-arm") == "", "that one is not installed"
 
 
-def test_commands_name_the_device_where_it_is_not_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_name_what_is_not_the_usual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(host, "unit", lambda _name: "")
+    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path)])
     assert (host.stop(), host.stop(host.DEVICE)) == ("`failstop stop`", "`failstop stop`")
     assert host.stop("/dev/ttyACM1") == "`failstop stop --device /dev/ttyACM1`"
-    assert host.start("failstop", host.DEVICE) == "`failstop run`"
-    assert host.start("left", "/dev/ttyACM1") == "`failstop run --name left --device /dev/ttyACM1`"
+    assert host.stop("/dev/my board") == "`failstop stop --device '/dev/my board'`"
+    assert host.start("failstop") == "`failstop run`"
+    assert host.start("left") == "`failstop run --name left`"
     assert host.journal("left") == ""
+
+
+def test_what_starts_it_is_what_started_it_the_last_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path)])
+    monkeypatch.setattr(host, "unit", lambda name: f"failstop@{name}")
+    assert host.start("left") == "`sudo systemctl start failstop@left`"
+    command = "failstop run --name left --config '/home/me/my robot.toml'"
+    instance.remember(instances.make_runtime_dir("left"), instance.Last("/dev/ttyACM1", command))
+    assert host.start("left") == f"`{command}`", "by hand, though there is a unit"
+    assert host.start("right") == "`sudo systemctl start failstop@right`"
 
 
 def test_where_nothing_is_left(trial: Trial) -> None:
@@ -108,7 +121,7 @@ def test_where_nothing_is_left(trial: Trial) -> None:
     for word in ("status", "why"):
         done = run(trial, word)
         assert (done.returncode, done.stdout) == (3, "")
-        assert f"`failstop run --name {trial.name}`" in done.stderr
+        assert f"`failstop run --name {trial.name} --device {trial.board.link}`" in done.stderr
     trial.service.start()
 
 

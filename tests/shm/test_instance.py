@@ -555,7 +555,8 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: 
     each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
     for place in each:
         Path(place(path)).write_text("")
-    Path(f"{instance.run_path(path)}.new").write_text("")
+    for place in (instance.run_path, instance.last_path):
+        Path(f"{place(path)}.new").write_text("")
     Path(path, "kept").write_text("somebody else's")
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(2):
@@ -563,6 +564,64 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: 
         assert sorted(os.listdir(path)) == ["kept", "lock"]
     instance.clear(f"{path}-absent")
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def remembered(name: str) -> tuple[str, str, tuple[int, ...]]:
+    """How the last run of this name was started."""
+    found = instance.last(name)
+    return found.device, found.command, found.servos
+
+
+NO_RUN = ("", "", ())
+
+
+def test_how_the_last_run_was_started_outlives_it(bases: list[str]) -> None:
+    assert remembered("robot") == NO_RUN
+    path = instances.make_runtime_dir("robot")
+    for servos in ((), (1, 2, 10)):
+        instance.remember(path, instance.Last("/dev/my board", "failstop run --device '/dev/my board'", servos))
+        assert remembered("robot") == ("/dev/my board", "failstop run --device '/dev/my board'", servos)
+    instance.clear(path)
+    assert remembered("robot")[0] == "/dev/my board"
+    assert os.listdir(path) == ["last"]
+    assert stat.S_IMODE(os.stat(instance.last_path(path)).st_mode) == 0o644
+    assert remembered("other") == NO_RUN
+    with pytest.raises(NoService, match=r"start it with `failstop run --device '/dev/my board'`$"):
+        instance.find("robot")
+
+
+def test_of_two_places_the_newer_run_counts(bases: list[str]) -> None:
+    for at, base in enumerate(bases):
+        path = os.path.join(base, "robot")
+        os.makedirs(path)
+        instance.remember(path, instance.Last(f"/dev/{at}", "failstop run"))
+        os.utime(instance.last_path(path), ns=(1000, 1000 + at))
+    assert remembered("robot")[0] == f"/dev/{len(bases) - 1}"
+    os.utime(instance.last_path(os.path.join(bases[0], "robot")), ns=(1000, 2000))
+    assert remembered("robot")[0] == "/dev/0"
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0one", b"\0" * 99])
+def test_nonsense_is_no_run(bases: list[str], junk: bytes) -> None:
+    Path(instance.last_path(instances.make_runtime_dir("robot"))).write_bytes(junk)
+    assert remembered("robot") == NO_RUN
+
+
+@pytest.mark.parametrize("name", ["no/slash", "", "robot"])
+def test_a_last_run_is_not_looked_for_where_none_can_be(bases: list[str], name: str) -> None:
+    assert remembered(name) == NO_RUN
+
+
+def test_a_last_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:
+    (tmp_path / "planted").write_bytes(b"/dev/x\0failstop run")
+    os.symlink(tmp_path / "planted", instance.last_path(instances.make_runtime_dir("robot")))
+    assert remembered("robot") == NO_RUN
+
+
+def test_a_command_that_would_write_on_the_terminal_is_not_shown(bases: list[str]) -> None:
+    path = instances.make_runtime_dir("robot")
+    instance.remember(path, instance.Last("/dev/x", "failstop run --config '\x1b[2J'"))
+    assert remembered("robot") == ("/dev/x", "", ())
 
 
 def test_a_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:

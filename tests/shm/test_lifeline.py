@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import contextlib
 import errno
 import os
 import select
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ from failstop.shm import futex, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
+from failstop.shm.words import LINE_BYTES
 from tests.support.children import NOBODY, Child, become, needs_root, scheduled
 from tests.support.waiting import until
 
@@ -524,6 +526,80 @@ def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
     one.let_go()
     until(lambda: _thread._count() == threads, "its thread has ended")
     assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
+
+
+class Interrupted(Exception):
+    """What a signal's handler of a program raises."""
+
+
+@contextlib.contextmanager
+def raising_at_alarm() -> Iterator[threading.Event]:
+    """The handler of SIGALRM raises, the first time that it comes; the event is then set."""
+    raised = threading.Event()
+
+    def handler(*_: object) -> None:
+        if not raised.is_set():
+            raised.set()
+            raise Interrupted
+
+    before = signal.signal(signal.SIGALRM, handler)
+    try:
+        yield raised
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_an_exception_of_a_signal_s_handler_leaves_no_thread(held: Segment) -> None:
+    """It comes while the thread has begun and does not hold the word yet; then the caller gives the file back."""
+    threads, descriptors = _thread._count(), len(os.listdir("/proc/self/fd"))
+    may_hold = threading.Event()
+    with raising_at_alarm() as raised:
+
+        class Slow(Futex):
+            """One that takes its time."""
+
+            def hold(self, lines: int = 1) -> object:
+                while not raised.wait(0.001):  # a signal that comes just before a wait for a lock does not end that
+                    os.kill(os.getpid(), signal.SIGALRM)
+                assert may_hold.wait(20.0)
+                return super().hold(lines)
+
+        word = Slow(held.fileno(), held.spec.offsets["held"] + 40 * LINE_BYTES, write=True)
+        with pytest.raises(Interrupted):
+            HeldByThread(word)
+    assert _thread._count() == threads + 1, "its thread has begun"
+    held.close()
+    with open(os.devnull) as other:  # the file that has the number now
+        assert other.fileno() >= 0
+        may_hold.set()
+        until(lambda: _thread._count() == threads, "its thread has ended")
+    assert len(os.listdir("/proc/self/fd")) == descriptors - 1, "the caller's"
+
+
+def test_the_thread_of_what_nobody_refers_to_ends(held: Segment) -> None:
+    """As where the exception comes when it is made, and nobody has it yet."""
+    threads = _thread._count()
+    one = HeldByThread(held.futex("held", 41, write=True))
+    assert _thread._count() == threads + 1
+    del one
+    until(lambda: _thread._count() == threads, "its thread has ended")
+
+
+def test_whatever_moment_the_exception_comes_at_no_thread_is_left(held: Segment) -> None:
+    threads = _thread._count()
+    interrupted = 0
+    for number in range(200):
+        word = held.futex("held", 42, write=True)
+        with raising_at_alarm():
+            try:
+                signal.setitimer(signal.ITIMER_REAL, 5e-6 + number * 2e-6)
+                HeldByThread(word).let_go()
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+            except Interrupted:
+                interrupted += 1
+    assert interrupted
+    until(lambda: _thread._count() == threads, "every thread has ended")
 
 
 @pytest.mark.parametrize("may", [True, False])

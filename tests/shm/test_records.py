@@ -231,7 +231,7 @@ def test_every_name_that_the_settings_allow_fits() -> None:
     assert records.HELD.unpack(records.HELD.pack(1, longest))[1] == longest
     for name in longest:
         assert records.COMMAND.unpack(records.COMMAND.pack(1, 0.0, 0.0, 0.0, True, name))[-1] == name
-    rules = {"sources": longest, "interlocks": longest, "lease_ns": TOP, "pid_namespace": TOP}
+    rules = {"sources": longest, "interlocks": longest, "lease_ns": TOP}
     assert len(pack(rules)) <= capacity("supervisor/rules")
 
 

@@ -71,6 +71,7 @@ class Scene:
         self.world.play("spawn", self.spawn)
         self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
         self.run = Run(self.world, self.settings, f"box{os.getpid()}x{next(_numbers)}", str(directory))
+        self.run.publish()
         memory, processes = self.run.memory, layout.PROCESSES
         self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in processes}
         self._ring = segment.attach(memory, layout.SUPERVISOR).ring_reader("box")

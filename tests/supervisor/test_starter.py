@@ -68,10 +68,11 @@ def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(
     monkeypatch.setattr(os, "execve", lambda *arguments: told.append(arguments))
     monkeypatch.setenv("NOTIFY_SOCKET", "/run/notify")
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
-    starter.become_supervisor("left", "/run/x", Settings(), *pipe)
+    starter.become_supervisor("left", "/run/x", Settings(), *pipe, "failstop run --name left")
     ((program, arguments, environ),) = told
     assert program == arguments[0] == sys.executable
-    assert arguments[4:] == ["supervisor", "name=left", "dir=/run/x", f"lock={pipe[0]}", f"port={pipe[1]}"]
+    words = ["name=left", "dir=/run/x", f"lock={pipe[0]}", f"port={pipe[1]}", "again=failstop run --name left"]
+    assert arguments[4:] == ["supervisor", *words]
     assert environ.items() >= starter.environment(Settings()).items()
     assert environ["NOTIFY_SOCKET"] == "/run/notify"
     assert "WATCHDOG_USEC" not in environ

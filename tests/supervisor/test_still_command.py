@@ -40,6 +40,7 @@ class Scene:
         self.kinds: list[str] = []
         self.world = PlayedWorld()
         self.run = Run(self.world, settings, f"still{os.getpid()}", str(directory))
+        self.run.publish()
         self.run.events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
         self.held = False

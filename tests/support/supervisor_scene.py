@@ -51,6 +51,7 @@ class Scene:
         self.run = Run(self.world, Settings(), f"a{os.getpid()}x{next(_numbers)}", str(directory), journal)
         self.port = OwnPort(slave, unsent_bytes=self.world.unsent_bytes)
         self.supervisor = Supervisor(self.run, self.port, Notify())
+        self.run.publish()
         memory = self.run.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
         self.gate = segment.attach(memory, layout.GATE, write=True)

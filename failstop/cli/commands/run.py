@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 from argparse import ArgumentParser, Namespace
 
 from failstop import config, instances
@@ -69,6 +71,7 @@ def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
     rights.take_descriptors()
+    rights.take_stack()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = grant.leased(config.checked({**read, **given}, arguments.config), read)
@@ -77,7 +80,18 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
         return
     runtime_dir = instances.make_runtime_dir(arguments.name)
     instances.refuse_listening(arguments.name, runtime_dir)
-    starter.become_supervisor(arguments.name, runtime_dir, settings, instances.lock(runtime_dir), port.fd)
+    again = _again(arguments)
+    starter.become_supervisor(arguments.name, runtime_dir, settings, instances.lock(runtime_dir), port.fd, again)
+
+
+def _again(arguments: Namespace) -> str:
+    """The command line that starts this run again, from whatever folder, quoted for a shell."""
+    if instances.by_its_unit(arguments.name):
+        return f"sudo systemctl start {instances.unit_of(arguments.name).removesuffix('.service')}"
+    words = [] if arguments.name == instance.DEFAULT_NAME else ["--name", arguments.name]
+    for option, path in (("--config", arguments.config), ("--device", arguments.device)):
+        words += [option, os.path.abspath(path)] if path else []
+    return shlex.join(["failstop", "run", *words])
 
 
 def _why(error: Exception) -> str:

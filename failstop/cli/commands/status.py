@@ -183,7 +183,7 @@ class Live:
             [],
             [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
             [("what happened:       ", PLAIN), (told, STRONG)],
-            [("to start it:         ", PLAIN), (host.start(self._name, self._device), STRONG)],
+            [("to start it:         ", PLAIN), (host.start(self._name), STRONG)],
         ]
         return summary.wrapped(rows, columns, 0)
 

@@ -21,6 +21,7 @@ from failstop.shm import instance
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
 DEVICE = "device.path"
@@ -49,7 +50,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
     add_name(parser)
     parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE} and {WAIT} are used")
-    parser.add_argument("--device", metavar="PATH", help=f"the board's port (default: {DEVICE}, else {device})")
+    parser.add_argument(
+        "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
+    )
     parser.add_argument("--wait", metavar="S", type=float, help=f"how long to try (default: {WAIT}, else {wait_s:g} s)")
     parser.add_argument(
         "--services",
@@ -82,10 +85,24 @@ def main(arguments: Namespace) -> int:
             return 0
     except Exception as error:  # whatever it is, the port is still to be written to
         standard.say(f"no service can be asked ({error}): writing to the port itself")
-    after_s = port.stop()
+    after_s = port.stop(late=lambda: _late(arguments.name, reason, who, port))
+    if port.by_service:
+        return 0
     why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
-    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.device()}{why}")
+    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.told()}{why}")
     return int(port.doubtful())
+
+
+def _late(wanted: str, reason: str, who: str, port: Port) -> bool:
+    """True when a service that listens only now, since it was just starting, has stopped."""
+    if wanted in port.asked or not instances.listens(wanted):
+        return False
+    try:
+        return _by_service(wanted, reason, who, port)
+    except Exception as error:  # as above
+        standard.say(f"no service can be asked ({error})")
+        port.asked.append(wanted)
+        return False
 
 
 def _every_service(reason: str, who: str) -> int:
@@ -135,8 +152,9 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
 
 
 class Port:
-    """Where to write and for how long to try: what an option says, else the file, which is read when it is needed, else
-    the default. Of the file nothing else is looked at: a mistake elsewhere must not keep the wheels turning."""
+    """Where to write and for how long to try: what an option says, else the last run's own port, else the file, which
+    is read when it is needed, else the default. Of the file nothing else is looked at: a mistake elsewhere must not
+    keep the wheels turning."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Raises SettingError."""
@@ -154,6 +172,10 @@ class Port:
         """What a service that runs says of its port."""
         self.asked: list[str] = []
         """Services that were asked, and are not known to have stopped."""
+        self.by_service = False
+        """A service has stopped in the end, and the port was not written to."""
+        self._instead = ""
+        """The port that was written to in the place of the last run's, which is not there."""
 
     def wanted(self) -> str:
         """The port that the user has named, by an option or by a file; empty: none."""
@@ -161,7 +183,31 @@ class Port:
 
     def device(self) -> str:
         """The port to write to."""
-        return self.wanted() or self.known or str(self._file.get(DEVICE, DEFAULTS[DEVICE]))
+        return self._instead or self.wanted() or self.known or self._last.device or self._guess()
+
+    def told(self) -> str:
+        """The same for people, with what it was chosen for."""
+        of = ", the port of the last run" if self._is_last() else ""
+        return f"{self.device()}{of}"
+
+    def _is_last(self) -> bool:
+        return bool(self._last.device) and not (self.wanted() or self.known or self._instead)
+
+    def _guess(self) -> str:
+        """The port where nothing else says which."""
+        return str(self._file.get(DEVICE, DEFAULTS[DEVICE]))
+
+    @cached_property
+    def _last(self) -> instance.Last:
+        """How the last run of this name was started."""
+        return instance.last(self._name)
+
+    def _servos(self) -> tuple[int, ...]:
+        """Of the arm, where there is one: which ones is in a file, or known of the run that had this port."""
+        joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
+        found = [value for key in joints if type(value := self._file[key]) is int]
+        found += self._last.servos if self._last.device == self.device() else ()
+        return tuple(sorted({servo for servo in found if 0 < servo <= HIGHEST_ID})[:MOST_OF_A_FAMILY])
 
     @cached_property
     def _file(self) -> dict[str, Any]:
@@ -182,8 +228,9 @@ class Port:
                 del table[key]
         return table
 
-    def stop(self, most_s: float = inf) -> float:
-        """Write the stop, trying for `most_s` seconds at most; returns after how many. Raises FailstopError."""
+    def stop(self, most_s: float = inf, late: Callable[[], bool] = lambda: False) -> float:
+        """Write the stop, trying for `most_s` seconds at most; returns after how many. `late`: asked while another
+        process has the port; True: a service has stopped. Raises FailstopError."""
 
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
@@ -193,18 +240,36 @@ class Port:
             least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
             return min(float(found), most_s, least_s)
 
+        def otherwise(error: PortError) -> bool:
+            if error.kind == "busy":
+                self.by_service = late()
+                return self.by_service
+            return error.kind == "absent" and self._wrote_instead()
+
         try:
-            after_s = stopping.stop(self.device(), wait_s, standard.say)
+            after_s = stopping.stop(self.device(), wait_s, standard.say, otherwise)
+            if self.by_service:
+                return after_s
             self.complain()
-            # The servos of the arm, if there are any: which ones is in a file, and the wheels come first.
-            joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
-            found = [value for key in joints if type(value := self._file[key]) is int and 0 < value <= HIGHEST_ID]
-            if servos := sorted({*found})[:MOST_OF_A_FAMILY]:
-                stopping.write(self.device(), tuple(servos))
+            if servos := self._servos():  # the wheels come first
+                stopping.write(self.device(), servos)
         except PortError as error:
             self.complain()
             raise FailstopError(self._explained(error)) from None
         return after_s
+
+    def _wrote_instead(self) -> bool:
+        """True when a stop went to the port where a board is looked for without a last run: that run's is not there,
+        and a replug may have given the board another."""
+        other = self._guess()
+        if not self._is_last() or other == self._last.device:
+            return False
+        try:
+            stopping.write(other)
+        except PortError:
+            return False
+        self._instead = other
+        return True
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
@@ -213,6 +278,12 @@ class Port:
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
+        if self._instead:
+            gone = f"{self._last.device} of the last run is not there"
+            standard.say(f"{gone}, so it went to {self._instead}: is this the board? Name it with --device")
+            return True
+        if self._is_last():
+            return False
         if self.wanted() or self.known or DEVICE in self._file:
             return False
         if not self._unknown and self._name == instance.DEFAULT_NAME:
@@ -222,6 +293,8 @@ class Port:
 
     def _explained(self, error: PortError) -> str:
         """With the name of who holds the port, where it can be found."""
+        if error.kind == "absent" and self._is_last() and self._guess() != self._last.device:
+            return f"{error} (it was the last run's; {self._guess()} is not there either)"
         if error.kind != "busy":
             return str(error)
         # Only here: it looks at every process.

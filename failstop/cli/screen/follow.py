@@ -107,7 +107,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     now_s = time.time()
     ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9
     what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
-    steps = [host.start(name, device), words.named("`failstop incident show last`, for what came before it", name)]
+    steps = [host.start(name), words.named("`failstop incident show last`, for what came before it", name)]
     if stop:
         proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
     else:

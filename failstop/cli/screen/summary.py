@@ -112,7 +112,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
 def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port, link = state.device.state, state.device.link
-    found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
+    found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
     return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN))] if port == "open" else found
 
