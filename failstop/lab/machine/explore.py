@@ -27,7 +27,6 @@ HELD_NS = 300 * MS
 ASLEEP_S = 20.0
 RUN_S = 30
 """A run that takes longer in real time has gone astray."""
-LIMIT = getattr(errno, "EMFILE")
 ERRORS: dict[str, tuple[int, ...]] = {
     "write": (errno.EAGAIN,),
     "open": (errno.EMFILE,),
@@ -70,7 +69,9 @@ class Found:
             self.violations.append(result)
 
 
-def faults_of(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]) -> Iterator[tuple[str, Callable[[], None]]]:
+def faults_of(
+    stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]
+) -> Iterator[tuple[str, Callable[[], None]]]:
     """The faults that may happen at a call, with their names."""
     machine, process = stage.machine, thread.process
 
@@ -93,7 +94,7 @@ def faults_of(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]) -
 
     def short() -> None:
         stage.witness.tell(f"{call} of {process.name} is taken by half")
-        machine.shorter = 1  # type: ignore[attr-defined]
+        machine.shortened = True
 
     yield "dies", dies
     yield "held", held
@@ -194,7 +195,16 @@ class Campaign:
             self.found.add(json.loads(data))
         else:
             text = f"the run itself ended with {os.waitstatus_to_exitcode(status)}"
-            self.found.add({"violations": [text], "marks": {}, "place": vars(place), "fault": fault, "scenario": self.name, "story": []})
+            self.found.add(
+                {
+                    "violations": [text],
+                    "marks": {},
+                    "place": vars(place),
+                    "fault": fault,
+                    "scenario": self.name,
+                    "story": [],
+                }
+            )
         self.progress(self.found)
 
     def _result(self) -> dict[str, Any]:
@@ -233,7 +243,11 @@ def story(result: dict[str, Any]) -> str:
     begin_ns = result["story"][0][0] if result["story"] else 0
     lines = [f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in result["story"]]
     place = result["place"]
-    head = f"{result['scenario']}: {place['process']} {result['fault']} at call {place['number']}, {place['call']} ({place['where']})" if place else result["scenario"]
+    head = (
+        f"{result['scenario']}: {place['process']} {result['fault']} at call {place['number']}, {place['call']} ({place['where']})"
+        if place
+        else result["scenario"]
+    )
     return "\n".join([head, *(f"  {text}" for text in result["violations"]), *lines])
 
 
@@ -252,7 +266,17 @@ def main(argv: list[str]) -> int:
         total.violations += found.violations
         for mark, count in found.marks.items():
             total.marks[mark] = total.marks.get(mark, 0) + count
-        print(name, found.places, "places", found.runs, "runs", len(found.violations), "wrong", f"{time.perf_counter() - begun_s:.1f} s", flush=True)
+        print(
+            name,
+            found.places,
+            "places",
+            found.runs,
+            "runs",
+            len(found.violations),
+            "wrong",
+            f"{time.perf_counter() - begun_s:.1f} s",
+            flush=True,
+        )
     kinds: dict[str, list[dict[str, Any]]] = {}
     for result in total.violations:
         place = result["place"] or {"process": "-", "call": "-", "where": "-"}

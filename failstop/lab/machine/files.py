@@ -63,16 +63,14 @@ class Node:
 class Open:
     """An open file: a node with an offset and flags, which descriptors share."""
 
-    __slots__ = ("flags", "in_epolls", "node", "offset", "path", "references", "released", "waiting")
+    __slots__ = ("flags", "in_epolls", "node", "offset", "references", "waiting")
 
-    def __init__(self, node: Node, flags: int = os.O_RDWR, path: str = "") -> None:
+    def __init__(self, node: Node, flags: int = os.O_RDWR) -> None:
         node.open(self)
         self.node = node
         self.flags = flags
-        self.path = path
         self.offset = 0
         self.references = 0
-        self.released = False
         self.waiting: list[Thread] = []
         self.in_epolls: list[tuple[Epoll, int]] = []
         node.opened.append(self)
@@ -93,7 +91,6 @@ class Open:
         self.references -= 1
         if self.references:
             return
-        self.released = True
         for epoll, number in tuple(self.in_epolls):
             epoll.drop(number)
         self.node.opened.remove(self)
@@ -172,22 +169,23 @@ class Fifo(Node):
         super().__init__(mode)
         self.data = bytearray()
 
-    def _ends(self, *modes: int) -> int:
+    def ends(self, *modes: int) -> int:
+        """How many are open so."""
         return sum(opened.flags & 3 in modes for opened in self.opened)
 
     def mask(self, opened: Open) -> int:
         mask = 0
         if opened.flags & 3 != os.O_WRONLY:
             mask |= IN if self.data else 0
-            mask |= 0 if self._ends(os.O_WRONLY, os.O_RDWR) else HUP
+            mask |= 0 if self.ends(os.O_WRONLY, os.O_RDWR) else HUP
         if opened.flags & 3 != os.O_RDONLY:
             mask |= OUT if len(self.data) < PIPE_BYTES else 0
-            mask |= 0 if self._ends(os.O_RDONLY, os.O_RDWR) else ERR
+            mask |= 0 if self.ends(os.O_RDONLY, os.O_RDWR) else ERR
         return mask
 
     def read(self, opened: Open, most: int) -> bytes:
         if not self.data:
-            if self._ends(os.O_WRONLY, os.O_RDWR):
+            if self.ends(os.O_WRONLY, os.O_RDWR):
                 raise BlockingIOError(errno.EAGAIN, "empty")
             return b""
         found = bytes(self.data[:most])
@@ -195,7 +193,7 @@ class Fifo(Node):
         return found
 
     def write(self, opened: Open, data: bytes) -> int:
-        if not self._ends(os.O_RDONLY, os.O_RDWR):
+        if not self.ends(os.O_RDONLY, os.O_RDWR):
             raise BrokenPipeError(errno.EPIPE, "nobody reads")
         if len(self.data) + len(data) > PIPE_BYTES:
             raise BlockingIOError(errno.EAGAIN, "full")
@@ -283,7 +281,11 @@ class Socket(Node):
         gone = self.peer is None
         return (IN if self.queue or gone or self.ended else 0) | OUT | (HUP if gone else 0)
 
-    def write(self, opened: Open, data: bytes, files: tuple[Open, ...] = ()) -> int:
+    def write(self, opened: Open, data: bytes) -> int:
+        return self.send(data)
+
+    def send(self, data: bytes, files: tuple[Open, ...] = ()) -> int:
+        """To the other end, with descriptors."""
         if self.peer is None:
             raise BrokenPipeError(errno.EPIPE, "the other end is closed")
         for each in files:
@@ -377,7 +379,6 @@ class Port(Node):
         """What a port that does not drain keeps."""
         self.drains = True
         self.gone = False
-        self.exclusive = False
         self.board: Any = None
         self.settings: list[Any] = [0, 0, 0, 0, 0, 0, [b"\0"] * 32]
 
@@ -434,5 +435,4 @@ class Port(Node):
 
     def closed(self, opened: Open) -> None:
         if not self.opened:
-            self.exclusive = False
             self.came.clear()

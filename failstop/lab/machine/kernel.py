@@ -7,6 +7,7 @@ call takes STEP_NS, and when every thread waits, the clock jumps to the next tim
 
 from __future__ import annotations
 
+import errno
 import heapq
 from collections import deque
 from collections.abc import Callable
@@ -39,7 +40,7 @@ class Thread:
         self.process = process
         self.body = body
         self.number = number
-        self.greenlet = greenlet(self._run)
+        self.greenlet = greenlet(self._run, process.machine.hub)
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
         self.token = 0
@@ -79,7 +80,7 @@ class Process:
         """Pidfds."""
         self.sys_path: list[str] = []
         self.argv: list[str] = []
-        self.random = pid
+        self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:
         """The lowest free number, for an open file."""
@@ -90,7 +91,13 @@ class Process:
         opened.references += 1
         return fd
 
+    def random_bytes(self, most: int) -> bytes:
+        """Of the machine's seed and this process's number."""
+        self._random = (self._random * 6364136223846793005 + self.machine.seed + 1442695040888963407) % (1 << 64)
+        return (self._random.to_bytes(8, "little") * (most // 8 + 1))[:most]
+
     def close(self, fd: int) -> None:
+        """Give a descriptor back."""
         opened = self.files.pop(fd)
         self.inheritable.discard(fd)
         opened.release(self, fd)
@@ -103,17 +110,20 @@ class Machine:
     def __init__(self, seed: int = 0) -> None:
         self.now_ns = 1_000_000_000_000
         self.slept_ns = 0
-        self.unix_offset_s = 1_700_000_000.0
+        self.unix_ns = 1_700_000_000_000_000_000
+        """The time of day when the clock stood at zero."""
         self.seed = seed
         self.root = Directory()
         self.processes: dict[int, Process] = {}
         self.at_seam: Callable[[Thread, str, tuple[Any, ...]], None] | None = None
         self.current: Thread | None = None
-        self.names: dict[str, Callable[[Process, list[str]], int]] = {}
-        """What runs when a program is started, by the last part of its script's path."""
+        self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
+        """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.shortened = False
+        """The next write takes a half of what it is given."""
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
         """Told of each start and death."""
-        self._hub = getcurrent()
+        self.hub = getcurrent()
         self._runnable: deque[Thread] = deque()
         self._timers: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
@@ -213,7 +223,7 @@ class Machine:
         if until_ns is not None:
             token = thread.token
             self.at(until_ns, lambda: self._timed_out(thread, token))
-        self._hub.switch()
+        self.hub.switch()
 
     def _timed_out(self, thread: Thread, token: int) -> None:
         if thread.waiting and thread.token == token:
@@ -232,14 +242,18 @@ class Machine:
         thread = self.current
         assert thread is not None
         self._runnable.append(thread)
-        self._hub.switch()
+        self.hub.switch()
         if thread.process.dead:
             raise Death
 
     # Processes.
 
     def process(
-        self, name: str, body: Callable[[Process], object], environ: dict[str, str] | None = None, parent: Process | None = None
+        self,
+        name: str,
+        body: Callable[[Process], object],
+        environ: dict[str, str] | None = None,
+        parent: Process | None = None,
     ) -> Process:
         """Start a process."""
         pid, self._next_pid = self._next_pid, self._next_pid + 1
@@ -262,7 +276,7 @@ class Machine:
             self.mark(thread)
         self.at(self.now_ns + LATE_NS, lambda: self._taken_down(process, code))
         if self.current is not None and self.current.process is process:
-            self._hub.switch()
+            self.hub.switch()
             raise Death
 
     def _taken_down(self, process: Process, code: int) -> None:
@@ -278,6 +292,13 @@ class Machine:
             pidfd.notify()
         if process.parent:
             self.kill(process.parent, SIGCHLD)
+
+    def living(self, pid: int) -> Process:
+        """The process with this number, until it is reaped. Raises ProcessLookupError."""
+        found = self.processes.get(pid)
+        if found is None or found.reaped:
+            raise ProcessLookupError(errno.ESRCH, "no such process")
+        return found
 
     def kill(self, process: Process, number: int) -> None:
         """Send a signal."""
@@ -310,7 +331,7 @@ class Machine:
             self.at(process.held_until_ns, lambda: self.resume(process))
         if self.current is not None and self.current.process is process:
             process.parked.append(self.current)
-            self._hub.switch()
+            self.hub.switch()
             if process.dead:
                 raise Death
 

@@ -15,6 +15,7 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import failstop
+from failstop.lab.machine.calls import Calls
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.stand_ins import stand_ins
 from failstop.lab.machine.system import modules
@@ -44,8 +45,10 @@ class Loader:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        self._system = modules(machine)
-        self._loaded: dict[str, ModuleType] = stand_ins(self._system["calls"])
+        calls = Calls(machine)
+        self.system = modules(calls)
+        """The simulated modules, by name."""
+        self._loaded: dict[str, ModuleType] = stand_ins(calls)
         self._unnamed = set(self._loaded)
         """Stand-ins that their package does not know yet."""
         self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open}
@@ -63,7 +66,9 @@ class Loader:
             return self._loaded[name]
         code, package = _compiled(name)
         module = ModuleType(name)
-        module.__dict__.update(__builtins__=self._builtins, __file__=code.co_filename, __package__=name if package else above)
+        module.__dict__.update(
+            __builtins__=self._builtins, __file__=code.co_filename, __package__=name if package else above
+        )
         if package:
             module.__path__ = [os.path.dirname(code.co_filename)]
         self._loaded[name] = module
@@ -91,14 +96,14 @@ class Loader:
                 if not hasattr(module, each) and _exists(f"{name}.{each}"):
                     self.load(f"{name}.{each}")
             return module if fromlist else self.load("failstop")
-        if top in self._system:
-            return self._system[name if fromlist else top]
+        if top in self.system:
+            return self.system[name if fromlist else top]
         if top in HARMLESS:
             return builtins.__import__(name, globals, locals, fromlist, level)
         raise ImportError(f"the simulated machine has no {name}")
 
     def _open(self, path: Any, mode: str = "r", *_: Any, opener: Any = None, **__: Any) -> Any:
-        return File(self._system["os"], path, mode, opener)
+        return File(self.system["os"], path, mode, opener)
 
 
 def _exists(name: str) -> bool:
@@ -115,21 +120,21 @@ class File:
 
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)
-        self._system, self._text = system, "b" not in mode
+        self.system, self._text = system, "b" not in mode
         self._fd = opener(path, flags) if opener else system.open(path, flags)
 
     def fileno(self) -> int:
         return self._fd
 
     def read(self, most: int = 1 << 30) -> Any:
-        data = self._system.read(self._fd, most)
+        data = self.system.read(self._fd, most)
         return data.decode() if self._text else data
 
     def readline(self, most: int = 1 << 30) -> Any:
         return self.read(most).partition("\n")[0]
 
     def write(self, data: Any) -> int:
-        return self._system.write(self._fd, data.encode() if self._text else data)
+        return self.system.write(self._fd, data.encode() if self._text else data)
 
     def flush(self) -> None:
         return None
@@ -137,7 +142,7 @@ class File:
     def close(self) -> None:
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
-            self._system.close(fd)
+            self.system.close(fd)
 
     def __enter__(self) -> Any:
         return self

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -63,7 +62,7 @@ class Robot:
         self._numbers = 0
         self._make_files()
         self.plug()
-        self.machine.names["child.py"] = self._child
+        self.machine.programs["child.py"] = self._child
 
     def _folder(self, path: str, mode: int = 0o755) -> Directory:
         here = self.machine.root
@@ -141,6 +140,3 @@ class Robot:
         """The living process of that name."""
         living = [each for each in self.machine.processes.values() if each.name == name and not each.dead]
         return living[-1] if living else None
-
-
-assert os.name == "posix"

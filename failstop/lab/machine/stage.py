@@ -27,7 +27,9 @@ PERIOD_S = 0.02
 class Stage:
     """`failstop` is the package as the simulated machine has it, `time` its clock."""
 
-    def __init__(self, play: Callable[[Stage], object], seed: int = 0, settings: dict[str, object] | None = None) -> None:
+    def __init__(
+        self, play: Callable[[Stage], object], seed: int = 0, settings: dict[str, object] | None = None
+    ) -> None:
         self.robot = Robot(seed, imu_hz=20.0, settings=settings)
         self.machine = self.robot.machine
         self.witness = Witness(self.machine, self.robot.board.model, SPEED_RPS)
@@ -36,7 +38,7 @@ class Stage:
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
-        self.time: Any = self.robot.loader._system["time"]
+        self.time: Any = self.robot.loader.system["time"]
         self._play = play
         self._keep = True
         self.player: Process | None = None

@@ -8,7 +8,7 @@ from typing import Any
 
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.kernel import Thread
-from failstop.lab.machine.system import Calls, Module
+from failstop.lab.machine.calls import Calls, Module
 
 OWNER_DIED = 1 << 30
 WAITERS = 1 << 31
@@ -109,7 +109,7 @@ def make_futex(calls: Calls) -> ModuleType:
         machine.current.robust = []
 
     return Module(
-        "failstop.shm.futex", Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
+        "failstop.shm.futex", calls, Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
     )
 
 
@@ -127,6 +127,7 @@ def make_rights(calls: Calls) -> ModuleType:
 
     return Module(
         "failstop.procs.rights",
+        calls,
         name_process=nothing,
         die_with_parent=die_with_parent,
         take_rights=lambda priority: REALTIME | MEMORY_LOCKED | EARLY_NEWS,
@@ -147,7 +148,7 @@ def make_starved(calls: Calls) -> ModuleType:
         process = calls.machine.processes.get(pid)
         return bool(process and process.starved)
 
-    return Module("failstop.procs.starved", look=look, LONGEST_NS=5_000_000_000)
+    return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=5_000_000_000)
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
