@@ -1,1 +1,1 @@
-"""A simulated machine: one Python process in which the whole service runs, under a clock of its own (docs/dev/simulation.md)."""
+"""A simulated machine, on which the whole service runs in one process (docs/dev/simulation.md)."""

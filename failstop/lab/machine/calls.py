@@ -57,7 +57,7 @@ class Calls:
         return _step(above, name, path)
 
     def wait_for(self, opened: Iterable[Open], ready: Callable[[], Any], timeout_s: float | None) -> Any:
-        """Block until ready() is true or the time is over; returns what it said last. None, or less than 0: for ever."""
+        """Block until ready() is true or the time is over; returns what it said last. None, or below 0: for ever."""
         machine = self.machine
         found = ready()
         if found or timeout_s == 0:

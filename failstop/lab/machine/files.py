@@ -116,11 +116,13 @@ class Regular(Node):
         self.data[size:] = b""
         self.data.extend(bytes(max(0, size - now)))
 
-    def mapped(self) -> mmap.mmap:
+    def mapped(self, size: int = 0) -> mmap.mmap:
+        """As a map, of at least so many bytes."""
         if not isinstance(self.data, mmap.mmap):
-            made = mmap.mmap(-1, max(1, len(self.data)), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-            made[: len(self.data)] = bytes(self.data)
-            self.data = made
+            before, size = bytes(self.data), max(1, size, len(self.data))
+            self.data = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            if before:
+                self.data[: len(before)] = before
         return self.data
 
     def read(self, opened: Open, most: int) -> bytes:

@@ -1,8 +1,8 @@
 """Kernel: processes, their threads, the clock, deaths and signals of a simulated machine.
 
-A thread is a greenlet. It runs until a call of the simulated system blocks, or until a tape decides that another one goes
-first. Nothing here reads the real clock, so that two runs of one seed are equal to the byte. Time passes in two ways: each
-call takes STEP_NS, and when every thread waits, the clock jumps to the next timer.
+A thread is a greenlet. It runs until a call of the simulated system blocks. Nothing here reads the real clock, so that
+two runs of one seed are equal to the byte. Time passes in two ways: each call takes STEP_NS, and when every thread
+waits, the clock jumps to the next timer.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ class Process:
 
 
 class Machine:
-    """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it raises
-    is what the call raises."""
+    """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
+    raises is what the call raises."""
 
     def __init__(self, seed: int = 0) -> None:
         self.now_ns = 1_000_000_000_000
@@ -205,7 +205,7 @@ class Machine:
         thread.robust = []
 
     def block(self, until_ns: int | None = None) -> bool:
-        """Wait in the current thread until wake(), or that time; True when it was woken. Signals are handled meanwhile."""
+        """Wait in the current thread until wake(), or that time; True when it was woken. Handles signals meanwhile."""
         thread = self.current
         assert thread is not None
         while True:

@@ -1,8 +1,8 @@
 """Loading: the service's own modules, as they ship, on a simulated machine.
 
-Each is executed anew with an `__import__` of its own: what is failstop's is loaded here too, what speaks with the kernel is
-the machine's (system.py), and the rest is Python's. So a call that is not simulated is an error at once, and the code under
-test needs no seam of its own.
+Each is executed anew with an `__import__` of its own: failstop's modules are loaded here too, those that speak with the
+kernel are the machine's (system.py), and the rest is Python's. So a call that is not simulated is an error at once, and
+the code under test needs no seam of its own.
 """
 
 from __future__ import annotations
@@ -22,29 +22,46 @@ from failstop.lab.machine.system import modules
 
 HOME = os.path.dirname(os.path.abspath(failstop.__file__))
 HARMLESS = frozenset(
-    "__future__ abc asyncio bisect collections contextlib copy dataclasses difflib enum errno functools itertools json math msgpack "
-    "operator re shlex stat string struct textwrap tomli tomllib types typing typing_extensions weakref zlib".split()
+    (
+        *("__future__", "abc", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses", "difflib"),
+        *("enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex", "stat"),
+        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "zlib"),
+    )
 )
 """Python's own modules that ask no machine."""
 _CODE: dict[str, tuple[CodeType, bool]] = {}
 
 
-def _compiled(name: str) -> tuple[CodeType, bool]:
-    """A module's code, and whether it is a package."""
-    if name not in _CODE:
+Patches = tuple[tuple[str, str, str], ...]
+"""Changes of the code that is loaded: the module, a piece of its source that is there once, and what stands in its
+place."""
+
+
+def _compiled(name: str, patches: Patches = ()) -> tuple[CodeType, bool]:
+    """A module's code, and whether it is a package. Raises ValueError for a patch of what is not there."""
+    if name not in _CODE or any(module == name for module, _, _ in patches):
         path = os.path.join(HOME, *name.split(".")[1:])
         package = os.path.isdir(path)
         path = os.path.join(path, "__init__.py") if package else f"{path}.py"
         with open(path, encoding="utf-8") as file:
-            _CODE[name] = compile(file.read(), path, "exec"), package
+            source = file.read()
+        for module, old, new in patches:
+            if module == name and source.count(old) != 1:
+                raise ValueError(f"{name} has {source.count(old)} times {old!r}, not once")
+            source = source.replace(old, new) if module == name else source
+        found = compile(source, path, "exec"), package
+        if any(module == name for module, _, _ in patches):
+            return found
+        _CODE[name] = found
     return _CODE[name]
 
 
 class Loader:
     """The modules of one simulated machine."""
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: Machine, patches: Patches = ()) -> None:
         self.machine = machine
+        self._patches = patches
         calls = Calls(machine)
         self.system = modules(calls)
         """The simulated modules, by name."""
@@ -64,7 +81,7 @@ class Loader:
             setattr(parent, last, self._loaded[name])
         if name in self._loaded:
             return self._loaded[name]
-        code, package = _compiled(name)
+        code, package = _compiled(name, self._patches)
         module = ModuleType(name)
         module.__dict__.update(
             __builtins__=self._builtins, __file__=code.co_filename, __package__=name if package else above

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine.files import Directory, Null, Open, Port
+from failstop.lab.machine.files import Directory, Node, Null, Open, Port
 from failstop.lab.machine.kernel import Machine, Process
-from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE = "/dev/ttyACM0"
 MS = 1_000_000
+CLICKED = 0x20
 
 
 class Board:
@@ -29,6 +30,11 @@ class Board:
     def receive(self, data: bytes) -> None:
         """Bytes of the port, now."""
         self.model.receive(data, self.machine.now_ns)
+        self._plan()
+
+    def press(self, key: int) -> None:
+        """A key is clicked."""
+        self.model.key(key, CLICKED, self.machine.now_ns)
         self._plan()
 
     def _plan(self) -> None:
@@ -53,9 +59,17 @@ class Board:
 class Robot:
     """A machine with one board on DEVICE. start() starts the service, program() a client."""
 
-    def __init__(self, seed: int = 0, *, imu_hz: float = 110.0, settings: dict[str, object] | None = None) -> None:
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        imu_hz: float = 110.0,
+        settings: dict[str, object] | None = None,
+        patches: Patches = (),
+    ) -> None:
+        Node.count = 0
         self.machine = Machine(seed)
-        self.loader = Loader(self.machine)
+        self.loader = Loader(self.machine, patches)
         self.board = Board(self.machine, imu_hz)
         self.stderr = Null()
         self._settings = settings or {}
@@ -120,7 +134,7 @@ class Robot:
             except refusals:
                 return 1
             process.environ.update(starter.environment(settings))
-            words = [f"name=failstop", f"dir={folder}", f"lock={lock}", f"port={port.fd}"]
+            words = ["name=failstop", f"dir={folder}", f"lock={lock}", f"port={port.fd}"]
             return self._child(process, ["child.py", "supervisor", *words])
 
         return self.machine.process("supervisor", body, {"HOME": "/root"})

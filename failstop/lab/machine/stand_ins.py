@@ -6,9 +6,9 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
+from failstop.lab.machine.calls import Calls, Module
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.kernel import Thread
-from failstop.lab.machine.calls import Calls, Module
 
 OWNER_DIED = 1 << 30
 WAITERS = 1 << 31

@@ -1,7 +1,8 @@
 """System: the calls of the simulated kernel by the names that Python's own modules give them.
 
-`modules(calls)` is what a program on the simulated machine imports instead of `os`, `time`, `select` and the others. A call that
-is not simulated does not exist there, so a program that makes it fails at its first run, and asks no other machine.
+`modules(calls)` is what a program on the simulated machine imports instead of `os`, `time`, `select` and the others. A
+call that is not simulated does not exist there, so a program that makes it fails at its first run, and asks no other
+machine.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class SimulatedSocket:
         return process, opened, opened.node
 
     def sendmsg(self, buffers: list[bytes], ancillary: Any = (), flags: int = 0) -> int:
-        process, opened, node = self._own("sendmsg")
+        process, _, node = self._own("sendmsg")
         passed = tuple(self._calls.opened(process, _FD.unpack_from(data)[0]) for _, _, data in ancillary)
         return node.send(b"".join(buffers), passed)
 

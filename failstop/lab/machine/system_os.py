@@ -55,12 +55,16 @@ class Environ(dict):  # type: ignore[type-arg]
         return self._own().items()
 
 
-def status(node: Node) -> os.stat_result:
+class Status:
     """The answer of stat()."""
-    at_s, at_ns = divmod(node.changed_ns, NS)
-    numbers = (node.kind | node.mode, node.number, 1, node.links, node.uid, node.gid, node.size(), at_s, at_s, at_s)
-    fractions = (float(at_s), float(at_s), float(at_s), at_ns, at_ns, node.changed_ns, 4096, 0, node.device)
-    return os.stat_result((*numbers, *fractions))
+
+    __slots__ = ("st_ctime_ns", "st_dev", "st_gid", "st_ino", "st_mode", "st_mtime", "st_nlink", "st_rdev", "st_size", "st_uid")
+
+    def __init__(self, node: Node) -> None:
+        self.st_mode, self.st_ino, self.st_nlink = node.kind | node.mode, node.number, node.links
+        self.st_uid, self.st_gid, self.st_size = node.uid, node.gid, node.size()
+        self.st_dev = 1
+        self.st_rdev, self.st_ctime_ns, self.st_mtime = node.device, node.changed_ns, node.changed_ns / NS
 
 
 class Paths(Module):
@@ -93,8 +97,8 @@ class Paths(Module):
             raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
         return None
 
-    def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> os.stat_result:
-        return status(self._calls.node(self._calls.process("stat", path), path, dir_fd))
+    def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> Status:
+        return Status(self._calls.node(self._calls.process("stat", path), path, dir_fd))
 
     lstat = stat
 
@@ -189,7 +193,7 @@ class Descriptors(Module):
         return len(data)
 
     def write(self, fd: int, data: bytes) -> int:
-        opened = self._calls.begin("write", fd)
+        opened = self._calls.begin("write", fd, data)
         most, self._machine.shortened = self._machine.shortened, False
         return opened.node.write(opened, bytes(data[: max(1, len(data) // 2)] if most else data))
 
@@ -214,14 +218,13 @@ class Descriptors(Module):
         self._regular("ftruncate", fd).resize(size)
 
     def posix_fallocate(self, fd: int, at: int, size: int) -> None:
-        node = self._regular("fallocate", fd)
-        node.resize(max(node.size(), at + size))
+        self._regular("fallocate", fd).mapped(at + size)
 
     def fsync(self, fd: int) -> None:
         self._calls.begin("fsync", fd)
 
-    def fstat(self, fd: int) -> os.stat_result:
-        return status(self._calls.begin("fstat", fd).node)
+    def fstat(self, fd: int) -> Status:
+        return Status(self._calls.begin("fstat", fd).node)
 
     def dup(self, fd: int) -> int:
         process = self._calls.process("dup", fd)

@@ -1,7 +1,7 @@
 """Stage: a scenario on a simulated robot, with its witness: start, what a program does, a fault on the way, the end.
 
-After the scenario the faults are off: a run of the service is there, a program resets, enables and drives, and the wheels turn
-within LIVE_NS. So a run is judged for what it forbids and for what it must allow.
+After the scenario the faults are off: a run of the service is there, a program resets, enables and drives, and the
+wheels turn within LIVE_NS. So a run is judged for what it forbids and for what it must allow.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine import marks
 from failstop.lab.machine.kernel import SIGTERM, Process
+from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS, Robot
-from failstop.lab.machine.witness import ASKED_NS, Witness
+from failstop.lab.simulate import marks
+from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, Witness
 
+SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
+"""Of the scenarios that need some."""
 SPEED_MPS = 0.1
 SPEED_RPS = 0.398
 LONGEST_NS = 4_000 * MS
@@ -27,14 +30,10 @@ PERIOD_S = 0.02
 class Stage:
     """`failstop` is the package as the simulated machine has it, `time` its clock."""
 
-    def __init__(
-        self, play: Callable[[Stage], object], seed: int = 0, settings: dict[str, object] | None = None
-    ) -> None:
-        self.robot = Robot(seed, imu_hz=20.0, settings=settings)
+    def __init__(self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = ()) -> None:
+        self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
         self.machine = self.robot.machine
-        self.witness = Witness(self.machine, self.robot.board.model, SPEED_RPS)
-        self.witness.reaches_board = lambda: self.robot.board.port is not None and self.robot.board.port.drains
-        self.robot.board.on_frame = self.witness.frame
+        self.witness = Witness(self.robot, SPEED_RPS)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
@@ -70,20 +69,35 @@ class Stage:
             self.time.sleep(PERIOD_S)
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
-        """Ask for a stop."""
+        """Ask for a stop, and wait until it is latched."""
         robot.estop(why)
         self.witness.must_stop("a stop was asked for", ASKED_NS)
+        robot.wait_for("latched", 1.0)
+
+    def reset(self, robot: Any) -> None:
+        """Clear the latch."""
+        robot.wait_for("ready", 3.0)
+        robot.reset()
+
+    def disable(self, robot: Any) -> None:
+        """Forbid motion."""
+        robot.disable()
+        self.must_stop("a program disabled motion", 30)
+
+    def must_stop(self, why: str, within_ms: int) -> None:
+        """From then on the wheels stand, until a program asks for motion again."""
+        self.witness.must_stop(why, within_ms * MS)
 
     def kill(self, name: str) -> None:
         """SIGKILL a process of the service."""
         if found := self.robot.named(name):
             self.machine.die(found, -9)
 
-    def freeze(self, name: str, ns: int) -> None:
+    def freeze(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long."""
         if found := self.robot.named(name):
-            self.witness.held(found, ns)
-            self.machine.hold(found, ns)
+            self.witness.held(found, ms * MS)
+            self.machine.hold(found, ms * MS)
 
     def unplug(self) -> None:
         self.witness.tell("the plug is pulled")
@@ -91,7 +105,29 @@ class Stage:
 
     def replug(self) -> None:
         self.robot.plug()
-        self.witness.must_stop("the board is back", 30 * MS)
+        self.witness.must_stop("the board is back", BACK_NS)
+
+    def block_port(self) -> None:
+        """The port keeps from now on what is written to it."""
+        if self.robot.board.port:
+            self.witness.tell("the port does not drain")
+            self.robot.board.port.drains = False
+
+    def free_port(self) -> None:
+        """The port passes on what it has kept."""
+        if self.robot.board.port:
+            self.robot.board.port.drain()
+            self.must_stop("the port drains again", 30)
+
+    def deafen(self) -> None:
+        """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
+        self.witness.tell("the board is deaf")
+        self.robot.board.model.deaf = True
+
+    def press(self, key: int) -> None:
+        """A key of the board."""
+        self.witness.must_stop("a key was pressed", 30 * MS)
+        self.robot.board.press(key)
 
     def sleep_machine(self, seconds: float) -> None:
         """The machine sleeps: nothing runs, and CLOCK_MONOTONIC stands still."""
@@ -102,10 +138,12 @@ class Stage:
         """SIGTERM, as systemd sends it."""
         self._keep = False
         if found := self.robot.named("supervisor"):
+            self.witness.orderly = True
             self.witness.must_stop("the service was told to end", 400 * MS)
             self.machine.kill(found, SIGTERM)
             while not found.dead:
                 self.time.sleep(0.005)
+            self.witness.orderly = False
         self._keep = True
 
     # The run.
@@ -142,6 +180,7 @@ class Stage:
         for process in machine.processes.values():
             if process.held_until_ns:
                 machine.resume(process)
+        self.robot.board.model.deaf = False
         if self.robot.board.port is None:
             self.replug()
         elif not self.robot.board.port.drains:

@@ -1,13 +1,20 @@
-"""Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission table, each
-change of a process's state. What no run has reached was not tried, and is told."""
+"""Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission
+table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
-if TYPE_CHECKING:
-    from failstop.lab.machine.loading import Loader
-    from failstop.lab.machine.witness import Witness
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import Loader
+from failstop.lab.simulate.witness import Witness
+
+ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
+
+
+EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
+"""In the order of supervisor/children.py."""
 
 
 class Marks:
@@ -57,21 +64,19 @@ def _watch_admission(loader: Loader, marks: Marks) -> None:
 def _watch_states(loader: Loader, marks: Marks) -> None:
     module = loader.load("failstop.supervisor.children")
     on = module.Child.on
-    events = "started runs spared beats killed died reaped given_up recalled".split()
 
     def told(self: Any, event: int) -> None:
-        marks.reach(f"state {self.state} {events[event]}")
+        marks.reach(f"state {self.state} {EVENTS[event]}")
         on(self, event)
 
     module.Child.on = told
 
 
-def wanted(loader: Loader) -> list[str]:
-    """Every mark there is."""
-    causes = loader.load("failstop.policy.causes").BY_NAME
+def missing(counts: Mapping[str, int]) -> list[str]:
+    """The marks that were not reached."""
+    loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
-    events = "started runs spared beats killed died reaped given_up recalled".split()
-    found = [f"cause {name}" for name in causes]
-    found += [f"admission {name}" for name in ("write", "drop", "burst", "request", "bad frame", "hangs")]
-    found += [f"state {state} {events[event]}" for state, row in module.NEXT.items() for event in row]
-    return found
+    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME]
+    wanted += [f"admission {name}" for name in ADMISSION]
+    wanted += [f"state {state} {EVENTS[event]}" for state, row in module.NEXT.items() for event in row]
+    return [name for name in wanted if not counts.get(name)]
