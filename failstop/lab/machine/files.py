@@ -212,9 +212,9 @@ class Counter(Node):
 
     kind = 0
 
-    def __init__(self) -> None:
+    def __init__(self, value: int = 0) -> None:
         super().__init__()
-        self.value = 0
+        self.value = value
 
     def mask(self, opened: Open) -> int:
         return (IN if self.value else 0) | (OUT if self.value < COUNTER_MOST else 0)

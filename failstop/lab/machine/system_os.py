@@ -18,6 +18,8 @@ PLAIN = (
     *("major", "minor", "makedev", "stat_result", "sched_param", "terminal_size", "waitstatus_to_exitcode", "PathLike"),
 )
 """Names of `os` that ask no machine."""
+CHILD = "child.py"
+"""The script that becomes whichever process its first word names."""
 NOBODY_YET = 999
 """The descriptor of the listing itself, in /proc/self/fd."""
 
@@ -58,7 +60,18 @@ class Environ(dict):  # type: ignore[type-arg]
 class Status:
     """The answer of stat()."""
 
-    __slots__ = ("st_ctime_ns", "st_dev", "st_gid", "st_ino", "st_mode", "st_mtime", "st_nlink", "st_rdev", "st_size", "st_uid")
+    __slots__ = (
+        "st_ctime_ns",
+        "st_dev",
+        "st_gid",
+        "st_ino",
+        "st_mode",
+        "st_mtime",
+        "st_nlink",
+        "st_rdev",
+        "st_size",
+        "st_uid",
+    )
 
     def __init__(self, node: Node) -> None:
         self.st_mode, self.st_ino, self.st_nlink = node.kind | node.mode, node.number, node.links
@@ -236,7 +249,7 @@ class Descriptors(Module):
         (process.inheritable.add if inheritable else process.inheritable.discard)(fd)
 
     def eventfd(self, value: int = 0, flags: int = 0) -> int:
-        return self._calls.process("eventfd").descriptor(Open(Counter()))
+        return self._calls.process("eventfd").descriptor(Open(Counter(value)))
 
     def pidfd_open(self, pid: int, flags: int = 0) -> int:
         process = self._calls.process("pidfd_open", pid)
@@ -271,7 +284,7 @@ class Processes(Module):
         words = argv[argv.index(script) :]
         name = posixpath.basename(script)
         program = self._machine.programs.get(name, lambda child, words: 0)
-        called = words[1] if name in self._machine.programs else name
+        called = words[1] if name == CHILD else name
         made = self._machine.process(called, lambda child: program(child, words), dict(environ), process)
         self._inherit(process, made, process.inheritable)
         return made.pid

@@ -45,7 +45,7 @@ class SimulatedEpoll:
 
     def unregister(self, fd: Any) -> None:
         number = _number(fd)
-        self._calls.process("epoll_ctl", number)
+        self._calls.begin("epoll_ctl", number)
         if number not in self._node.wanted:
             raise FileNotFoundError(errno.ENOENT, "not registered")
         self._node.drop(number)

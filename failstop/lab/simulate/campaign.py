@@ -92,6 +92,8 @@ class Plan:
     seed: int = 0
     only: tuple[int, str] | None = None
     patches: Patches = ()
+    first: bool = False
+    """The campaign ends with the first run that is wrong."""
 
 
 class Explorer:
@@ -131,7 +133,7 @@ class Explorer:
 
     def _fork_here(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         plan, self._count = self._plan, self._count + 1
-        if thread.process.name == "last.py":
+        if not self.stage.explored or thread.process.name == "last.py":
             return
         where = f"{thread.process.name} {call} {_line()}"
         self._seen[thread.process.name, where] += 1
@@ -141,6 +143,8 @@ class Explorer:
             return
         self.result.calls += 1
         for fault, inject in faults(self.stage, thread, call, about):
+            if self.stage.machine.at_seam is None:
+                return
             reader, writer = os.pipe()
             child = os.fork()
             if not child:
@@ -178,6 +182,8 @@ class Explorer:
         else:
             run.violations = [f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"]
         self.result.add(run)
+        if self._plan.first and run.violations:
+            self.stage.machine.at_seam = None
 
 
 def _send(to: int, run: Run) -> None:

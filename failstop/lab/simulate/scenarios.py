@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.lab.simulate.stage import SETTINGS, Stage
+from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
@@ -36,6 +36,9 @@ def drive_and_stop(stage: Stage) -> None:
     stage.drive(robot, 0.04)
     stage.disable(robot)
     robot.close()
+
+
+FROM_THE_START.add(drive_and_stop)
 
 
 def _death(name: str) -> Play:

@@ -17,6 +17,8 @@ from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, Witness
 
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 """Of the scenarios that need some."""
+FROM_THE_START: set[Callable[[Stage], object]] = set()
+"""The scenarios in which faults come before the service is ready."""
 SPEED_MPS = 0.1
 SPEED_RPS = 0.398
 LONGEST_NS = 4_000 * MS
@@ -39,6 +41,8 @@ class Stage:
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time: Any = self.robot.loader.system["time"]
         self._play = play
+        self.explored = play in FROM_THE_START
+        """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
         self._keep = True
         self.player: Process | None = None
 
@@ -48,9 +52,13 @@ class Stage:
         """A Robot of the run that is there, once there is one."""
         while True:
             try:
-                return self.failstop.Robot()
-            except self.failstop.NoService:
+                robot = self.failstop.Robot()
+                robot.wait_for("ready", 3.0)
+            except (self.failstop.NoService, self.failstop.TimedOut):
                 self.time.sleep(0.005)
+            else:
+                self.explored = True
+                return robot
 
     def enable(self, robot: Any) -> None:
         """Reset where a stop is latched, and enable."""
