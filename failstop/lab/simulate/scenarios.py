@@ -10,6 +10,8 @@ Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
 """Servo, pulses of the tuck pose and of the drive pose."""
+DEATHS = 5
+"""After so many in a minute a process is down (restart.deaths)."""
 KEYS = ("servo", "tuck", "drive")
 ARM: dict[str, object] = {
     f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(KEYS, row, strict=True)
@@ -70,13 +72,15 @@ for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry
 
 
 @scenario
-def gate_dies_often(stage: Stage) -> None:
-    """The gate is killed until it is not restarted any more, then people reset."""
+def telemetry_dies_often(stage: Stage) -> None:
+    """Telemetry is killed until it is not restarted any more, then people reset."""
     robot = stage.connect()
-    for _ in range(6):
-        robot.wait_for("ready", 3.0)
-        stage.kill("gate")
-        stage.time.sleep(0.3)
+    for _ in range(DEATHS):
+        while not stage.robot.named("telemetry"):
+            stage.time.sleep(0.02)
+        stage.kill("telemetry")
+        stage.time.sleep(0.02)
+    robot.reset()
 
 
 @scenario
