@@ -121,7 +121,11 @@ class _Cells:
         self._view[at : at + len(data)] = data
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries. Looks at every cell: not for a hot path."""
+        """Sequence numbers of all whole entries. Looks at every cell, but where nothing was written: not for a hot
+        path."""
+        raw = self._view[self._at : self._at + self._cells * self._size]
+        if raw.count(0) == len(raw):
+            return []
         found = [check(self._view[self._slice(i)], self._seed) for i in range(self._cells)]
         return [entry[0] for i, entry in enumerate(found) if entry and entry[0] % self._cells == i]
 

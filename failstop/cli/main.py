@@ -42,6 +42,7 @@ GROUPS = {
     },
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
+        "simulate": ("lab.commands.simulate", "every single fault on a simulated machine, judged by its board"),
         "sim": ("lab.commands.sim", "a simulated board on a pty"),
         "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
         "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),

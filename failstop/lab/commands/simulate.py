@@ -1,0 +1,85 @@
+"""`failstop simulate`: every single fault at every call of a few scenarios, on a simulated machine."""
+
+from __future__ import annotations
+
+import os
+import time
+from argparse import ArgumentParser, Namespace
+
+from failstop.api.errors import FailstopError
+from failstop.lab.commands import matching
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.lab.simulate.campaign import Result
+
+EXAMPLES = """\
+failstop simulate                       # one call of each line of code, every fault
+failstop simulate --whole               # every call
+failstop simulate --scenario replug
+failstop simulate --scenario replug --call 1041 --fault dies
+"""
+STORIES = 3
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop simulate`."""
+    add = parser.add_argument
+    add("--scenario", metavar="NAME,...", help="these scenarios alone; * stands for anything")
+    add("--whole", action="store_true", help="every call, not one of each line of code")
+    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
+    add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
+    add("--fault", metavar="NAME", help="with --call: the fault")
+    add("--list", action="store_true", help="list the scenarios")
+    add("--marks", action="store_true", help="print how often each mark was reached")
+
+
+def main(arguments: Namespace) -> int:
+    """Run the campaign; exit code 1 when anything was wrong, or a mark was not reached by all scenarios together."""
+    try:
+        from failstop.lab.simulate import campaign, marks
+        from failstop.lab.simulate.scenarios import SCENARIOS
+    except ModuleNotFoundError as error:
+        raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
+
+    names = matching(arguments.scenario, {name: name for name in SCENARIOS}, "no scenario {}: --list has them")
+    if arguments.list:
+        for name in names:
+            print(f"{name:<24} {SCENARIOS[name].__doc__ or ''}")
+        return 0
+    if arguments.call is not None:
+        if len(names) != 1 or not arguments.fault:
+            raise FailstopError("--call needs one --scenario and a --fault")
+        run = campaign.one(campaign.Plan(names[0], only=(arguments.call, arguments.fault)))
+        print(run.text())
+        return int(bool(run.violations))
+    gaps = marks.missing if len(names) == len(SCENARIOS) else lambda counts: []
+    total, begun_s = campaign.Result(), time.monotonic()
+    todo = campaign.plans(names, 0 if arguments.whole else 1)
+    for done, (plan, result) in enumerate(campaign.results(todo, arguments.jobs), 1):
+        total.merge(result)
+        took_s = time.monotonic() - begun_s
+        told = f"{plan.scenario} {plan.share[0] + 1}/{plan.share[1]}"
+        counts = f"{total.runs:>6} runs  {len(total.wrong):>3} wrong"
+        print(f"{done:>3}/{len(todo)}  {counts}  {took_s:6.1f} s  {told}", flush=True)
+    return _report(total, time.monotonic() - begun_s, gaps(total.marks), told_marks=arguments.marks)
+
+
+def _report(total: Result, took_s: float, missing: list[str], *, told_marks: bool) -> int:
+    kinds: dict[str, list[int]] = {}
+    for index, run in enumerate(total.wrong):
+        kinds.setdefault(f"{run.fault}: {run.violations[0]}", []).append(index)
+    for text, indices in sorted(kinds.items(), key=lambda kind: -len(kind[1])):
+        print(f"\n{len(indices)} times  {text}")
+    for indices in list(kinds.values())[:STORIES]:
+        print(f"\n{total.wrong[indices[0]].text()}")
+    if told_marks:
+        for name, count in sorted(total.marks.items()):
+            print(f"{count:>9}  {name}")
+    for name in missing:
+        print(f"not reached: {name}")
+    rate = total.runs / max(took_s, 1e-9)
+    print(
+        f"\n{total.runs} runs at {total.calls} calls in {took_s:.0f} s ({rate:.0f} a second): {len(total.wrong)} wrong"
+    )
+    return int(bool(total.wrong or missing))

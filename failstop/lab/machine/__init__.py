@@ -1,0 +1,1 @@
+"""A simulated machine, on which the whole service runs in one process (docs/dev/simulation.md)."""

@@ -1,0 +1,103 @@
+"""Calls: what the simulated modules share - finding files by their paths and descriptors, and waiting."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterable
+from types import ModuleType
+from typing import Any
+
+from failstop.lab.machine.files import Directory, Node, Open
+from failstop.lab.machine.kernel import Machine, Process
+
+NS = 1_000_000_000
+
+
+class Calls:
+    """The system calls' own helpers, of one machine."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+
+    def process(self, name: str, *about: Any) -> Process:
+        """Begin a call; returns the process that makes it."""
+        return self.machine.call(name, *about)
+
+    def opened(self, process: Process, fd: Any) -> Open:
+        """What a descriptor, or an object with one, is open on. Raises OSError."""
+        number = fd if isinstance(fd, int) else fd.fileno()
+        try:
+            return process.files[number]
+        except KeyError:
+            raise OSError(errno.EBADF, "no such descriptor") from None
+
+    def begin(self, name: str, fd: Any, *about: Any) -> Open:
+        """Begin a call on a descriptor; returns what it is open on."""
+        return self.opened(self.process(name, fd, *about), fd)
+
+    def walk(self, process: Process, path: str, dir_fd: int | None = None) -> tuple[Directory, str]:
+        """The directory that a path's last part is in, and that part. Raises OSError."""
+        path = os.fspath(path)
+        here: Node = self.machine.root
+        if dir_fd is not None and not path.startswith("/"):
+            here = self.opened(process, dir_fd).node
+        parts = [part for part in path.split("/") if part not in ("", ".")]
+        for part in parts[:-1]:
+            here = _step(here, part, path)
+        if not isinstance(here, Directory):
+            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+        return here, parts[-1] if parts else "."
+
+    def node(self, process: Process, path: Any, dir_fd: int | None = None) -> Node:
+        """What a path leads to, or a descriptor is open on. Raises OSError."""
+        if isinstance(path, int):
+            return self.opened(process, path).node
+        above, name = self.walk(process, path, dir_fd)
+        return _step(above, name, path)
+
+    def wait_for(self, opened: Iterable[Open], ready: Callable[[], Any], timeout_s: float | None) -> Any:
+        """Block until ready() is true or the time is over; returns what it said last. None, or below 0: for ever."""
+        machine = self.machine
+        found = ready()
+        if found or timeout_s == 0:
+            return found
+        thread = machine.current
+        assert thread is not None
+        until_ns = None if timeout_s is None or timeout_s < 0 else machine.now_ns + max(1, round(timeout_s * NS))
+        waited = list(opened)
+        while True:
+            for each in waited:
+                each.waiting.append(thread)
+            woken = machine.block(until_ns)
+            for each in waited:
+                if thread in each.waiting:
+                    each.waiting.remove(thread)
+            found = ready()
+            if found or not woken:
+                return found
+
+
+def _step(here: Node, part: str, path: str) -> Node:
+    if not isinstance(here, Directory):
+        raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+    if part in (".", ".."):
+        return here if part == "." else here.above
+    if part not in here.names:
+        raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
+    return here.names[part]
+
+
+class Module(ModuleType):
+    """A module of the simulated machine: its values and methods are what a program finds in it."""
+
+    def __init__(self, name: str, calls: Calls, /, **values: Any) -> None:
+        super().__init__(name)
+        self._calls = calls
+        self._machine = calls.machine
+        self.__dict__.update({key: value for key, value in values.items() if not key.startswith("__")})
+
+
+def constants(module: Any, *prefixes: str) -> dict[str, Any]:
+    """The real module's names that begin so: numbers that both worlds share."""
+    return {name: value for name, value in vars(module).items() if name.startswith(prefixes)}

@@ -1,0 +1,357 @@
+"""Kernel: processes, their threads, the clock, deaths and signals of a simulated machine.
+
+A thread is a greenlet. It runs until a call of the simulated system blocks. Nothing here reads the real clock, so that
+two runs of one seed are equal to the byte. Time passes in two ways: each call takes STEP_NS, and when every thread
+waits, the clock jumps to the next timer.
+"""
+
+from __future__ import annotations
+
+import errno
+import heapq
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from greenlet import getcurrent, greenlet
+
+from failstop.lab.machine.files import Directory, Open
+
+STEP_NS = 2_000
+"""Of a call of the system."""
+LATE_NS = 400_000
+"""From a death to its late news: the kernel takes the memory down first (docs/dev/architecture.md, Choices)."""
+SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
+IGNORED = (SIGCHLD, SIGCONT)
+"""Signals that do nothing by default."""
+FIRST_PID = 100
+
+
+class Death(BaseException):
+    """A call of a process that has died: it changes nothing any more."""
+
+
+class Thread:
+    """A thread of a process. It is `waiting` while a call of it blocks."""
+
+    __slots__ = ("body", "greenlet", "number", "process", "robust", "started", "token", "waiting", "woken")
+
+    def __init__(self, process: Process, body: Callable[[], object], number: int) -> None:
+        self.process = process
+        self.body = body
+        self.number = number
+        self.greenlet = greenlet(self._run, process.machine.hub)
+        self.robust: list[Any] = []
+        """Futexes that the kernel marks at its death."""
+        self.token = 0
+        """Counts its waits, so that a timer of an earlier one wakes nobody."""
+        self.waiting = False
+        self.woken = False
+
+    def _run(self) -> None:
+        self.process.machine.finish(self, self.body)
+
+
+class Process:
+    """A process: its descriptors, threads, environment and signal handlers."""
+
+    def __init__(self, machine: Machine, pid: int, parent: Process | None, name: str, environ: dict[str, str]) -> None:
+        self.machine = machine
+        self.pid = pid
+        self.parent = parent
+        self.name = name
+        self.environ = environ
+        self.files: dict[int, Open] = {}
+        self.inheritable: set[int] = set()
+        self.threads: list[Thread] = []
+        self.handlers: dict[int, Any] = {}
+        self.pending: deque[int] = deque()
+        self.dead = False
+        self.code: int | None = None
+        """Exit code, or the negative signal; None: it lives, or its end is not yet complete."""
+        self.reaped = False
+        self.dies_with_parent = False
+        self.held_until_ns = 0
+        """Runs nothing before that: stopped, or not run by the machine."""
+        self.starved = False
+        """It is the machine that does not run it."""
+        self.parked: list[Thread] = []
+        self.watchers: list[Open] = []
+        """Pidfds."""
+        self.sys_path: list[str] = []
+        self.argv: list[str] = []
+        self._random = pid
+
+    def descriptor(self, opened: Open, lowest: int = 3) -> int:
+        """The lowest free number, for an open file."""
+        fd = lowest
+        while fd in self.files:
+            fd += 1
+        self.files[fd] = opened
+        opened.references += 1
+        return fd
+
+    def random_bytes(self, most: int) -> bytes:
+        """Of the machine's seed and this process's number."""
+        self._random = (self._random * 6364136223846793005 + self.machine.seed + 1442695040888963407) % (1 << 64)
+        return (self._random.to_bytes(8, "little") * (most // 8 + 1))[:most]
+
+    def close(self, fd: int) -> None:
+        """Give a descriptor back."""
+        opened = self.files.pop(fd)
+        self.inheritable.discard(fd)
+        opened.release(self, fd)
+
+
+class Machine:
+    """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
+    raises is what the call raises."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.now_ns = 1_000_000_000_000
+        self.slept_ns = 0
+        self.unix_ns = 1_700_000_000_000_000_000
+        """The time of day when the clock stood at zero."""
+        self.seed = seed
+        self.root = Directory()
+        self.processes: dict[int, Process] = {}
+        self.at_seam: Callable[[Thread, str, tuple[Any, ...]], None] | None = None
+        self.current: Thread | None = None
+        self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
+        """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.shortened = False
+        """The next write takes a half of what it is given."""
+        self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
+        """Told of each start and death."""
+        self.hub = getcurrent()
+        self._runnable: deque[Thread] = deque()
+        self._timers: list[tuple[int, int, Callable[[], None]]] = []
+        self._order = 0
+        self._next_pid = FIRST_PID
+        self._threads = 0
+
+    # Time.
+
+    def at(self, t_ns: int, what: Callable[[], None]) -> None:
+        """Have something done at that time, by the machine itself."""
+        self._order += 1
+        heapq.heappush(self._timers, (t_ns, self._order, what))
+
+    def run(self, until: Callable[[], bool], limit_ns: int) -> bool:
+        """Let the machine run until something is so; False: it was not within `limit_ns` from now."""
+        end_ns = self.now_ns + limit_ns
+        while not until():
+            if self.now_ns > end_ns:
+                return False
+            if self._timers and self._timers[0][0] <= self.now_ns:
+                heapq.heappop(self._timers)[2]()
+            elif self._runnable:
+                self._switch(self._runnable.popleft())
+            elif self._timers:
+                if self._timers[0][0] > end_ns:
+                    self.now_ns = end_ns
+                    return until()
+                self.now_ns = max(self.now_ns, self._timers[0][0])
+            else:
+                self.now_ns = end_ns
+                return until()
+        return True
+
+    def _switch(self, thread: Thread) -> None:
+        process = thread.process
+        if process.dead:
+            return
+        if process.held_until_ns > self.now_ns:
+            process.parked.append(thread)
+            return
+        self.current = thread
+        thread.greenlet.switch()
+        self.current = None
+
+    # Threads.
+
+    def thread(self, process: Process, body: Callable[[], object]) -> Thread:
+        """Start a thread of a process."""
+        self._threads += 1
+        thread = Thread(process, body, self._threads)
+        process.threads.append(thread)
+        self._runnable.append(thread)
+        return thread
+
+    def finish(self, thread: Thread, body: Callable[[], object]) -> None:
+        """A thread's whole life: its body, and what its end means. The end of the main thread is its process's."""
+        process = thread.process
+        code: object = 0
+        try:
+            code = body()
+        except Death:
+            return
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else 1
+        except Exception as error:
+            self.told("failed", process, error)
+            code = 1
+        if process.dead:
+            return
+        self.mark(thread)
+        if thread.number == process.pid:
+            self.die(process, code if isinstance(code, int) else 0)
+        process.threads.remove(thread)
+
+    def mark(self, thread: Thread) -> None:
+        """The kernel tells of a thread's death on every futex that it held."""
+        for futex in thread.robust:
+            futex.owner_died(thread.number)
+        thread.robust = []
+
+    def block(self, until_ns: int | None = None) -> bool:
+        """Wait in the current thread until wake(), or that time; True when it was woken. Handles signals meanwhile."""
+        thread = self.current
+        assert thread is not None
+        while True:
+            self._wait(thread, until_ns)
+            if thread.process.dead:
+                raise Death
+            if thread.process.pending and thread is thread.process.threads[0]:
+                self.handle_signals(thread.process)
+            if thread.woken or (until_ns is not None and self.now_ns >= until_ns):
+                return thread.woken
+
+    def _wait(self, thread: Thread, until_ns: int | None) -> None:
+        thread.token += 1
+        thread.waiting, thread.woken = True, False
+        if until_ns is not None:
+            token = thread.token
+            self.at(until_ns, lambda: self._timed_out(thread, token))
+        self.hub.switch()
+
+    def _timed_out(self, thread: Thread, token: int) -> None:
+        if thread.waiting and thread.token == token:
+            thread.waiting = False
+            self._runnable.append(thread)
+
+    def wake(self, thread: Thread, *, for_signal: bool = False) -> None:
+        """Let a thread that waits look again."""
+        if thread.waiting:
+            thread.waiting = False
+            thread.woken = not for_signal
+            self._runnable.append(thread)
+
+    def give_way(self) -> None:
+        """Let every other runnable thread run first."""
+        thread = self.current
+        assert thread is not None
+        self._runnable.append(thread)
+        self.hub.switch()
+        if thread.process.dead:
+            raise Death
+
+    # Processes.
+
+    def process(
+        self,
+        name: str,
+        body: Callable[[Process], object],
+        environ: dict[str, str] | None = None,
+        parent: Process | None = None,
+    ) -> Process:
+        """Start a process."""
+        pid, self._next_pid = self._next_pid, self._next_pid + 1
+        made = Process(self, pid, parent, name, environ or {})
+        self.processes[pid] = made
+        self._threads = max(self._threads, pid)
+        thread = Thread(made, lambda: body(made), pid)
+        made.threads.append(thread)
+        self._runnable.append(thread)
+        self.told("started", made, name)
+        return made
+
+    def die(self, process: Process, code: int) -> None:
+        """A process dies at once: nothing of it runs any more. Its futexes tell of it now, the rest later."""
+        if process.dead:
+            return
+        process.dead = True
+        self.told("died", process, code)
+        for thread in process.threads:
+            self.mark(thread)
+        self.at(self.now_ns + LATE_NS, lambda: self._taken_down(process, code))
+        if self.current is not None and self.current.process is process:
+            self.hub.switch()
+            raise Death
+
+    def _taken_down(self, process: Process, code: int) -> None:
+        for fd in list(process.files):
+            process.close(fd)
+        process.code = code
+        for each in self.processes.values():
+            if each.parent is process:
+                if each.dies_with_parent:
+                    self.kill(each, SIGKILL)
+                each.parent = None
+        for pidfd in process.watchers:
+            pidfd.notify()
+        if process.parent:
+            self.kill(process.parent, SIGCHLD)
+
+    def living(self, pid: int) -> Process:
+        """The process with this number, until it is reaped. Raises ProcessLookupError."""
+        found = self.processes.get(pid)
+        if found is None or found.reaped:
+            raise ProcessLookupError(errno.ESRCH, "no such process")
+        return found
+
+    def kill(self, process: Process, number: int) -> None:
+        """Send a signal."""
+        if process.dead:
+            return
+        handler = process.handlers.get(number)
+        if number == SIGSTOP or (number == SIGTSTP and handler is None):
+            self.hold(process, 1 << 62)
+        elif number == SIGCONT:
+            self.resume(process)
+        elif number != SIGKILL and callable(handler):
+            process.pending.append(number)
+            if process.threads:
+                self.wake(process.threads[0], for_signal=True)
+        elif number == SIGKILL or (handler is None and number not in IGNORED):
+            self.die(process, -number)
+
+    def handle_signals(self, process: Process) -> None:
+        while process.pending:
+            number = process.pending.popleft()
+            handler = process.handlers.get(number)
+            if callable(handler):
+                handler(number, None)
+
+    def hold(self, process: Process, ns: int, *, starved: bool = False) -> None:
+        """Run nothing of a process for so long."""
+        process.held_until_ns = self.now_ns + ns
+        process.starved = starved
+        if ns < 1 << 61:
+            self.at(process.held_until_ns, lambda: self.resume(process))
+        if self.current is not None and self.current.process is process:
+            process.parked.append(self.current)
+            self.hub.switch()
+            if process.dead:
+                raise Death
+
+    def resume(self, process: Process) -> None:
+        process.held_until_ns = 0
+        process.starved = False
+        self._runnable.extend(process.parked)
+        process.parked = []
+
+    def call(self, name: str, *about: Any) -> Process:
+        """Begin a call of the system: returns the process that makes it."""
+        thread = self.current
+        if thread is None:
+            raise Death
+        process = thread.process
+        if process.dead or getcurrent() is not thread.greenlet:
+            raise Death
+        self.now_ns += STEP_NS
+        if process.pending and thread is process.threads[0]:
+            self.handle_signals(process)
+        if self.at_seam is not None:
+            self.at_seam(thread, name, about)
+        return process

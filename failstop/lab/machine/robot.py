@@ -1,0 +1,164 @@
+"""Robot: the service, its board and the programs that drive it, on a simulated machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+
+from failstop.lab.machine.files import Directory, Node, Null, Open, Port
+from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.sim.model import BoardModel, Frame
+
+DEVICE = "/dev/ttyACM0"
+MS = 1_000_000
+CLICKED = 0x20
+
+
+class Board:
+    """The board's model behind a port of the machine."""
+
+    def __init__(self, machine: Machine, imu_hz: float) -> None:
+        self.machine = machine
+        self.model = BoardModel(machine.now_ns, imu_hz=imu_hz)
+        self.port: Port | None = None
+        self.on_frame: Callable[[Frame], None] = lambda frame: None
+        self._told = 0
+        self._due_ns = 1 << 62
+        self._plan()
+
+    def receive(self, data: bytes) -> None:
+        """Bytes of the port, now."""
+        self.model.receive(data, self.machine.now_ns)
+        self._plan()
+
+    def press(self, key: int) -> None:
+        """A key is clicked."""
+        self.model.key(key, CLICKED, self.machine.now_ns)
+        self._plan()
+
+    def _plan(self) -> None:
+        due_ns = self.model.next_ns
+        if due_ns < self._due_ns:
+            self._due_ns = due_ns
+            self.machine.at(due_ns, self._pass_time)
+
+    def _pass_time(self) -> None:
+        self._due_ns = 1 << 62
+        for data in self.model.advance(self.machine.now_ns):
+            if self.port:
+                self.port.send(data)
+        total = self.model.executed_total
+        if total > self._told:
+            for frame in self.model.executed(self._told):
+                self.on_frame(frame)
+            self._told = total
+        self._plan()
+
+
+class Robot:
+    """A machine with one board on DEVICE. start() starts the service, program() a client."""
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        imu_hz: float = 110.0,
+        settings: dict[str, object] | None = None,
+        patches: Patches = (),
+    ) -> None:
+        Node.count = 0
+        self.machine = Machine(seed)
+        self.loader = Loader(self.machine, patches)
+        self.board = Board(self.machine, imu_hz)
+        self.stderr = Null()
+        self._settings = settings or {}
+        self._numbers = 0
+        self._make_files()
+        self.plug()
+        self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
+
+    def _folder(self, path: str, mode: int = 0o755) -> Directory:
+        here = self.machine.root
+        for part in filter(None, path.split("/")):
+            if part not in here.names:
+                here.put(part, Directory(mode, here))
+            found = here.names[part]
+            assert isinstance(found, Directory)
+            here = found
+        return here
+
+    def _make_files(self) -> None:
+        for path in ("/dev/shm", "/run", "/var/lib/failstop", "/root", "/sys/dev/char", "/proc"):
+            self._folder(path)
+        self._folder("/dev").put("null", Null())
+
+    def plug(self) -> Port:
+        """Plug the board in, under its own name."""
+        port = Port(self.machine, self._numbers)
+        self._numbers += 1
+        port.board = self.board
+        self.board.port = port
+        self._folder("/dev").put("ttyACM0", port)
+        return port
+
+    def unplug(self) -> None:
+        """Pull the plug."""
+        if self.board.port:
+            self._folder("/dev").drop("ttyACM0")
+            self.board.port.unplug()
+            self.board.port = None
+
+    def _streams(self, process: Process) -> None:
+        for _ in range(3):
+            process.descriptor(Open(self.stderr), 0)
+
+    def _child(self, process: Process, argv: list[str]) -> int:
+        process.argv = argv
+        code: int = self.loader.load("failstop.supervisor.child").main(argv)
+        return code
+
+    def _save(self, process: Process, argv: list[str]) -> int:
+        """The saver of incidents, which has nothing to tell here."""
+        words = dict(word.split("=", 1) for word in argv[1:])
+        self.loader.system["os"].write(int(words["result"]), msgpack.packb({}))
+        return 0
+
+    def start(self) -> Process:
+        """Start the service as `failstop run` does: it stops first, then becomes the supervisor."""
+
+        def body(process: Process) -> int:
+            self._streams(process)
+            load = self.loader.load
+            instances, starter = load("failstop.instances"), load("failstop.supervisor.starter")
+            settings = load("failstop.policy.settings").Settings(self._settings)
+            refusals = (load("failstop.board.port").PortError, load("failstop.shm.instance").InstanceError, OSError)
+            try:
+                port = load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: None)
+                folder = instances.make_runtime_dir("failstop")
+                lock = instances.lock(folder)
+            except refusals:
+                return 1
+            process.environ.update(starter.environment(settings))
+            words = ["name=failstop", f"dir={folder}", f"lock={lock}", f"port={port.fd}"]
+            return self._child(process, ["child.py", "supervisor", *words])
+
+        return self.machine.process("supervisor", body, {"HOME": "/root"})
+
+    def program(self, name: str, body: Callable[[Any], object]) -> Process:
+        """Start a client's program: `body` is called with the module `failstop` of that machine."""
+
+        def run(process: Process) -> int:
+            self._streams(process)
+            process.argv = [name]
+            body(self.loader.load("failstop"))
+            return 0
+
+        return self.machine.process(name, run, {"HOME": "/root"})
+
+    def named(self, name: str) -> Process | None:
+        """The living process of that name."""
+        living = [each for each in self.machine.processes.values() if each.name == name and not each.dead]
+        return living[-1] if living else None

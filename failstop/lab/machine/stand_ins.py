@@ -1,0 +1,160 @@
+"""Stand-ins for the few modules of the service that speak with the kernel below Python: futexes, rights, starvation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+from failstop.lab.machine.calls import Calls, Module
+from failstop.lab.machine.files import Regular
+from failstop.lab.machine.kernel import Thread
+
+OWNER_DIED = 1 << 30
+WAITERS = 1 << 31
+NUMBER = OWNER_DIED - 1
+PER_BLOCK = 2
+BLOCKS = 256
+LINE_BYTES = 64
+REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
+
+
+class Word:
+    """A futex's word of a file, as the kernel sees it: every process that maps it waits at the same place."""
+
+    def __init__(self, node: Regular, offset: int) -> None:
+        self.node, self.offset = node, offset
+        self.waiting: list[Thread] = []
+
+    def value(self) -> int:
+        return int.from_bytes(self.node.data[self.offset : self.offset + 4], "little")
+
+    def put(self, value: int) -> None:
+        self.node.put(value.to_bytes(4, "little"), self.offset)
+
+    def owner_died(self, number: int) -> None:
+        """The robust list of a dying thread."""
+        value = self.value()
+        if value & NUMBER == number:
+            self.put(value & WAITERS | OWNER_DIED)
+            if value & WAITERS:
+                self.wake(1)
+
+    def wake(self, most: int) -> None:
+        woken, self.waiting = self.waiting[:most], self.waiting[most:]
+        for thread in woken:
+            thread.process.machine.wake(thread)
+
+
+def make_futex(calls: Calls) -> ModuleType:
+    """failstop.shm.futex."""
+    machine = calls.machine
+
+    class Futex:
+        """As failstop.shm.futex.Futex."""
+
+        def __init__(self, fd: int, offset: int, *, write: bool) -> None:
+            node = calls.opened(calls.process("mmap", fd), fd).node
+            assert isinstance(node, Regular)
+            words = node.__dict__.setdefault("words", {})
+            self._words: dict[int, Word] = words
+            self._node, self._offset = node, offset
+            self._mine = self._word(0)
+
+        def _word(self, line: int) -> Word:
+            at = self._offset + line * LINE_BYTES
+            return self._words.setdefault(at, Word(self._node, at))
+
+        def hold(self, lines: int = 1) -> object:
+            calls.process("set_robust_list")
+            thread = machine.current
+            assert thread is not None
+            for line in range(lines):
+                word = self._word(line)
+                word.put(thread.number | WAITERS)
+                thread.robust.append(word)
+            return thread
+
+        def held(self) -> bool:
+            calls.process("pread")
+            return bool(self._mine.value() & NUMBER)
+
+        def told(self) -> bool:
+            calls.process("pread")
+            return bool(self._mine.value() & OWNER_DIED)
+
+        def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+            calls.process("futex_wait")
+            value = held = self._mine.value()
+            while wanted():
+                if value != held or not held & NUMBER:
+                    return bool(value & OWNER_DIED)
+                assert machine.current is not None
+                self._mine.waiting.append(machine.current)
+                machine.block()
+                value = self._mine.value()
+            self.wake()
+            return False
+
+        def wake(self) -> None:
+            calls.process("futex_wake")
+            self._mine.wake(1 << 30)
+
+        def close(self) -> None:
+            calls.process("munmap")
+
+    def let_go() -> None:
+        calls.process("set_robust_list")
+        assert machine.current is not None
+        machine.current.robust = []
+
+    return Module(
+        "failstop.shm.futex", calls, Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
+    )
+
+
+def make_rights(calls: Calls) -> ModuleType:
+    """failstop.procs.rights: every right is granted."""
+
+    def die_with_parent(parent: int) -> None:
+        process = calls.process("prctl")
+        process.dies_with_parent = True
+        if process.parent is None or process.parent.pid != parent:
+            raise SystemExit(f"parent {parent} is gone")
+
+    def nothing(*_: Any) -> None:
+        calls.process("prctl")
+
+    return Module(
+        "failstop.procs.rights",
+        calls,
+        name_process=nothing,
+        die_with_parent=die_with_parent,
+        take_rights=lambda priority: REALTIME | MEMORY_LOCKED | EARLY_NEWS,
+        leave_no_dump=nothing,
+        settle=nothing,
+        take_descriptors=nothing,
+        no_descriptors=str,
+        DESCRIPTORS=64,
+        LOOP_US=100_000,
+    )
+
+
+def make_starved(calls: Calls) -> ModuleType:
+    """failstop.procs.starved: the machine knows whom it did not run."""
+
+    def look(pid: int, heart: object, deadline_ns: int, bell: object) -> bool:
+        calls.process("stat")
+        process = calls.machine.processes.get(pid)
+        return bool(process and process.starved)
+
+    return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=5_000_000_000)
+
+
+def stand_ins(calls: Calls) -> dict[str, ModuleType]:
+    """By the name of the module that each stands in for."""
+    return {
+        "failstop.shm.futex": make_futex(calls),
+        "failstop.procs.rights": make_rights(calls),
+        "failstop.procs.starved": make_starved(calls),
+    }

@@ -1,0 +1,92 @@
+"""System: the calls of the simulated kernel by the names that Python's own modules give them.
+
+`modules(calls)` is what a program on the simulated machine imports instead of `os`, `time`, `select` and the others. A
+call that is not simulated does not exist there, so a program that makes it fails at its first run, and asks no other
+machine.
+"""
+
+from __future__ import annotations
+
+import stat
+import sys
+import weakref
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+from failstop.lab.machine.calls import Calls, Module
+from failstop.lab.machine.system_devices import devices
+from failstop.lab.machine.system_os import Os
+from failstop.lab.machine.system_threads import threads
+from failstop.lab.machine.system_waiting import Select, Time
+
+
+class Sys(Module):
+    """The module `sys`: a search path and arguments of each process."""
+
+    def __init__(self, calls: Calls) -> None:
+        plain = {name: getattr(sys, name) for name in ("version_info", "flags", "byteorder", "platform")}
+        super().__init__("sys", calls, executable="/usr/bin/python3", **plain)
+
+    @property
+    def path(self) -> list[str]:
+        return self._machine.current.process.sys_path if self._machine.current else []
+
+    @property
+    def argv(self) -> list[str]:
+        return self._machine.current.process.argv if self._machine.current else ["simulation"]
+
+    def exit(self, code: object = 0) -> NoReturn:
+        raise SystemExit(code)
+
+
+class Weakref(Module):
+    """The module `weakref`: a process that ends here has no interpreter that would clean up behind it."""
+
+    def finalize(self, *arguments: Any) -> Any:
+        made = weakref.finalize(*arguments)
+        made.atexit = False
+        return made
+
+
+class Users(Module):
+    """`grp` and `pwd`: there is no group `failstop`, and users have numbers only."""
+
+    def getgrnam(self, name: str) -> NoReturn:
+        raise KeyError(name)
+
+    getgrgid = getgrnam
+
+    def getpwuid(self, uid: int) -> SimpleNamespace:
+        return SimpleNamespace(pw_name=f"user{uid}")
+
+
+class Collector(Module):
+    """The module `gc`: it is the simulation's."""
+
+    def collect(self) -> int:
+        return 0
+
+    def freeze(self) -> None:
+        """Nothing to freeze for one process of many."""
+
+    disable = freeze
+
+
+def modules(calls: Calls) -> dict[str, Any]:
+    """What is imported on the simulated machine, by name."""
+    system = Os(calls)
+    plain = {name: value for name, value in vars(weakref).items() if not name.startswith("__") and name != "finalize"}
+    return {
+        "os": system,
+        "os.path": system.path,
+        "select": Select(calls),
+        "time": Time(calls),
+        "sys": Sys(calls),
+        "stat": stat,
+        "weakref": Weakref("weakref", calls, **plain),
+        "grp": Users("grp", calls),
+        "pwd": Users("pwd", calls),
+        "gc": Collector("gc", calls),
+        **threads(calls),
+        **devices(calls),
+    }

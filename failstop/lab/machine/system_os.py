@@ -1,0 +1,356 @@
+"""The simulated `os` and `os.path`."""
+
+from __future__ import annotations
+
+import errno
+import os
+import posixpath
+from collections.abc import Iterable
+from types import SimpleNamespace
+from typing import Any
+
+from failstop.lab.machine.calls import NS, Calls, Module, constants
+from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
+from failstop.lab.machine.kernel import Machine, Process
+
+PLAIN = (
+    *("WNOHANG", "devnull", "pathsep", "sep", "linesep", "strerror", "fspath", "fsencode", "fsdecode", "name", "error"),
+    *("major", "minor", "makedev", "stat_result", "sched_param", "terminal_size", "waitstatus_to_exitcode", "PathLike"),
+)
+"""Names of `os` that ask no machine."""
+CHILD = "child.py"
+"""The script that becomes whichever process its first word names."""
+NOBODY_YET = 999
+"""The descriptor of the listing itself, in /proc/self/fd."""
+
+
+class Environ(dict):  # type: ignore[type-arg]
+    """The environment of the process that asks."""
+
+    def __init__(self, machine: Machine) -> None:
+        super().__init__()
+        self._machine = machine
+
+    def _own(self) -> dict[str, str]:
+        thread = self._machine.current
+        return thread.process.environ if thread else {}
+
+    def __getitem__(self, key: str) -> str:
+        return self._own()[key]
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self._own().get(key, default)
+
+    def pop(self, key: str, *default: Any) -> Any:
+        return self._own().pop(key, *default)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._own()
+
+    def __iter__(self) -> Any:
+        return iter(self._own())
+
+    def keys(self) -> Any:
+        return self._own().keys()
+
+    def items(self) -> Any:
+        return self._own().items()
+
+
+class Status:
+    """The answer of stat()."""
+
+    __slots__ = (
+        "st_ctime_ns",
+        "st_dev",
+        "st_gid",
+        "st_ino",
+        "st_mode",
+        "st_mtime",
+        "st_nlink",
+        "st_rdev",
+        "st_size",
+        "st_uid",
+    )
+
+    def __init__(self, node: Node) -> None:
+        self.st_mode, self.st_ino, self.st_nlink = node.kind | node.mode, node.number, node.links
+        self.st_uid, self.st_gid, self.st_size = node.uid, node.gid, node.size()
+        self.st_dev = 1
+        self.st_rdev, self.st_ctime_ns, self.st_mtime = node.device, node.changed_ns, node.changed_ns / NS
+
+
+class Paths(Module):
+    """The calls that take a path."""
+
+    def open(self, path: str, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        process = self._calls.process("open", path, flags)
+        above, name = self._calls.walk(process, path, dir_fd)
+        node = self._found(above, name, flags, path)
+        if node is None:
+            node = Regular(mode & 0o777)
+            above.put(name, node)
+        if flags & os.O_DIRECTORY and not isinstance(node, Directory):
+            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+        if isinstance(node, Fifo) and flags & 3 == os.O_WRONLY and not node.ends(os.O_RDONLY, os.O_RDWR):
+            raise OSError(errno.ENXIO, "nobody reads", path)
+        if isinstance(node, Regular) and flags & os.O_TRUNC:
+            node.resize(0)
+        return process.descriptor(Open(node, flags))
+
+    def _found(self, above: Directory, name: str, flags: int, path: str) -> Node | None:
+        """What is there to open; None: it is to be created."""
+        if name in (".", ".."):
+            return above if name == "." else above.above
+        if name in above.names:
+            if flags & os.O_CREAT and flags & os.O_EXCL:
+                raise FileExistsError(errno.EEXIST, "file exists", path)
+            return above.names[name]
+        if not flags & os.O_CREAT:
+            raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
+        return None
+
+    def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> Status:
+        return Status(self._calls.node(self._calls.process("stat", path), path, dir_fd))
+
+    lstat = stat
+
+    def access(self, path: str, mode: int) -> bool:
+        try:
+            self._calls.node(self._calls.process("access", path), path)
+        except OSError:
+            return False
+        return True
+
+    def listdir(self, path: str = ".") -> list[str]:
+        process = self._calls.process("listdir", path)
+        if path == "/proc/self/fd":
+            return [str(fd) for fd in (*sorted(process.files), NOBODY_YET)]
+        node = self._calls.node(process, path)
+        if not isinstance(node, Directory):
+            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+        return list(node.names)
+
+    def _put(self, call: str, path: str, node: Node, dir_fd: int | None) -> None:
+        above, name = self._calls.walk(self._calls.process(call, path), path, dir_fd)
+        if name in above.names:
+            raise FileExistsError(errno.EEXIST, "file exists", path)
+        above.put(name, node)
+        if isinstance(node, Directory):
+            node.above = above
+
+    def mkdir(self, path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
+        self._put("mkdir", path, Directory(mode & 0o777), dir_fd)
+
+    def mkfifo(self, path: str, mode: int = 0o666, *, dir_fd: int | None = None) -> None:
+        self._put("mkfifo", path, Fifo(mode & 0o777), dir_fd)
+
+    def makedirs(self, path: str, mode: int = 0o777, exist_ok: bool = False) -> None:
+        self._calls.process("mkdir", path)
+        here = self._machine.root
+        for part in filter(None, path.split("/")):
+            if part not in here.names:
+                here.put(part, Directory(0o755, here))
+            child = here.names[part]
+            if not isinstance(child, Directory):
+                raise FileExistsError(errno.EEXIST, "file exists", path)
+            here = child
+
+    def unlink(self, path: str, *, dir_fd: int | None = None) -> None:
+        above, name = self._calls.walk(self._calls.process("unlink", path), path, dir_fd)
+        if name not in above.names:
+            raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
+        above.drop(name)
+
+    remove = unlink
+
+    def rename(self, old: str, new: str, *, src_dir_fd: int | None = None, dst_dir_fd: int | None = None) -> None:
+        process = self._calls.process("rename", old)
+        above, name = self._calls.walk(process, old, src_dir_fd)
+        if name not in above.names:
+            raise FileNotFoundError(errno.ENOENT, "no such file or directory", old)
+        below, other = self._calls.walk(process, new, dst_dir_fd)
+        node = above.names.pop(name)
+        if other in below.names:
+            below.drop(other)
+        below.names[other] = node
+
+    replace = rename
+
+    def chmod(self, path: Any, mode: int, *, dir_fd: int | None = None) -> None:
+        self._calls.node(self._calls.process("chmod", path), path, dir_fd).mode = mode
+
+    fchmod = chmod
+
+    def chown(self, path: Any, uid: int, gid: int, *, dir_fd: int | None = None) -> None:
+        self._calls.node(self._calls.process("chown", path), path, dir_fd)
+
+    fchown = chown
+
+
+class Descriptors(Module):
+    """The calls that take a descriptor, or make one."""
+
+    def close(self, fd: int) -> None:
+        process = self._calls.process("close", fd)
+        self._calls.opened(process, fd)
+        process.close(fd)
+
+    def read(self, fd: int, most: int) -> bytes:
+        opened = self._calls.begin("read", fd)
+        return opened.node.read(opened, most)
+
+    def readv(self, fd: int, buffers: tuple[bytearray, ...]) -> int:
+        data = self.read(fd, len(buffers[0]))
+        buffers[0][: len(data)] = data
+        return len(data)
+
+    def write(self, fd: int, data: bytes) -> int:
+        opened = self._calls.begin("write", fd, data)
+        most, self._machine.shortened = self._machine.shortened, False
+        return opened.node.write(opened, bytes(data[: max(1, len(data) // 2)] if most else data))
+
+    def pread(self, fd: int, most: int, at: int) -> bytes:
+        node = self._calls.begin("pread", fd).node
+        return bytes(node.data[at : at + most]) if isinstance(node, Regular) else b""
+
+    def pwrite(self, fd: int, data: bytes, at: int) -> int:
+        node = self._calls.begin("pwrite", fd).node
+        if not isinstance(node, Regular):
+            raise OSError(errno.ESPIPE, "not a file")
+        node.put(bytes(data), at)
+        return len(data)
+
+    def _regular(self, call: str, fd: int) -> Regular:
+        node = self._calls.begin(call, fd).node
+        if not isinstance(node, Regular):
+            raise OSError(errno.EINVAL, "not a file")
+        return node
+
+    def ftruncate(self, fd: int, size: int) -> None:
+        self._regular("ftruncate", fd).resize(size)
+
+    def posix_fallocate(self, fd: int, at: int, size: int) -> None:
+        self._regular("fallocate", fd).mapped(at + size)
+
+    def fsync(self, fd: int) -> None:
+        self._calls.begin("fsync", fd)
+
+    def fstat(self, fd: int) -> Status:
+        return Status(self._calls.begin("fstat", fd).node)
+
+    def dup(self, fd: int) -> int:
+        process = self._calls.process("dup", fd)
+        return process.descriptor(self._calls.opened(process, fd))
+
+    def set_inheritable(self, fd: int, inheritable: bool) -> None:
+        process = self._calls.process("set_inheritable", fd)
+        self._calls.opened(process, fd)
+        (process.inheritable.add if inheritable else process.inheritable.discard)(fd)
+
+    def eventfd(self, value: int = 0, flags: int = 0) -> int:
+        return self._calls.process("eventfd").descriptor(Open(Counter(value)))
+
+    def pidfd_open(self, pid: int, flags: int = 0) -> int:
+        process = self._calls.process("pidfd_open", pid)
+        target = self._machine.living(pid)
+        made = Open(Pidfd(target))
+        target.watchers.append(made)
+        return process.descriptor(made)
+
+
+class Processes(Module):
+    """The calls about processes."""
+
+    def kill(self, pid: int, number: int) -> None:
+        self._calls.process("kill", pid)
+        self._machine.kill(self._machine.living(pid), int(number))
+
+    def waitpid(self, pid: int, options: int) -> tuple[int, int]:
+        process = self._calls.process("waitpid", pid)
+        child = self._machine.processes.get(pid)
+        if child is None or child.reaped or child.parent is not process:
+            raise ChildProcessError(errno.ECHILD, "no such child")
+        while child.code is None:
+            if options & os.WNOHANG:
+                return 0, 0
+            self._machine.block(self._machine.now_ns + 1_000_000)
+        child.reaped = True
+        return pid, (child.code << 8) if child.code >= 0 else -child.code
+
+    def posix_spawn(self, path: str, argv: list[str], environ: Any, *, setsid: bool = False) -> int:
+        process = self._calls.process("spawn", argv)
+        script = next((each for each in argv if each.endswith(".py")), argv[0])
+        words = argv[argv.index(script) :]
+        name = posixpath.basename(script)
+        program = self._machine.programs.get(name, lambda child, words: 0)
+        called = words[1] if name == CHILD else name
+        made = self._machine.process(called, lambda child: program(child, words), dict(environ), process)
+        self._inherit(process, made, process.inheritable)
+        return made.pid
+
+    @staticmethod
+    def _inherit(process: Process, made: Process, fds: Iterable[int]) -> None:
+        for fd in sorted({*fds, 0, 1, 2} & set(process.files)):
+            made.files[fd] = process.files[fd]
+            made.files[fd].references += 1
+        made.inheritable = set(made.files)
+
+    def _exit(self, code: int) -> None:
+        self._machine.die(self._calls.process("exit"), code)
+
+    def getpid(self) -> int:
+        return self._machine.current.process.pid if self._machine.current else 0
+
+    def getppid(self) -> int:
+        parent = self._machine.current.process.parent if self._machine.current else None
+        return parent.pid if parent else 1
+
+    def urandom(self, most: int) -> bytes:
+        return self._calls.process("urandom").random_bytes(most)
+
+
+class Os(Paths, Descriptors, Processes):
+    """The module. Its one user is root, and every scheduling is granted."""
+
+    def __init__(self, calls: Calls) -> None:
+        fixed = constants(os, "O_", "EFD_", "SCHED_", "SEEK_") | {
+            name: getattr(os, name) for name in (*PLAIN, *os.__all__) if name.endswith("_OK") or name in PLAIN
+        }
+        super().__init__("os", calls, **fixed)
+        self.environ = Environ(calls.machine)
+        self.path = make_path(calls)
+        for name in ("getuid", "geteuid", "getgid", "getegid"):
+            setattr(self, name, lambda: 0)
+        self.getgroups = lambda: [0]
+        self.umask = lambda mask: 0o22
+        self.uname = lambda: SimpleNamespace(machine="x86_64", sysname="Linux", release="6.1", nodename="simulated")
+        self.sched_getscheduler = lambda pid: os.SCHED_FIFO
+        self.sched_getparam = lambda pid: os.sched_param(10)
+        self.sched_setscheduler = lambda pid, policy, param: None
+        self.get_terminal_size = lambda fd=0: os.terminal_size((80, 24))
+        self.isatty = lambda fd: False
+        self.register_at_fork = lambda **_: None
+
+
+def make_path(calls: Calls) -> Module:
+    """os.path: what asks no machine is Python's own."""
+    plain = {name: value for name, value in vars(posixpath).items() if not name.startswith("_")}
+
+    def looked_at(where: Any, kind: type[Node] = Node) -> bool:
+        try:
+            return isinstance(calls.node(calls.process("stat", where), where), kind)
+        except OSError:
+            return False
+
+    asking = {
+        "exists": looked_at,
+        "lexists": looked_at,
+        "isdir": lambda where: looked_at(where, Directory),
+        "isfile": lambda where: looked_at(where, Regular),
+        "islink": lambda where: False,
+        "abspath": posixpath.normpath,
+        "realpath": posixpath.normpath,
+        "expanduser": lambda where: where.replace("~", "/root", 1),
+    }
+    return Module("posixpath", calls, **{**plain, **asking})

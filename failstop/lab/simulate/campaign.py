@@ -1,0 +1,232 @@
+"""Every single fault: a scenario is run, and at each call of the system the run is forked, once for each fault that may
+happen there; the fork goes on with the fault and is judged.
+
+A fork of this process is a copy of the whole simulated machine, so a run costs only what comes after its fault. Clock
+readings are no places for a fault: what happens at one is seen by nobody before the next call.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from typing import Any
+
+from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.robot import MS
+from failstop.lab.simulate.faults import faults
+from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.stage import Stage
+
+RUN_S = 60
+"""A run that takes longer in real time has gone astray."""
+SHARES = 4
+"""Into so many parts the calls of a scenario are divided, so that no core waits for the other."""
+
+
+@dataclass
+class Run:
+    """One judged run: what was wrong, what happened, and where the fault came, if there was one."""
+
+    scenario: str
+    fault: str = ""
+    call: int = 0
+    """The number of the call in the scenario."""
+    where: str = ""
+    """The process, the call's name and the line of code."""
+    violations: list[str] = field(default_factory=list)
+    causes: list[str] = field(default_factory=list)
+    story: list[tuple[int, str]] = field(default_factory=list)
+    marks: dict[str, int] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """The run as people read it, in ms from its begin."""
+        begin_ns = self.story[0][0] if self.story else 0
+        again = f"failstop simulate --scenario {self.scenario} --call {self.call} --fault '{self.fault}'"
+        head = f"{self.scenario}: {self.fault} at call {self.call}: {self.where}" if self.fault else self.scenario
+        wrong = (f"  {text}" for text in self.violations)
+        steps = (f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in self.story)
+        return "\n".join((head, *wrong, *steps, f"again: {again}"))
+
+
+@dataclass
+class Result:
+    """What a campaign came to."""
+
+    runs: int = 0
+    calls: int = 0
+    wrong: list[Run] = field(default_factory=list)
+    marks: Counter[str] = field(default_factory=Counter)
+
+    def add(self, run: Run) -> None:
+        """One more run."""
+        self.runs += 1
+        self.marks.update(run.marks)
+        if run.violations:
+            self.wrong.append(run)
+
+    def merge(self, other: Result) -> None:
+        """The result of another share."""
+        self.runs += other.runs
+        self.calls += other.calls
+        self.wrong += other.wrong
+        self.marks.update(other.marks)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scenario's calls, or one share of them. `most`: how many calls of one line of code in one process are tried; 0:
+    all. `only`: one call, by its number, and one fault, without a fork. `patches`: changes of the code
+    (controls.py)."""
+
+    scenario: str
+    share: tuple[int, int] = (0, 1)
+    most: int = 0
+    seed: int = 0
+    only: tuple[int, str] | None = None
+    patches: Patches = ()
+    first: bool = False
+    """The campaign ends with the first run that is wrong."""
+
+
+class Explorer:
+    """Runs one Plan."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._seen: Counter[tuple[str, str]] = Counter()
+        self._count = 0
+        self._to: int | None = None
+        """In a fork: where its run is reported."""
+        self.run = Run(plan.scenario)
+        self.result = Result()
+
+    def explore(self) -> Result:
+        """Every fault of the plan. The scenario is run once before, so that every module is compiled before a fork."""
+        plan = self._plan
+        if not plan.only:
+            Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches).run()
+        self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        self.stage.machine.at_seam = self._only if plan.only else self._fork_here
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self.stage.run()
+        run = self._judged()
+        if self._to is not None:
+            _send(self._to, run)
+        self.result.add(run)
+        return self.result
+
+    def _judged(self) -> Run:
+        run, witness = self.run, self.stage.witness
+        run.violations, run.causes, run.story = witness.violations, witness.causes, witness.story
+        run.marks = dict(self.stage.marks.counts)
+        return run
+
+    def _fork_here(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        plan, self._count = self._plan, self._count + 1
+        if not self.stage.explored or thread.process.name == "last.py":
+            return
+        where = f"{thread.process.name} {call} {_line()}"
+        self._seen[thread.process.name, where] += 1
+        if plan.most and self._seen[thread.process.name, where] > plan.most:
+            return
+        if self._count % plan.share[1] != plan.share[0]:
+            return
+        self.result.calls += 1
+        for fault, inject in faults(self.stage, thread, call, about):
+            if self.stage.machine.at_seam is None:
+                return
+            reader, writer = os.pipe()
+            child = os.fork()
+            if not child:
+                os.close(reader)
+                signal.alarm(RUN_S)
+                self._to = writer
+                self._begin(fault, where)
+                inject()
+                return
+            os.close(writer)
+            self._collect(child, reader, Run(plan.scenario, fault, self._count, where))
+
+    def _only(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        self._count += 1
+        assert self._plan.only
+        if self._count == self._plan.only[0]:
+            for fault, inject in faults(self.stage, thread, call, about):
+                if fault == self._plan.only[1]:
+                    self._begin(fault, f"{thread.process.name} {call} {_line()}")
+                    inject()
+
+    def _begin(self, fault: str, where: str) -> None:
+        self.stage.machine.at_seam = None
+        self.run = Run(self._plan.scenario, fault, self._count, where)
+        self.stage.witness.tell(f"FAULT: {fault}, at {where}")
+
+    def _collect(self, child: int, reader: int, run: Run) -> None:
+        data = b""
+        while piece := os.read(reader, 1 << 16):
+            data += piece
+        os.close(reader)
+        _, status = os.waitpid(child, 0)
+        if data:
+            run = Run(**json.loads(data))
+        else:
+            run.violations = [f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"]
+        self.result.add(run)
+        if self._plan.first and run.violations:
+            self.stage.machine.at_seam = None
+
+
+def _send(to: int, run: Run) -> None:
+    """The end of a fork."""
+    if not run.violations:
+        run.story = []
+    data = json.dumps(vars(run)).encode()
+    while data:
+        data = data[os.write(to, data) :]
+    os._exit(0)
+
+
+def _line() -> str:
+    """The line of the service's code that makes the call."""
+    frame = sys._getframe(2)
+    while frame and "/lab/" in frame.f_code.co_filename:
+        frame = frame.f_back  # type: ignore[assignment]
+    if not frame:
+        return "?"
+    return f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}"
+
+
+def explore(plan: Plan) -> Result:
+    """The result of a plan, in this process."""
+    return Explorer(plan).explore()
+
+
+def one(plan: Plan) -> Run:
+    """The run of a plan with `only`."""
+    explorer = Explorer(plan)
+    explorer.explore()
+    return explorer.run
+
+
+def plans(names: Iterable[str], most: int, seed: int = 0, patches: Patches = ()) -> list[Plan]:
+    """Those of whole scenarios, in shares."""
+    shares = [(share, SHARES) for share in range(SHARES)]
+    return [Plan(name, share, most, seed, None, patches) for name in names for share in shares]
+
+
+def results(todo: list[Plan], jobs: int) -> Iterator[tuple[Plan, Result]]:
+    """Each plan with its result, as they come, in so many processes."""
+    with ProcessPoolExecutor(jobs, max_tasks_per_child=1) as pool:
+        waiting = {pool.submit(explore, plan): plan for plan in todo}
+        for done in as_completed(waiting):
+            yield waiting[done], done.result()

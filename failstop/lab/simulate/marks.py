@@ -1,0 +1,82 @@
+"""Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission
+table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import Loader
+from failstop.lab.simulate.witness import Witness
+
+ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
+
+
+EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
+"""In the order of supervisor/children.py."""
+
+
+class Marks:
+    """How often each was reached."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+
+    def reach(self, name: str) -> None:
+        self.counts[name] = self.counts.get(name, 0) + 1
+
+
+def watch(loader: Loader, marks: Marks, witness: Witness) -> None:
+    """Have the modules of one machine say what they reach. They decide as without it."""
+    _watch_causes(loader, marks, witness)
+    _watch_admission(loader, marks)
+    _watch_states(loader, marks)
+
+
+def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
+    epochs = loader.load("failstop.supervisor.latch").Epochs
+    raise_for = epochs.raise_for
+
+    def told(self: Any, stops: list[Any], now_ns: int) -> None:
+        for stop in stops:
+            marks.reach(f"cause {stop.cause.kind.name}")
+            witness.causes.append(str(stop.cause))
+            witness.tell(f"the supervisor stops: {stop.cause}")
+        raise_for(self, stops, now_ns)
+
+    epochs.raise_for = told
+
+
+def _watch_admission(loader: Loader, marks: Marks) -> None:
+    module = loader.load("failstop.procs.port_owner.admission")
+    names = {module.WRITE: "write", module.DROP: "drop", module.BURST: "burst", module.REQUEST: "request"}
+    decide = module.Admission.decide
+
+    def told(self: Any, *arguments: Any, **words: Any) -> Any:
+        found = decide(self, *arguments, **words)
+        marks.reach(f"admission {names[found] if isinstance(found, int) else found.kind.name}")
+        return found
+
+    module.Admission.decide = told
+
+
+def _watch_states(loader: Loader, marks: Marks) -> None:
+    module = loader.load("failstop.supervisor.children")
+    on = module.Child.on
+
+    def told(self: Any, event: int) -> None:
+        marks.reach(f"state {self.state} {EVENTS[event]}")
+        on(self, event)
+
+    module.Child.on = told
+
+
+def missing(counts: Mapping[str, int]) -> list[str]:
+    """The marks that were not reached."""
+    loader = Loader(Machine())
+    module = loader.load("failstop.supervisor.children")
+    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME]
+    wanted += [f"admission {name}" for name in ADMISSION]
+    wanted += [f"state {state} {EVENTS[event]}" for state, row in module.NEXT.items() for event in row]
+    return [name for name in wanted if not counts.get(name)]

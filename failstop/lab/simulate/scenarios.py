@@ -1,0 +1,185 @@
+"""Scenarios: what programs and the world do in a simulated run, before the faults of the campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
+
+Play = Callable[[Stage], object]
+SCENARIOS: dict[str, Play] = {}
+JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
+"""Servo, pulses of the tuck pose and of the drive pose."""
+DEATHS = 5
+"""After so many in a minute a process is down (restart.deaths)."""
+KEYS = ("servo", "tuck", "drive")
+ARM: dict[str, object] = {
+    f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(KEYS, row, strict=True)
+}
+
+
+def scenario(play: Play, name: str = "", told: str = "", settings: dict[str, object] | None = None) -> Play:
+    """Declare one."""
+    SCENARIOS[name or play.__name__] = play
+    play.__doc__ = told or play.__doc__
+    if settings:
+        SETTINGS[play] = settings
+    return play
+
+
+@scenario
+def drive_and_stop(stage: Stage) -> None:
+    """Enable, drive, stop, reset, enable, drive, disable."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.06)
+    stage.stop(robot)
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.disable(robot)
+    robot.close()
+
+
+FROM_THE_START.add(drive_and_stop)
+
+
+def _death(name: str) -> Play:
+    def play(stage: Stage) -> None:
+        robot = stage.connect()
+        stage.enable(robot)
+        stage.drive(robot, 0.04)
+        stage.kill(name)
+        stage.drive(robot, 0.04)
+
+    return play
+
+
+def _silence(name: str, ms: int) -> Play:
+    def play(stage: Stage) -> None:
+        robot = stage.connect()
+        stage.enable(robot)
+        stage.drive(robot, 0.04)
+        stage.freeze(name, ms)
+        stage.drive(robot, ms / 1000 + 0.04)
+
+    return play
+
+
+for _name in ("supervisor", "port_owner", "gate", "telemetry", "stopper"):
+    scenario(_death(_name), f"{_name}_dies", f"The {_name.replace('_', ' ')} is killed while it drives.")
+for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry": 560, "stopper": 320}.items():
+    scenario(_silence(_name, _ms), f"{_name}_hangs", f"The {_name.replace('_', ' ')} is silent for {_ms} ms.")
+
+
+@scenario
+def telemetry_dies_often(stage: Stage) -> None:
+    """Telemetry is killed until it is not restarted any more, then people reset."""
+    robot = stage.connect()
+    for _ in range(DEATHS):
+        while not stage.robot.named("telemetry"):
+            stage.time.sleep(0.02)
+        stage.kill("telemetry")
+        stage.time.sleep(0.02)
+    robot.reset()
+
+
+@scenario
+def replug(stage: Stage) -> None:
+    """The board is unplugged while it drives, and is back."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.unplug()
+    stage.time.sleep(0.03)
+    stage.replug()
+    stage.time.sleep(0.03)
+
+
+@scenario
+def port_does_not_drain(stage: Stage) -> None:
+    """The port keeps what is written to it, then passes it on."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.block_port()
+    stage.drive(robot, 0.2)
+    stage.free_port()
+    stage.time.sleep(0.03)
+
+
+@scenario
+def reset_races_stop(stage: Stage) -> None:
+    """A reset is under way when another stop is asked for."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.stop(robot)
+    robot.reset()
+    stage.stop(robot, "again")
+    stage.enable(robot)
+    stage.drive(robot, 0.02)
+
+
+@scenario
+def two_programs(stage: Stage) -> None:
+    """A second program commands under the same source; then one commands what is no number."""
+    robot, other = stage.connect(), stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    other.sensed()
+    other.drive(0.05, 0.0, 0.0)
+    stage.must_stop("a second program commands", 30)
+    robot.wait_for("latched", 1.0)
+    other.close()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")  # around the check of drive()
+    stage.must_stop("a program commands what is no number", 30)
+    robot.wait_for("latched", 1.0)
+
+
+@scenario
+def board_falls_silent(stage: Stage) -> None:
+    """The board does not hear any more while it drives."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.deafen()
+    stage.drive(robot, 1.3)
+
+
+@scenario
+def machine_sleeps(stage: Stage) -> None:
+    """The machine sleeps while it drives."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.sleep_machine(20.0)
+    stage.drive(robot, 0.04)
+
+
+@scenario
+def service_ends(stage: Stage) -> None:
+    """The service is told to end while it drives."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.end_service()
+
+
+def _arm_to_drive_pose(stage: Stage) -> None:
+    """The arm goes to its drive pose, then the wheels turn; a stop; the arm is streamed to, and held."""
+    robot = stage.connect()
+    robot.wait_for("ready", 3.0)
+    robot.arm.pose("drive")
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.stop(robot)
+    stage.reset(robot)
+    for step in range(4):
+        robot.arm.follow({"base": 0.02 * step})
+        stage.time.sleep(0.02)
+    robot.arm.hold()
+
+
+scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM)

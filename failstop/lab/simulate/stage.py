@@ -1,0 +1,213 @@
+"""Stage: a scenario on a simulated robot, with its witness: start, what a program does, a fault on the way, the end.
+
+After the scenario the faults are off: a run of the service is there, a program resets, enables and drives, and the
+wheels turn within LIVE_NS. So a run is judged for what it forbids and for what it must allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from failstop.lab.machine.kernel import SIGTERM, Process
+from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.robot import MS, Robot
+from failstop.lab.simulate import marks
+from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, Witness
+
+SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
+"""Of the scenarios that need some."""
+FROM_THE_START: set[Callable[[Stage], object]] = set()
+"""The scenarios in which faults come before the service is ready."""
+SPEED_MPS = 0.1
+SPEED_RPS = 0.398
+LONGEST_NS = 10_000 * MS
+"""A scenario that takes longer has hung."""
+LIVE_NS = 2_000 * MS
+RESTART_NS = 100 * MS
+"""After its death the service is started again, as systemd does (RestartSec)."""
+PERIOD_S = 0.02
+
+
+class Stage:
+    """`failstop` is the package as the simulated machine has it, `time` its clock."""
+
+    def __init__(self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = ()) -> None:
+        self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
+        self.machine = self.robot.machine
+        self.witness = Witness(self.robot, SPEED_RPS)
+        self.marks = marks.Marks()
+        marks.watch(self.robot.loader, self.marks, self.witness)
+        self.failstop: Any = self.robot.loader.load("failstop")
+        self.time: Any = self.robot.loader.system["time"]
+        self._play = play
+        self.explored = play in FROM_THE_START
+        """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
+        self._keep = True
+        self.player: Process | None = None
+
+    # What a scenario may do.
+
+    def connect(self) -> Any:
+        """A Robot of the run that is there, once there is one."""
+        while True:
+            try:
+                robot = self.failstop.Robot()
+                robot.wait_for("ready", 3.0)
+            except (self.failstop.NoService, self.failstop.TimedOut):
+                self.time.sleep(0.005)
+            else:
+                self.explored = True
+                return robot
+
+    def enable(self, robot: Any) -> None:
+        """Reset where a stop is latched, and enable."""
+        robot.wait_for("ready", 3.0)
+        if robot.state.cause is not None:
+            robot.reset()
+        self.witness.asks_for_motion()
+        robot.enable()
+
+    def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
+        """Command a speed for so long."""
+        until_s = self.time.monotonic() + seconds
+        while self.time.monotonic() < until_s:
+            robot.sensed()
+            robot.drive(speed_mps, 0.0, 0.0)
+            self.time.sleep(PERIOD_S)
+
+    def stop(self, robot: Any, why: str = "hand near wheel") -> None:
+        """Ask for a stop, and wait until it is latched."""
+        robot.estop(why)
+        self.witness.must_stop("a stop was asked for", ASKED_NS)
+        robot.wait_for("latched", 1.0)
+
+    def reset(self, robot: Any) -> None:
+        """Clear the latch."""
+        robot.wait_for("ready", 3.0)
+        robot.reset()
+
+    def disable(self, robot: Any) -> None:
+        """Forbid motion."""
+        robot.disable()
+        self.must_stop("a program disabled motion", 30)
+
+    def must_stop(self, why: str, within_ms: int) -> None:
+        """From then on the wheels stand, until a program asks for motion again."""
+        self.witness.must_stop(why, within_ms * MS)
+
+    def kill(self, name: str) -> None:
+        """SIGKILL a process of the service."""
+        if found := self.robot.named(name):
+            self.machine.die(found, -9)
+
+    def freeze(self, name: str, ms: int) -> None:
+        """Run nothing of a process for so long."""
+        if found := self.robot.named(name):
+            self.witness.held(found, ms * MS)
+            self.machine.hold(found, ms * MS)
+
+    def unplug(self) -> None:
+        self.witness.tell("the plug is pulled")
+        self.robot.unplug()
+
+    def replug(self) -> None:
+        self.robot.plug()
+        self.witness.must_stop("the board is back", BACK_NS)
+
+    def block_port(self) -> None:
+        """The port keeps from now on what is written to it."""
+        if self.robot.board.port:
+            self.witness.tell("the port does not drain")
+            self.robot.board.port.drains = False
+
+    def free_port(self) -> None:
+        """The port passes on what it has kept."""
+        if self.robot.board.port:
+            self.robot.board.port.drain()
+            self.must_stop("the port drains again", 30)
+
+    def deafen(self) -> None:
+        """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
+        self.witness.tell("the board is deaf")
+        self.robot.board.model.deaf = True
+
+    def press(self, key: int) -> None:
+        """A key of the board."""
+        self.witness.must_stop("a key was pressed", 30 * MS)
+        self.robot.board.press(key)
+
+    def sleep_machine(self, seconds: float) -> None:
+        """The machine sleeps: nothing runs, and CLOCK_MONOTONIC stands still."""
+        self.machine.slept_ns += round(seconds * 1e9)
+        self.witness.must_stop("the machine slept", 60 * MS)
+
+    def end_service(self) -> None:
+        """SIGTERM, as systemd sends it."""
+        self._keep = False
+        if found := self.robot.named("supervisor"):
+            self.witness.orderly = True
+            self.witness.must_stop("the service was told to end", 400 * MS)
+            self.machine.kill(found, SIGTERM)
+            while not found.dead:
+                self.time.sleep(0.005)
+            self.witness.orderly = False
+        self._keep = True
+
+    # The run.
+
+    def run(self) -> None:
+        """From the start of the service to the proof that it can drive again."""
+        self.robot.start()
+        self._keep_running()
+        self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
+        player = self.player
+        if not self.machine.run(lambda: player.dead, LONGEST_NS):
+            self.witness.wrong("the scenario does not come to its end")
+            self.machine.die(player, -9)
+        self._prove_alive()
+
+    def _played(self, failstop: Any) -> None:
+        try:
+            self._play(self)
+        except failstop.FailstopError as error:
+            self.witness.tell(f"the program is told: {error}")
+
+    def _keep_running(self) -> None:
+        """Start the service when there is none, for as long as the stage lives."""
+
+        def look() -> None:
+            if self._keep and not self.robot.named("supervisor"):
+                self.robot.start()
+            self.machine.at(self.machine.now_ns + RESTART_NS, look)
+
+        self.machine.at(self.machine.now_ns + RESTART_NS, look)
+
+    def _prove_alive(self) -> None:
+        machine = self.machine
+        for process in machine.processes.values():
+            if process.held_until_ns:
+                machine.resume(process)
+        self.robot.board.model.deaf = False
+        if self.robot.board.port is None:
+            self.replug()
+        elif not self.robot.board.port.drains:
+            self.robot.board.port.drain()
+        began_ns = machine.now_ns
+        last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
+        moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, LIVE_NS)
+        if not moved or self.witness.moved_ns <= began_ns:
+            self.witness.wrong("after all faults no program can drive within 2 s")
+        if not last.dead:
+            machine.die(last, -9)
+
+    def _drive_again(self, failstop: Any) -> None:
+        while True:
+            try:
+                robot = self.connect()
+                self.enable(robot)
+                while robot.state.enabled:
+                    self.drive(robot, PERIOD_S)
+            except failstop.FailstopError as error:
+                self.witness.tell(f"the last program is told: {error}")
+                self.time.sleep(0.02)

@@ -1,0 +1,125 @@
+"""Witness: judges a run by what the simulated board executes, against what was done to the machine and asked by
+programs.
+
+It never asks the service. Something that must stop the wheels has a bar, and once its time is over no frame may turn
+them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins anew when
+one does.
+"""
+
+from __future__ import annotations
+
+from failstop.board.framing import MOTOR
+from failstop.lab.machine.files import Port
+from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.robot import MS, Robot
+from failstop.lab.sim.model import Frame
+
+SERVICE = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
+WRITERS = ("supervisor", "port_owner", "stopper")
+DEATH_NS = 3 * MS
+"""From a death to the stop at the board: its bytes on the wire, and the steps of those who write it."""
+ASKED_NS = 4 * MS
+BACK_NS = 30 * MS
+HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stopper": 280 * MS, "telemetry": 530 * MS}
+"""From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
+SLACK_RPS = 1e-3
+
+
+class Witness:
+    """Of one run. `violations` says what was wrong, each once; `story` what happened, with its time."""
+
+    def __init__(self, robot: Robot, max_rps: float) -> None:
+        self._robot, self._machine = robot, robot.machine
+        self._max_rps = max_rps
+        self.violations: list[str] = []
+        self.causes: list[str] = []
+        """Those that the supervisor raised the epoch for, in order."""
+        self.story: list[tuple[int, str]] = []
+        self.moved_ns = 0
+        """When the wheels were told to turn last."""
+        self.orderly = False
+        """The service ends as it was told to: its processes die for that."""
+        self._forbidden = "no program has asked for motion yet"
+        """Why no frame may turn the wheels now; empty: one may."""
+        self._asked = 0
+        robot.machine.told = self._told
+        robot.board.on_frame = self._frame
+
+    def tell(self, text: str) -> None:
+        """One more step of the story."""
+        self.story.append((self._machine.now_ns, text))
+
+    def wrong(self, text: str) -> None:
+        """A violation."""
+        if text not in self.violations:
+            self.violations.append(text)
+        self.tell(f"WRONG: {text}")
+
+    # What allows motion, and what forbids it.
+
+    def asks_for_motion(self) -> None:
+        """A program calls enable()."""
+        self._asked += 1
+        self._forbidden = ""
+        self.tell("a program asks for motion")
+
+    def must_stop(self, why: str, within_ns: int) -> None:
+        """From `within_ns` on the wheels stand, until a program asks for motion again."""
+        self.tell(why)
+        self._judge_in(within_ns, why, self._asked, reached=True)
+
+    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool) -> None:
+        def due() -> None:
+            if self._asked != asked:
+                return
+            if reached and self.reached():
+                self._forbidden = self._forbidden or why
+                if any(self._robot.board.model.wheels):
+                    self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
+            else:
+                self._judge_in(within_ns, why, asked, reached=self.reached())
+
+        self._machine.at(self._machine.now_ns + within_ns, due)
+
+    def reached(self) -> bool:
+        """True while a process of the service runs that has the board's port, which takes bytes."""
+        port = self._robot.board.port
+        living = (each for each in self._machine.processes.values() if not each.dead and not each.held_until_ns)
+        if port is None or not port.drains or self._robot.board.model.deaf:
+            return False
+        return any(_has(each, port) for each in living if each.name in WRITERS)
+
+    def _frame(self, frame: Frame) -> None:
+        if frame.func != MOTOR:
+            return
+        if any(frame.speeds):
+            self.moved_ns = frame.executed_ns
+            if self._forbidden:
+                self.wrong(f"a frame turns the wheels after: {self._forbidden}")
+            if max(map(abs, frame.speeds)) > self._max_rps + SLACK_RPS:
+                self.wrong(f"the wheels turn faster than any program asked for: {frame.speeds}")
+        if frame.wild:
+            self.wrong(f"a frame writes outside of the motors: {frame.wild}")
+
+    # What happens to the machine.
+
+    def _told(self, kind: str, process: Process, what: object) -> None:
+        if kind == "failed":
+            self.wrong(f"a thread of {process.name} ends with {type(what).__name__}: {what}")
+        elif kind == "died":
+            self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
+            if process.name in SERVICE and not self.orderly:
+                self.must_stop(f"{process.name} died", DEATH_NS)
+        elif process.name in SERVICE:
+            self.tell(f"{process.name} (pid {process.pid}) starts")
+
+    def held(self, process: Process, ns: int) -> None:
+        """A process is not run for so long."""
+        if ns > HANG_NS.get(process.name, ns):
+            self.must_stop(f"{process.name} is silent", HANG_NS[process.name])
+        else:
+            self.tell(f"{process.name} is held up for {ns / MS:g} ms")
+
+
+def _has(process: Process, port: Port) -> bool:
+    return any(opened.node is port for opened in process.files.values())

@@ -1,0 +1,106 @@
+"""The simulated machine: it runs what ships, tells nothing of the machine that it runs on, and is the same for the same
+seed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.robot import Robot
+from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.stage import Stage
+
+ROOT = Path(__file__).resolve().parents[2]
+CORE = ("board", "shm", "policy", "procs", "supervisor", "failstop/api")
+SHELL_OF_ITS_OWN = {"failstop.shm.futex", "failstop.procs.rights", "failstop.procs.starved"}
+"""Modules that a stand-in replaces: they speak with the kernel below Python."""
+TRACE = """\
+import zlib
+from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.stage import Stage
+stage, trace = Stage(SCENARIOS["replug"]), []
+stage.machine.at_seam = lambda thread, call, about: trace.append((stage.machine.now_ns, thread.number, call))
+stage.run()
+print(zlib.crc32(repr((trace, stage.witness.story)).encode()), len(trace))
+"""
+
+
+def names() -> list[str]:
+    found = []
+    for room in CORE:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            name = ".".join(parts if parts[0] == "failstop" else ("failstop", *parts))
+            found.append(name.removesuffix(".__init__"))
+    return found
+
+
+def test_every_module_of_the_core_loads_on_it() -> None:
+    loader = Loader(Machine())
+    loaded = {name: loader.load(name) for name in names()}
+    assert len(loaded) > 90
+    real = sys.modules["os"], sys.modules["time"], sys.modules["select"]
+    for name, module in loaded.items():
+        assert not [value for value in vars(module).values() if any(value is each for each in real)], name
+
+
+def test_what_is_not_simulated_is_not_there() -> None:
+    loader = Loader(Machine())
+    with pytest.raises(ImportError, match="no subprocess"):
+        loader._import("subprocess")
+    with pytest.raises(AttributeError):
+        loader.system["os"].fork()
+
+
+def test_each_scenario_is_right_without_a_fault() -> None:
+    wrong = {name: stage.witness.violations for name in SCENARIOS if (stage := played(name)).witness.violations}
+    assert wrong == {}
+
+
+def played(name: str) -> Stage:
+    stage = Stage(SCENARIOS[name])
+    stage.run()
+    return stage
+
+
+def test_one_seed_is_one_trace_whatever_the_hashes_are() -> None:
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", TRACE],
+            env={"PYTHONHASHSEED": seed, "PATH": ""},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(told) == 1
+    assert int(told.pop().split()[1]) > 1000
+
+
+def test_stamps_are_of_the_simulated_clock() -> None:
+    """Every record of the black box carries a time between the machine's start and now."""
+    robot = Robot()
+    began_ns = robot.machine.now_ns
+    robot.start()
+    robot.machine.run(lambda: False, 2_000_000_000)
+    segment = robot.loader.load("failstop.shm.segment")
+    stamps: list[int] = []
+
+    def look(failstop: object) -> None:
+        client = robot.loader.load("failstop.api.client")
+        memory, _ = client.run("failstop")
+        for name in ("supervisor", "port_owner", "gate", "telemetry"):
+            ring = segment.attach(memory, name).ring_reader("box", from_oldest=True)
+            while entry := ring.next():
+                stamps.append(entry[1])
+
+    process = robot.program("look.py", look)
+    robot.machine.run(lambda: process.dead, 1_000_000_000)
+    assert len(stamps) > 20
+    assert all(began_ns <= stamp <= robot.machine.now_ns for stamp in stamps)
