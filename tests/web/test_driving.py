@@ -17,14 +17,10 @@ from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import driving
 from failstop.web.lease import answer_to
+from tests.web.driving_parts import COMMAND_S, LATE_S, SETTINGS
 
 pytestmark = pytest.mark.page
 
-COMMAND_S, LATE_S = 0.3, 0.02
-"""A command's life, and what the gate and the wire may take beyond."""
-SETTINGS = (
-    '[attend]\nrequired = "on"\nlease_s = 1.0\n[web]\npairing = "on"\ndrive = "on"\n[sources.page]\npriority = 50\n'
-)
 FORWARD = "1.00 0.00"
 FULL_MPS = 0.2
 

@@ -47,7 +47,7 @@ def shown(state: State) -> dict[str, Any]:
         (states.latched(causes.UNSTILL()), "WHEELS MAY TURN", "shake on", "POWER SWITCH"),
         (states.latched(last_stop=WRITTEN), "STOP WRITTEN", "pressed key 1", "then hold RESET"),
         (states.latched(last_stop=WRITTEN, device=UNPROVEN), "STOP WRITTEN", "pressed key 1", "POWER SWITCH"),
-        (states.latched(last_stop=SEEN, device=UNPROVEN), "STOPPED", "pressed key 1", "then hold RESET"),
+        (states.latched(last_stop=SEEN, device=UNPROVEN), "STOPPED, UNPROVEN", "pressed key 1", "then hold RESET"),
         (states.state(last_stop=WRITTEN), "STOP WRITTEN", "Motion is disabled", "Hold ENABLE"),
         (states.latched(last_stop=HELD), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),
         (states.latched(last_stop=None), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),

@@ -13,7 +13,7 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
 from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, TrialError, judge, wait_for
-from tests.web.test_driving import COMMAND_S, LATE_S, SETTINGS
+from tests.web.driving_parts import COMMAND_S, LATE_S, SETTINGS
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -1,8 +1,8 @@
 """Loading: the service's own modules, as they ship, on a simulated machine.
 
-Each is executed anew with an `__import__` of its own: failstop's modules are loaded here too, those that speak with the
-kernel are the machine's (system.py), and the rest is Python's. So a call that is not simulated is an error at once, and
-the code under test needs no seam of its own.
+Each is executed once more with an `__import__` of its own: failstop's modules are loaded here too, those that speak
+with the kernel are the machine's (system.py), and the rest is Python's. So a call that is not simulated is an error at
+once, and the code under test needs no seam of its own.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class File:
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)
         self.system, self._text = system, "b" not in mode
-        self._fd = opener(path, flags) if opener else system.open(path, flags)
+        self._fd: int = opener(path, flags) if opener else system.open(path, flags)
 
     def fileno(self) -> int:
         return self._fd
@@ -151,7 +151,8 @@ class File:
         return self.read(most).partition("\n")[0]
 
     def write(self, data: Any) -> int:
-        return self.system.write(self._fd, data.encode() if self._text else data)
+        written: int = self.system.write(self._fd, data.encode() if self._text else data)
+        return written
 
     def flush(self) -> None:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -123,7 +124,8 @@ class Robot:
     def _save(self, process: Process, argv: list[str]) -> int:
         """The saver of incidents, which has nothing to tell here."""
         words = dict(word.split("=", 1) for word in argv[1:])
-        self.loader.system["os"].write(int(words["result"]), msgpack.packb({}))
+        with contextlib.suppress(BrokenPipeError):
+            self.loader.system["os"].write(int(words["result"]), msgpack.packb({}))
         return 0
 
     def start(self) -> Process:

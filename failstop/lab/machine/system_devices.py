@@ -189,7 +189,7 @@ class Error(Exception):
 
 
 class SharedMemory:
-    """posix_ipc.SharedMemory, made anew."""
+    """posix_ipc.SharedMemory, newly made."""
 
     def __init__(self, calls: Calls, name: str, mode: int) -> None:
         process, folder = calls.process("shm_open", name), shared_folder(calls)

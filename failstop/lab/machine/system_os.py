@@ -283,9 +283,13 @@ class Processes(Module):
         script = next((each for each in argv if each.endswith(".py")), argv[0])
         words = argv[argv.index(script) :]
         name = posixpath.basename(script)
-        program = self._machine.programs.get(name, lambda child, words: 0)
+        program = self._machine.programs.get(name)
         called = words[1] if name == CHILD else name
-        made = self._machine.process(called, lambda child: program(child, words), dict(environ), process)
+
+        def run(child: Process) -> int:
+            return program(child, words) if program else 0
+
+        made = self._machine.process(called, run, dict(environ), process)
         self._inherit(process, made, process.inheritable)
         return made.pid
 

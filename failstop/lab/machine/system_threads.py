@@ -24,22 +24,19 @@ class Lock:
         self._waiting: list[Thread] = []
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        if not self._held:
-            self._held = True
-            return True
-        if not blocking:
-            return False
         machine = self._calls.machine
-        thread = machine.current
-        assert thread is not None
         until_ns = None if timeout < 0 else machine.now_ns + round(timeout * NS)
-        while self._held:
-            if until_ns is not None and machine.now_ns >= until_ns:
+        while not self._take():
+            if not blocking or (until_ns is not None and machine.now_ns >= until_ns):
                 return False
-            self._waiting.append(thread)
+            assert machine.current is not None
+            self._waiting.append(machine.current)
             machine.block(until_ns)
-        self._held = True
         return True
+
+    def _take(self) -> bool:
+        was, self._held = self._held, True
+        return not was
 
     def release(self) -> None:
         if not self._held:

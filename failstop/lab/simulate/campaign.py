@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import gc
 import json
+import multiprocessing
 import os
 import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Any
 
 from failstop.lab.machine.kernel import Thread
@@ -198,9 +199,9 @@ def _send(to: int, run: Run) -> None:
 
 def _line() -> str:
     """The line of the service's code that makes the call."""
-    frame = sys._getframe(2)
+    frame: FrameType | None = sys._getframe(2)
     while frame and "/lab/" in frame.f_code.co_filename:
-        frame = frame.f_back  # type: ignore[assignment]
+        frame = frame.f_back
     if not frame:
         return "?"
     return f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}"
@@ -226,7 +227,9 @@ def plans(names: Iterable[str], most: int, seed: int = 0, patches: Patches = ())
 
 def results(todo: list[Plan], jobs: int) -> Iterator[tuple[Plan, Result]]:
     """Each plan with its result, as they come, in so many processes."""
-    with ProcessPoolExecutor(jobs, max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(explore, plan): plan for plan in todo}
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
+    with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=1) as pool:
+        yield from pool.imap_unordered(_explored, todo)
+
+
+def _explored(plan: Plan) -> tuple[Plan, Result]:
+    return plan, explore(plan)

@@ -2,7 +2,7 @@
 programs.
 
 It never asks the service. Something that must stop the wheels has a bar, and once its time is over no frame may turn
-them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins anew when
+them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins again when
 one does.
 """
 
@@ -109,7 +109,7 @@ class Witness:
         elif kind == "died":
             self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
             if process.name in SERVICE and not self.orderly:
-                self.must_stop(f"{process.name} died", DEATH_NS)
+                self.must_stop(f"{process.name} is dead", DEATH_NS)
         elif process.name in SERVICE:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
