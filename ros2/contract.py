@@ -27,6 +27,7 @@ class Qos(NamedTuple):
 
 PLAIN = Qos(10)
 SENSOR = Qos(5, reliable=False)
+LOSSY = Qos(10, reliable=False)
 LASTING = Qos(10, transient_local=True)
 
 
@@ -60,8 +61,8 @@ CMD_VEL = Topic(
     0,
     "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
     "than the command timeout is refused, a zero stamp counts as now. So is a command that comes so much later than "
-    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite "
-    "latches a stop",
+    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite, in "
+    "any of the six fields, latches a stop",
 )
 SCAN = Topic(
     "scan",
@@ -70,7 +71,16 @@ SCAN = Topic(
     0,
     "the obstacle sensor: each arrival counts, whatever it holds; without one for 0.5 s nothing moves (`no scan`)",
 )
-ESTOP = Topic("estop", "std_msgs/msg/Bool", PLAIN, 0, "true latches a stop (`estop topic`); false does nothing")
+ESTOP = Topic(
+    "estop",
+    "std_msgs/msg/Bool",
+    PLAIN,
+    0,
+    "true latches a stop (`estop topic`); false does nothing. A best-effort publisher is heard too",
+)
+ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
+"""A second subscription: a reliable one hears no best-effort publisher, and a best-effort one alone may lose the word of
+a reliable publisher."""
 INWARD = (CMD_VEL, SCAN, ESTOP)
 
 IMU = Topic(

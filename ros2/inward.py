@@ -13,7 +13,17 @@ from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
 from failstop.ros2.commanders import FRESH_NS, Commanders, Lag, waited_ns, wrong_ends
-from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
+from failstop.ros2.contract import (
+    CLIENT,
+    CMD_VEL,
+    COMMAND_TYPES,
+    ESTOP,
+    ESTOP_LOSSY,
+    SCAN,
+    SERVICES,
+    STAMPED,
+    Topic,
+)
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
 from failstop.ros2.link import Link
@@ -64,6 +74,9 @@ class Inward:
         self._type = self._accepted[0]
         # The first is looked at first.
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
+        self._subscribe(ESTOP_LOSSY, self._estop)
+        self._stopped_ns = 0
+        """When the message was sent that was answered with a stop last: both subscriptions hear a reliable publisher."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
@@ -116,7 +129,7 @@ class Inward:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)
-            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=True)
+            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=False)
         self._follow_type()
         if self.arm:
             self.arm.follow(now_ns)
@@ -172,8 +185,9 @@ class Inward:
         now_ns, waited_ns = monotonic_ns(), self._waited_ns()
         self.graph.ask(self._link, now_ns)
         twist = message.twist if self._type == STAMPED else message
-        velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
-        if not all(map(isfinite, velocity)):
+        (vx, vy, vz), (wx, wy, wz) = _axes(twist.linear), _axes(twist.angular)
+        velocity = (vx, vy, wz)
+        if not all(map(isfinite, (*velocity, vz, wx, wy))):
             self._latch(str(causes.NOT_FINITE(self._commanders.names())))
             return
         late = self._late(message)
@@ -212,7 +226,8 @@ class Inward:
             self._complain("service", f"scans are not passed on: {error}")
 
     def _estop(self, message: Any) -> None:
-        if message.data:
+        if message.data and not (self._sent_ns and self._sent_ns == self._stopped_ns):
+            self._stopped_ns = self._sent_ns
             self._latch(words.TOPIC_CAUSE)
 
     # Services.
@@ -269,6 +284,10 @@ class Inward:
             await Turn()
         response.success, response.message = known
         return response
+
+
+def _axes(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def _reset(robot: Robot) -> Cause | None:

@@ -45,13 +45,24 @@ def test_an_old_stamp_is_refused(scene: Scene) -> None:
     assert not scene.trial.moving()
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_finite_latches(scene: Scene, value: float) -> None:
+@pytest.mark.parametrize(
+    ("part", "axis", "value"),
+    [
+        ("linear", "x", math.nan),
+        ("linear", "y", math.inf),
+        ("linear", "z", math.nan),
+        ("angular", "x", -math.inf),
+        ("angular", "y", math.nan),
+        ("angular", "z", math.nan),
+    ],
+)
+def test_what_is_not_finite_latches(scene: Scene, part: str, axis: str, value: float) -> None:
+    """Also in the fields that a wheeled base has no use for: the publisher's sums went wrong somewhere."""
     scene.scan()
     driver = scene.drive()
     scene.enable()
     scene.moving()
-    driver.ask("publish", topic="cmd_vel", fields={"linear": {"x": value}})
+    driver.ask("publish", topic="cmd_vel", fields={part: {axis: value}})
     scene.standing()
     assert latched(scene) == "command from /nav is not finite"
 
@@ -72,6 +83,27 @@ def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
     scene.eyes.next(f"{NODE}/emergency_stop", lambda message: message["data"])
     assert scene.state()["blocked"] == "estop: estop topic"
     assert scene.eyes.call("enable", data=True) == (False, "refused: e-stop latched (estop topic)")
+
+
+@pytest.mark.parametrize("qos", [{"reliable": False}, {"reliable": True}, {"lasting": True}], ids=str)
+def test_every_publisher_of_estop_can_stop(scene: Scene, qos: dict[str, bool]) -> None:
+    scene.node("button").publish("estop", BOOL, {"data": True}, hz=2.0, qos=qos)
+    assert latched(scene) == "estop topic"
+    assert scene.state()["wrong"] == "nobody publishes scan: start the lidar's node, or remap its topic"
+
+
+def test_one_message_of_estop_is_one_stop(scene: Scene) -> None:
+    """Both subscriptions of the bridge hear a reliable publisher."""
+    button = scene.node("button")
+    button.publish("estop", BOOL, {"data": False}, hz=1.0)
+    before = scene.bridge.said().count("E-STOP: estop topic")
+    button.ask("rest", topic="estop")
+    button.ask("publish", topic="estop", fields={"data": True})
+    latched(scene)
+    button.ask("publish", topic="estop", fields={"data": True})
+    wait_for("the second stop", lambda: scene.bridge.said().count("E-STOP: estop topic") >= before + 2)
+    if scene.ros.real:  # the stand-in does not say when a message was sent
+        assert scene.bridge.said().count("E-STOP: estop topic") == before + 2
 
 
 def test_who_looks_late_sees_the_emergency_stop(scene: Scene) -> None:
