@@ -76,7 +76,7 @@ class Inward:
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
         self._subscribe(ESTOP_LOSSY, self._estop)
         self._stopped_ns = 0
-        """When the message was sent that was answered with a stop last: both subscriptions hear a reliable publisher."""
+        """When the message was sent that was answered last: both subscriptions hear a reliable publisher."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
@@ -163,6 +163,7 @@ class Inward:
             self.arm = ArmFace(self._node, self._qos, self._group, self._link, self._shared, self._waited_ns)
         if self.arm:
             self.arm.goal_timeout_s = float(settings["arm.goal_timeout_s"])
+            self.arm.unwatched_s = float(settings["arm.unwatched_s"])
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
@@ -252,6 +253,8 @@ class Inward:
         now_ns = monotonic_ns()
         self.graph.ask(self._link, now_ns)
         if cause := self._commanders.cause(now_ns):
+            raise Refused(cause)
+        if self.arm and (cause := self.arm.rivals()):
             raise Refused(cause)
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
             who = self._commanders.names()

@@ -7,7 +7,7 @@ from typing import Any
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.ros2.contract import CLIENT
+from failstop.ros2.contract import ARM_ACTION, CLIENT
 from failstop.shm.records import CAUSE
 
 LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
@@ -47,6 +47,14 @@ def waited(waited_s: float) -> str:
 def repaired(late_s: float) -> str:
     """Why a message that was under way for longer than others is refused."""
     return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"
+
+
+def unwatched(takes_s: float, most_s: float) -> str:
+    """Why a goal of the topic arm/goal is refused for its length."""
+    return (
+        f"it takes {takes_s:g} s, and nobody can see whether its sender lives: {most_s:g} s at most "
+        f"(arm.unwatched_s), or send it to {ARM_ACTION.name}"
+    )
 
 
 def late(stamp: Any, now_ns: int, most_s: float) -> str:

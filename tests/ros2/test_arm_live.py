@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import time
 
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import NODE, Node, Scene
+from tests.ros2.conftest import _name
+from tests.ros2.scene import NODE, Node, Ros, Scene
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
@@ -61,9 +63,9 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
 
 
 @pytest.fixture
-def offers(scene: Scene) -> bool:
+def offers(ros: Ros) -> bool:
     """Whether this ROS has the action; the stand-in has none."""
-    done = scene.ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
+    done = ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
     return done.returncode == 0
 
 
@@ -137,6 +139,85 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
     assert "nobody hears of the goal any more: held" in scene.bridge.said()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_client_of_the_action_that_is_killed_or_stopped_holds_the_arm(ros: Ros, offers: bool, number: int) -> None:
+    """DDS counts it for 20 s: what is missing at once is its acknowledgement of the feedback."""
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    with Scene(ros, _name(), settings=SETTINGS) as scene:
+        planner = scene.node("planner")
+        assert send(planner, goal(point(20, -0.5)))
+        scene.state(lambda state: state["arm_moving"])
+        time.sleep(1.5)  # longer than what is given to discovery, so that it can't be what holds the arm
+        assert scene.state()["arm_moving"], "as long as it lives, it goes on"
+        planner.process.send_signal(number)
+        gone_s = time.monotonic()
+        scene.state(lambda state: not state["arm_moving"])
+        assert time.monotonic() - gone_s < 1.5
+        assert "a node that hears of the goal has acknowledged nothing for 0.5 s: held" in scene.bridge.said()
+        at = scene.trial.board.joints()[1]
+        other = scene.node("other")
+        assert not send(other, goal(point(1, 0.0))), "it can't be watched while the dead one counts"
+        assert "DDS counts it for up to 20 s" in scene.bridge.said()
+        assert scene.trial.board.joints()[1] == pytest.approx(at, abs=2)
+        if number == signal.SIGSTOP:
+            planner.process.send_signal(signal.SIGCONT)
+            wait_for("the next goal to be taken", lambda: send(other, goal(point(1, 0.0))))
+
+
+def test_a_listener_of_the_feedback_is_no_hindrance(scene: Scene, planner: Node) -> None:
+    ear = scene.node("ear")
+    ear.hear(f"{ACTION}/_action/status", "action_msgs/msg/GoalStatusArray")
+    assert send(planner, goal(point(0, 0.0), point(2, 0.1)))
+    assert planner.ask("outcome")["status"] == 4
+
+
+def test_a_goal_of_the_topic_ends_with_its_publisher(scene: Scene) -> None:
+    sender = scene.node("sender")
+    start = scene.trial.board.joints()[1]
+    wait_for("the arm to be seen", lambda: scene.state()["arm_enabled"])
+    publish_once(sender, {"joint_names": ["base"], "points": [point(3, 0.9)]})
+    scene.state(lambda state: state["arm_moving"])
+    scene.leave(sender)
+    wait_for("the line", lambda: "arm/goal: its publisher has gone: held" in scene.bridge.said())
+    scene.state(lambda state: not state["arm_moving"])
+    assert abs(scene.trial.board.joints()[1] - start) < 180, "0.9 rad are 215 pulses"
+
+
+def test_a_long_goal_of_the_topic_is_refused(scene: Scene) -> None:
+    sender = scene.node("sender")
+    publish_once(sender, {"joint_names": ["base"], "points": [point(1, 0.1), point(8, 0.2)]})
+    said = "arm/goal: refused: it takes 8 s, and nobody can see whether its sender lives: 3 s at most (arm.unwatched_s)"
+    wait_for("the refusal", lambda: said in scene.bridge.said())
+    assert not scene.state()["arm_moving"]
+
+
+def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: Scene) -> None:
+    first, second = scene.node("first"), scene.node("second")
+    for node in (first, second):
+        node.ask("advertise", topic="arm/goal", type=GOAL)
+    scene.state(lambda state: (state["estop"] or "").startswith("multiple arm/goal publishers: /first, /second ("))
+    wait_for("the bridge to hear it", lambda: second.ask("matched", topic="arm/goal")["count"] > 0)
+    second.ask("publish", topic="arm/goal", fields={"joint_names": ["base"], "points": [point(1, 0.1)]})
+    wait_for("the refusal", lambda: "arm/goal: refused: multiple arm/goal publishers: " in scene.bridge.said())
+    done, text = scene.eyes.call("reset_estop")
+    assert not done
+    assert text.startswith("refused: multiple arm/goal publishers: /first, /second")
+    scene.leave(second)
+
+    def reset() -> bool:
+        return bool(scene.eyes.call("reset_estop")[0])
+
+    wait_for("a reset", reset)
+
+
+def publish_once(node: Node, fields: dict[str, object]) -> None:
+    """Once somebody hears it."""
+    node.ask("advertise", topic="arm/goal", type=GOAL)
+    wait_for("the bridge to hear arm/goal", lambda: node.ask("matched", topic="arm/goal")["count"] > 0)
+    node.ask("publish", topic="arm/goal", fields=fields)
 
 
 def test_a_goal_that_is_old_moves_nothing(scene: Scene) -> None:

@@ -21,6 +21,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.wire import SERVICE_S
 
 _numbers = itertools.count(1)
+NAMED_S = 0.2
+"""The graph knows a publisher or subscription so much sooner than the name of its node."""
+UNKNOWN = {"node_name": "_NODE_NAME_UNKNOWN_", "node_namespace": "_NODE_NAMESPACE_UNKNOWN_"}
 
 
 class Arguments:
@@ -210,7 +213,15 @@ class Node:
         names = {"node_name": self._name, "node_namespace": self._namespace}
         reliable = qos.reliability == ReliabilityPolicy.RELIABLE
         lasting = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        return {"topic": topic, "type": kind, "reliable": reliable, "lasting": lasting, "depth": qos.depth, **names}
+        return {
+            "topic": topic,
+            "type": kind,
+            "reliable": reliable,
+            "lasting": lasting,
+            "depth": qos.depth,
+            **names,
+            "s": time.time(),
+        }
 
     def get_name(self) -> str:
         return self._name
@@ -326,9 +337,10 @@ class Node:
 def _info(row: dict) -> object:
     reliability = ReliabilityPolicy.RELIABLE if row["reliable"] else ReliabilityPolicy.BEST_EFFORT
     durability = DurabilityPolicy.TRANSIENT_LOCAL if row["lasting"] else DurabilityPolicy.VOLATILE
+    named = row if time.time() - row["s"] > NAMED_S else UNKNOWN
     return SimpleNamespace(
-        node_name=row["node_name"],
-        node_namespace=row["node_namespace"],
+        node_name=named["node_name"],
+        node_namespace=named["node_namespace"],
         topic_type=row["type"],
         qos_profile=QoSProfile(depth=row["depth"], reliability=reliability, durability=durability),
     )
