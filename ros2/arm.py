@@ -16,12 +16,13 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.ros2 import report, words
 from failstop.ros2.alive import Unwatched
-from failstop.ros2.commanders import FRESH_NS, Asking, rivals
+from failstop.ros2.commanders import FRESH_NS, Asking, names, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch, publishers
 from failstop.ros2.link import Link
 from failstop.ros2.shared import Shared
+from failstop.ros2.stamps import Stamps
 from failstop.ros2.trajectory import TrajectoryFace, Way, way
 from failstop.ros2.turn import Turn
 
@@ -61,13 +62,14 @@ class ArmFace:
     """Its subscription, publisher and services."""
 
     def __init__(
-        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, waited_ns: Callable[[], int]
+        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, stamps: Stamps, waited_ns: Callable[[], int]
     ) -> None:
         """`link`: of the executor's thread, for what is done at once; `waited_ns`: how long the message at hand has
         waited for its callback."""
         self._node = node
         self._link = link
         self._shared = shared
+        self._stamps = stamps
         self._asking = Link(link.name)
         """Of the jobs: one client moves the arm, however many of its jobs have ended."""
         self._newest = 0
@@ -226,13 +228,17 @@ class ArmFace:
         except FailstopError as error:
             self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
+    def _late(self, stamp: Any) -> str:
+        """Why a goal is refused for its stamp; empty: it is not."""
+        who = names(publishers(self._node, self._topic))
+        return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
+
     def _take_goal(self, message: Any) -> None:
         """Raises FailstopError."""
         if not message.points:
             self._goal_job = self.begin(_hold)
             return
-        now_ns = self._node.get_clock().now().nanoseconds
-        if old := self._old(self._waited_ns()) or words.late(message.header.stamp, now_ns, self.goal_timeout_s):
+        if old := self._old(self._waited_ns()) or self._late(message.header.stamp):
             raise Refused(old)
         path = way(message)
         if (takes_s := path[-1][0]) > self.unwatched_s:

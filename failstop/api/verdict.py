@@ -89,6 +89,7 @@ def steps(state: State) -> list[str]:
     elif state.blocked == blocks.NO_SCAN:
         found.append("start the obstacle sensor and the program that calls robot.sensed()")
     elif state.blocked == blocks.NO_COMMAND:
+        found += [f"see to what {client.name} says is wrong" for client in state.clients if client.wrong]
         found.append(drive)
     return [words.named(step, state.name) for step in found]
 

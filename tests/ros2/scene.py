@@ -34,7 +34,13 @@ SENSOR = {"reliable": False, "depth": 5}
 DEADLINE_S = 20.0
 OVERLAY = "FAILSTOP_ROS_OVERLAY"
 """A setup file of further ROS packages, to source after ROS's own."""
+_numbers = itertools.count()
 _domains = itertools.count(os.getpid() % 40 + 1)
+
+
+def new_name() -> str:
+    """Of a service that no other test has."""
+    return f"ros2-{os.getpid()}-{next(_numbers)}"
 
 
 class Ros:

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
-import time
 
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.conftest import _name
-from tests.ros2.scene import NODE, Node, Ros, Scene
-from tests.support.arm_settings import ARM, DRIVE, SERVOS
+from tests.ros2.arm_scene import ACTION, ARM_SETTINGS, GOAL, goal, point, publish_once, send
+from tests.ros2.scene import NODE, Node, Scene
+from tests.support.arm_settings import DRIVE, SERVOS
 
-SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
-GOAL = "trajectory_msgs/msg/JointTrajectory"
-ACTION = f"{NODE}/arm/follow_joint_trajectory"
-ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
-
-
-def point(seconds: int, *positions: float) -> dict[str, object]:
-    return {"positions": list(positions), "time_from_start": {"sec": seconds}}
+SETTINGS = ARM_SETTINGS
 
 
 def test_drive_pose_hold_and_state(scene: Scene) -> None:
@@ -62,13 +53,6 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
     scene.eyes.next(f"{NODE}/arm_busy", lambda message: message["data"] is False)
 
 
-@pytest.fixture
-def offers(ros: Ros) -> bool:
-    """Whether this ROS has the action; the stand-in has none."""
-    done = ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
-    return done.returncode == 0
-
-
 def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, offers: bool) -> None:
     if offers:
         pytest.skip("this ROS has control_msgs")
@@ -79,22 +63,12 @@ def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, o
     assert [row["level"] for row in rows if said in row["message"]] == [0]
 
 
-def goal(*points: dict[str, object], joint: str = "base") -> dict[str, object]:
-    return {"trajectory": {"joint_names": [joint], "points": list(points)}}
-
-
 @pytest.fixture
 def planner(scene: Scene, offers: bool) -> Node:
     """A client of the action."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
     return scene.node("planner")
-
-
-def send(planner: Node, fields: dict[str, object]) -> bool:
-    found = planner.ask("send_goal", action=ACTION, type=ACTION_TYPE, fields=fields)
-    assert "error" not in found, found
-    return bool(found["accepted"])
 
 
 def test_a_trajectory_by_the_action(scene: Scene, planner: Node) -> None:
@@ -141,32 +115,6 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
     assert "nobody hears of the goal any more: held" in scene.bridge.said()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_client_of_the_action_that_is_killed_or_stopped_holds_the_arm(ros: Ros, offers: bool, number: int) -> None:
-    """DDS counts it for 20 s: what is missing at once is its acknowledgement of the feedback."""
-    if not offers:
-        pytest.skip("this ROS has no control_msgs")
-    with Scene(ros, _name(), settings=SETTINGS) as scene:
-        planner = scene.node("planner")
-        assert send(planner, goal(point(20, -0.5)))
-        scene.state(lambda state: state["arm_moving"])
-        time.sleep(1.5)  # longer than what is given to discovery, so that it can't be what holds the arm
-        assert scene.state()["arm_moving"], "as long as it lives, it goes on"
-        planner.process.send_signal(number)
-        gone_s = time.monotonic()
-        scene.state(lambda state: not state["arm_moving"])
-        assert time.monotonic() - gone_s < 1.5
-        assert "a node that hears of the goal has acknowledged nothing for 0.5 s: held" in scene.bridge.said()
-        at = scene.trial.board.joints()[1]
-        other = scene.node("other")
-        assert not send(other, goal(point(1, 0.0))), "it can't be watched while the dead one counts"
-        assert "DDS counts it for up to 20 s" in scene.bridge.said()
-        assert scene.trial.board.joints()[1] == pytest.approx(at, abs=2)
-        if number == signal.SIGSTOP:
-            planner.process.send_signal(signal.SIGCONT)
-            wait_for("the next goal to be taken", lambda: send(other, goal(point(1, 0.0))))
-
-
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: Scene, planner: Node) -> None:
     ear = scene.node("ear")
     ear.hear(f"{ACTION}/_action/status", "action_msgs/msg/GoalStatusArray")
@@ -211,13 +159,6 @@ def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: Scene) ->
         return bool(scene.eyes.call("reset_estop")[0])
 
     wait_for("a reset", reset)
-
-
-def publish_once(node: Node, fields: dict[str, object]) -> None:
-    """Once somebody hears it."""
-    node.ask("advertise", topic="arm/goal", type=GOAL)
-    wait_for("the bridge to hear arm/goal", lambda: node.ask("matched", topic="arm/goal")["count"] > 0)
-    node.ask("publish", topic="arm/goal", fields=fields)
 
 
 def test_a_goal_that_is_old_moves_nothing(scene: Scene) -> None:

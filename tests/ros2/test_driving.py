@@ -8,6 +8,7 @@ import pytest
 
 from failstop.lab.trial import wait_for
 from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, Scene
+from tests.support.commands import failstop
 
 
 def latched(scene: Scene) -> str:
@@ -45,6 +46,27 @@ def test_an_old_stamp_is_refused(scene: Scene) -> None:
     assert not scene.trial.moving()
 
 
+def test_whose_clock_disagrees_is_told_everywhere(scene: Scene) -> None:
+    scene.scan()
+    driver = scene.node("nav")
+    stamp = {"sec": 1_600_000_000}
+    driver.publish("cmd_vel", STAMPED, {"twist": FORWARD, "header": {"stamp": stamp}}, hz=20.0)
+    scene.enable()
+    state = scene.state(lambda state: "/nav publishes cmd_vel with stamps that are " in (state["wrong"] or ""))
+    assert state["wrong"].endswith(" s old, and refused: do the clocks agree?")
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    scene.eyes.next("/diagnostics", lambda message: "do the clocks agree?" in str(message))
+
+    def why() -> str:
+        return " ".join(failstop("why", "--name", scene.trial.name).stdout.split())
+
+    wait_for("`failstop why` to tell it", lambda: "ros2 says: /nav publishes cmd_vel with stamps" in why())
+    assert "do see to what ros2 says is wrong, then" in why()
+    driver.ask("repeat", topic="cmd_vel", fields={"twist": FORWARD}, hz=20.0, stamp=True)
+    scene.moving()
+    scene.state(lambda state: state["wrong"] is None)
+
+
 @pytest.mark.parametrize(
     ("part", "axis", "value"),
     [
@@ -64,7 +86,7 @@ def test_what_is_not_finite_latches(scene: Scene, part: str, axis: str, value: f
     scene.moving()
     driver.ask("publish", topic="cmd_vel", fields={part: {axis: value}})
     scene.standing()
-    assert latched(scene) == "command from /nav is not finite"
+    scene.state(lambda state: state["estop"] == "command from /nav is not finite")
 
 
 def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:

@@ -233,7 +233,9 @@ class Node:
         return Logger(self._name)
 
     def get_clock(self) -> object:
-        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=time.time_ns()))
+        # With a simulator's time that nobody publishes, as here, it is 0.
+        ns = 0 if self._arguments.parameters.get("use_sim_time") else time.time_ns()
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=ns))
 
     def _resolved(self, name: str) -> str:
         name = self._arguments.remaps.get(name, name)
