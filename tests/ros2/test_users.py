@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene, new_name
+from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene, lacks, new_name
 from tests.support.commands import failstop
 
 NOBODY = 65534
@@ -33,7 +33,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
         pytest.skip("not installed: setpriv")
     found = Ros("real", tmp_path_factory.mktemp("ros"))
     if found.run(PYTHON, "-c", "import rclpy").returncode:
-        pytest.skip(f"{PYTHON} is not that of this ROS")
+        lacks(f"{PYTHON} is not that of this ROS")
     return found
 
 
