@@ -15,7 +15,7 @@ from rcl_interfaces.msg import ParameterValue, SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters
 
 from rclpy import types
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterAlreadyDeclaredException
 from rclpy.parameter import Parameter, value_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.wire import SERVICE_S
@@ -258,6 +258,10 @@ class Node:
         self.wire.subscriptions.remove(subscription.row)
         self.wire.tell()
 
+    def destroy_publisher(self, publisher: Publisher) -> None:
+        self.wire.publishers.remove(publisher.row)
+        self.wire.tell()
+
     def create_service(self, kind: type, name: str, callback: object, *, callback_group: object = None) -> Service:
         self.services.append(Service(self, kind, self._resolved(name), callback))
         self.services[-1].alone = callback_group is None
@@ -275,6 +279,9 @@ class Node:
 
     def count_publishers(self, topic: str) -> int:
         return len(self.get_publishers_info_by_topic(topic))
+
+    def count_subscribers(self, topic: str) -> int:
+        return len(self.get_subscriptions_info_by_topic(topic))
 
     def get_publishers_info_by_topic(self, topic: str) -> list[object]:
         return self._infos("publishers", topic)
@@ -297,6 +304,8 @@ class Node:
         return sorted((row["topic"], [row["type"]]) for row in rows)
 
     def declare_parameter(self, name: str, value: object, descriptor: object = None) -> Parameter:
+        if name in self._parameters:
+            raise ParameterAlreadyDeclaredException(name)
         given = self._arguments.parameters.get(name, value)
         free = descriptor is not None and descriptor.dynamic_typing
         if not free and Parameter(name, value=given).type_ != Parameter(name, value=value).type_:

@@ -81,6 +81,8 @@ class Message:
             setattr(self, field, value)
 
     def __setattr__(self, field: str, value: object) -> None:
+        if field not in self._fields:
+            raise AttributeError(f"{self._name} has no field {field!r}")
         kind = self._fields[field]
         assert _fits(kind, value), f"The {field!r} field must be of type {kind!r}, not {value!r}"
         object.__setattr__(self, field, value)
