@@ -70,6 +70,7 @@ class Feedback:
     who hears it has acknowledged it. One message is kept, so that DDS asks for its acknowledgement at once."""
 
     def __init__(self, node: Any, kind: Any) -> None:
+        """Raises FailstopError where this ROS's DDS does not tell what was acknowledged."""
         from rclpy.duration import Duration
         from rclpy.qos import QoSProfile
 
@@ -77,6 +78,10 @@ class Feedback:
         self._kind = kind
         self._publisher = node.create_publisher(kind.Impl.FeedbackMessage, FEEDBACK, QoSProfile(depth=1))
         self._at_once = Duration(seconds=0)
+        try:
+            self.acknowledged()
+        except Exception as error:
+            raise FailstopError(f"whether its client lives can't be seen with this RMW ({error})") from None
 
     def heard(self) -> int:
         """How many nodes hear it reliably; the others acknowledge nothing."""

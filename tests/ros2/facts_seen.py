@@ -94,28 +94,30 @@ def fields() -> dict[str, str]:
 
 def matching(pair: Pair) -> dict[str, Any]:
     """Whether a publisher and a subscription of these qualities find each other."""
-    found = {}
-    for number, (publisher, subscription) in enumerate([(p, s) for p in (True, False) for s in (True, False)]):
-        topic = f"matching_{number}"
-        sender = pair.one.create_publisher(BOOL, topic, profile(publisher))
-        pair.other.create_subscription(BOOL, topic, lambda message: None, profile(subscription))
-        pair.within(lambda topic=topic: pair.one.count_subscribers(topic) == 1)
-        words = tuple("reliable" if reliable else "best effort" for reliable in (publisher, subscription))
-        found[" to ".join(words)] = pair.within(lambda sender=sender: sender.get_subscription_count(), QUIET_S)
-    return found
+    sorts = {"reliable": True, "best effort": False}
+    return {f"{one} to {other}": matches(pair, sorts[one], sorts[other]) for one in sorts for other in sorts}
+
+
+def matches(pair: Pair, publisher: bool, subscription: bool) -> bool:
+    topic = f"matching_{publisher}_{subscription}"
+    sender = pair.one.create_publisher(BOOL, topic, profile(publisher))
+    pair.other.create_subscription(BOOL, topic, lambda message: None, profile(subscription))
+    pair.within(lambda: pair.one.count_subscribers(topic) == 1)
+    return pair.within(sender.get_subscription_count, QUIET_S)
 
 
 def late(pair: Pair) -> dict[str, int]:
     """How many of the messages before it a subscription hears that comes late."""
-    found = {}
-    for name, lasting in (("volatile", False), ("transient local", True)):
-        sender = pair.one.create_publisher(BOOL, f"late_{lasting}", profile(True, lasting))
-        sender.publish(BOOL(data=True))
-        heard: list[Any] = []
-        pair.other.create_subscription(BOOL, f"late_{lasting}", heard.append, profile(True, lasting))
-        pair.within(lambda heard=heard: heard, DEADLINE_S if lasting else QUIET_S)
-        found[name] = len(heard)
-    return found
+    return {"volatile": caught_up(pair, False), "transient local": caught_up(pair, True)}
+
+
+def caught_up(pair: Pair, lasting: bool) -> int:
+    sender = pair.one.create_publisher(BOOL, f"late_{lasting}", profile(True, lasting))
+    sender.publish(BOOL(data=True))
+    heard: list[Any] = []
+    pair.other.create_subscription(BOOL, f"late_{lasting}", heard.append, profile(True, lasting))
+    pair.within(lambda: heard, DEADLINE_S if lasting else QUIET_S)
+    return len(heard)
 
 
 def graph(pair: Pair) -> dict[str, Any]:
