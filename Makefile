@@ -109,7 +109,7 @@ ROS_PYTHON ?= /usr/bin/python3
 ros2: $(VENV)/ros2/.installed
 	FAILSTOP_ROS=$(ROS) $(VENV)/ros2/bin/pytest --numprocesses 0 tests/ros2
 
-$(VENV)/ros2/.installed: pyproject.toml | $(VENV)/bin/python
+$(VENV)/ros2/.installed: pyproject.toml
 	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
 	@echo "installing failstop with its tests' tools for $(ROS_PYTHON) into $(VENV)/ros2 ..."
 	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2

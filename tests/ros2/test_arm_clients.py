@@ -1,4 +1,4 @@
-"""A client of the arm's action that dies or hangs while the arm is on its way. On a ROS that has the action alone."""
+"""A client of the arm's action that dies or hangs while the arm is on its way. Where the ROS has the action."""
 
 from __future__ import annotations
 
@@ -36,3 +36,15 @@ def test_a_client_of_the_action_that_is_killed_or_stopped_holds_the_arm(ros: Ros
         if number == signal.SIGSTOP:
             planner.process.send_signal(signal.SIGCONT)
             wait_for("the next goal to be taken", lambda: send(other, goal(point(1, 0.0))))
+
+
+def test_without_control_msgs_the_log_and_the_diagnostics_say_so(ros: Ros) -> None:
+    if ros.real:
+        pytest.skip("the stand-in alone can be without")
+    without = {"FAILSTOP_STANDIN_WITHOUT": "control_msgs"}
+    with Scene(ros, new_name(), settings=ARM_SETTINGS, environment=without) as scene:
+        said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
+        wait_for("the line", lambda: scene.bridge.said().count(said) == 1)
+        scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        rows = scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
+        assert [row["level"] for row in rows if said in row["message"]] == [0]

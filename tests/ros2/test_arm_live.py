@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.arm_scene import ACTION, ARM_SETTINGS, GOAL, goal, point, publish_once, send
+from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, goal, point, publish_once, send
 from tests.ros2.scene import NODE, Node, Scene
 from tests.support.arm_settings import DRIVE, SERVOS
 
@@ -51,16 +51,6 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
     assert len(found["name"]) == len(found["position"]) == len(found["velocity"])
     scene.eyes.hear(f"{NODE}/arm_busy", "std_msgs/msg/Bool")
     scene.eyes.next(f"{NODE}/arm_busy", lambda message: message["data"] is False)
-
-
-def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, offers: bool) -> None:
-    if offers:
-        pytest.skip("this ROS has control_msgs")
-    said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
-    assert scene.bridge.said().count(said) == 1
-    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-    rows = scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
-    assert [row["level"] for row in rows if said in row["message"]] == [0]
 
 
 @pytest.fixture
@@ -116,9 +106,8 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
 
 
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: Scene, planner: Node) -> None:
-    ear = scene.node("ear")
-    ear.hear(f"{ACTION}/_action/status", "action_msgs/msg/GoalStatusArray")
     assert send(planner, goal(point(0, 0.0), point(2, 0.1)))
+    assert not send(scene.node("ear"), goal(point(1, 0.0))), "it hears the feedback from now on"
     assert planner.ask("outcome")["status"] == 4
 
 
