@@ -29,6 +29,8 @@ _WHEELS4 = Struct("<IHBfBfBfBfB")
 _WHEELS4_WORD = 0x160355AA
 _WHEELS4_COUNT = 0x0401
 _IDS = tuple(range(WHEELS))
+_TONES = (20, 20_000)
+_DETUNED = 8
 _BUZZER = Struct("<4H")
 _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
@@ -124,23 +126,33 @@ def pwm_servo_read(servo: int) -> bytes:
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever."""
-    framing.integer("freq_hz", freq_hz, 20, 20_000)
+    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever.
+
+    The tone may be some hertz lower, or higher at the low end: no frame is made that the zeros of the stop burst could
+    complete, were it cut short, since its off time would be 0.
+    """
+    framing.integer("freq_hz", freq_hz, *_TONES)
     framing.integer("on_ms", on_ms, 1, 65_535)
     framing.integer("off_ms", off_ms, 1, 65_535)
     framing.integer("repeat", repeat, 1, 65_535)
-    return frame(BUZZER, _BUZZER.pack(freq_hz, on_ms, off_ms, repeat))
+    lowest, highest = _TONES
+    near = (*range(freq_hz, max(lowest, freq_hz - _DETUNED) - 1, -1), *range(freq_hz + 1, highest + 1)[:_DETUNED])
+    # Each cut excludes one value of the tone's low byte at most, so that one of so many is left.
+    data = (_BUZZER.pack(tone, on_ms, off_ms, repeat) for tone in near)
+    return frame(BUZZER, next(each for each in data if not framing.zeros_complete(BUZZER, each)))
 
 
 def check_aux(frame: bytes) -> str:
     """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
 
-    Accepted is exactly one buzzer frame of the right length and CRC, without the start of a motor frame anywhere in it:
-    whole, or cut and completed by the stop burst, it moves nothing. Handlers of other functions go through lists
-    without looking where they end, and could change a wheel's set point. Never raises on bytes.
+    Accepted is exactly one buzzer frame of the right length and CRC, without the start of a motor frame anywhere in it,
+    and which the zeros of the stop burst complete nowhere: whole or cut, it moves nothing. Handlers of other functions
+    go through lists without looking where they end, and could change a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"
     if crc8(frame[2:]):
         return "bad crc"
+    if end := framing.zeros_complete(BUZZER, frame[4:-1]):
+        return f"another sound if cut after {end} bytes of data"
     return "the start of a motor frame inside" if MOTOR_HEAD in frame else ""

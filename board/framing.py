@@ -65,6 +65,17 @@ def seal(func: int, data: bytes) -> bytes:
     return HEAD + body + bytes((crc8(body),))
 
 
+def zeros_complete(func: int, data: bytes, least: int = 0) -> int:
+    """After how many bytes of data, `least` at least, a cut of this frame would be completed by zeros, with zeros for
+    the rest; 0: after none. Zeros leave a CRC of zero as it is, and the next one passes as the CRC."""
+    crc = crc8((func, len(data)))
+    for end, byte in enumerate(data):
+        if not crc and end >= least:
+            return end
+        crc = CRC_TABLE[crc ^ byte]
+    return 0
+
+
 def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
     """Frame raw data (bytes-like, up to 255) for any function but MOTOR.
 

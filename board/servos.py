@@ -13,7 +13,7 @@ from __future__ import annotations
 from struct import Struct
 
 from failstop.board import framing
-from failstop.board.framing import BUS_SERVO, CRC_TABLE, HEAD, FrameError, crc8, frame
+from failstop.board.framing import BUS_SERVO, HEAD, FrameError, crc8, frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ MOST_STOPS = HELD_NS // STOP_NS
 _U16 = Struct("<H")
 _ID_U16 = Struct("<BH")
 _MOVES_AT = 4
-_BEFORE_DATA = crc8((BUS_SERVO,))
 
 
 def bus_ns(func: int, data: bytes) -> int:
@@ -78,7 +77,7 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
     """Move one or two bus servos: (id 1 to 253, position 0 to 1000) each, in duration_ms (1 to longest_ms).
 
     The move may last some milliseconds more, or less where more is too long: no frame is made that the zeros of the
-    stop burst could complete, were it cut short, since its last servo would be sent to another place.
+    stop burst could complete, were it cut short, since its last servo would be sent to another place, or one of id 0.
     """
     framing.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((framing.counted("moves", positions, 1, MOST_MOVES),))
@@ -94,7 +93,10 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays."""
+    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays.
+
+    A stop has nothing to vary: zeros may complete one that was cut. It then stops fewer of these, and a servo 0.
+    """
     count = framing.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
     framing.distinct("servo id", ids)
@@ -173,11 +175,7 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Why zeros would make another move of this one where it was cut, as the burst's do where the CRC so far is zero;
-    "" when they would not: a cut between two servos leaves out the second."""
-    crc = CRC_TABLE[_BEFORE_DATA ^ len(data)]
-    for end, byte in enumerate(data):
-        if not crc and end > _MOVES_AT and (end - _MOVES_AT) % 3:
-            return f"another position if cut after {end} bytes of data"
-        crc = CRC_TABLE[crc ^ byte]
-    return ""
+    """Why zeros would make another move of this one where it was cut, of another position or of a servo 0; "" when they
+    would not. Cut before its first servo it is a move of none."""
+    end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
+    return f"another move if cut after {end} bytes of data" if end else ""

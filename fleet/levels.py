@@ -39,8 +39,8 @@ class Order:
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """Signed."""
-        body = {"id": self.id, "t": self.unix_s, "reason": self.reason, "by": self.by}
+        """Signed; no longer than robots read, whatever the reason."""
+        body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP, body)
 
 
@@ -61,10 +61,12 @@ class Answer:
     """Every level that it has come to, and after how many seconds at the robot."""
     why: str = ""
     """In words, for REFUSED and FAILED."""
+    confirms: str = ACKNOWLEDGED
+    """The level that confirms the stop: the first that its board and its IMU can give."""
 
     def message(self, key: bytes) -> bytes:
         """Signed."""
-        body = {"id": self.id, "robot": self.robot, "reached": self.reached, "why": self.why}
+        body = {"id": self.id, "robot": self.robot, "reached": self.reached, "why": self.why, "confirms": self.confirms}
         return signed.sign(key, signed.ANSWER, body)
 
 
@@ -75,7 +77,10 @@ def read_answer(key: bytes, message: bytes) -> Answer:
     if not isinstance(reached, dict) or not set(reached) <= set(ORDER):
         raise signed.Forged("no levels")
     known = {level: _number(reached, level) for level in reached}
-    return Answer(_id(body), _text(body, "robot"), known, _text(body, "why"))
+    confirms = body.get("confirms", ACKNOWLEDGED)
+    if confirms not in PROOFS:
+        raise signed.Forged("no level that confirms")
+    return Answer(_id(body), _text(body, "robot"), known, _text(body, "why"), confirms)
 
 
 def _id(body: dict[str, Any]) -> str:

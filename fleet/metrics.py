@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.shm import blocks, records
-from failstop.supervisor.stops import ALIVE, DEAF, UNPROVEN
+from failstop.supervisor.stops import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -28,7 +28,7 @@ NAMESPACE = "failstop"
 BLOCKS = {blocks.LATCHED: "latched", blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command"}
 BLOCKS[blocks.NO_SCAN] = "no_scan"
 OTHER_BLOCK = "other"
-PROCESS_STATES = ("starting", "running", "hanging", "fenced", "waiting", "down", "stopping", "dead")
+PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,8 +198,8 @@ def _rows() -> Iterator[Family]:
         _processes("realtime"), "process",
     )  # fmt: skip
     yield row(
-        "starved_total", COUNTER, "How often the machine did not run a process in time, since motion was disabled",
-        lambda state: _one(state.starved.times if state.starved else 0),
+        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
+        lambda state: _one(state.starved_times),
     )  # fmt: skip
     yield row(
         "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
@@ -211,7 +211,7 @@ def _rows() -> Iterator[Family]:
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
 
 
-LINKS = (UNPROVEN, ALIVE, DEAF)
+LINKS = (UNPROVEN, ALIVE, DEAF, UNASKED)
 FAMILIES = tuple(_rows())
 UP = FAMILIES[0]
 

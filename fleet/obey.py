@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from failstop.fleet import levels, replay, signed
 from failstop.fleet.levels import Answer, Order
+from failstop.supervisor.stops import ALIVE, UNASKED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class Duty:
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
+        self.confirms = levels.ACKNOWLEDGED
         self.told_s = now_s
         self._since_s = now_s
         self._unix_s = unix_s
@@ -42,6 +44,7 @@ class Duty:
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
+        self.confirms = confirming(state)
         known = {
             levels.FAILED: stop.written_s is None,
             levels.WRITTEN: stop.written_s is not None and stop.sent,
@@ -61,11 +64,21 @@ class Duty:
         if self._epoch is None:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
-        return stop.epoch > self._epoch or (was_latched and state.epoch > self._epoch and state.device.link == "alive")
+        return stop.epoch > self._epoch or (
+            was_latched and state.epoch > self._epoch and state.device.link in (ALIVE, UNASKED)
+        )
 
     def open(self, now_s: float) -> bool:
         """More may become known of it."""
         return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
+
+
+def confirming(state: State) -> str:
+    """The level that confirms a stop of this robot: what its board answers, or where that answers nothing by its nature
+    what its IMU sees, or where there is none that the stop was written."""
+    if state.device.link != UNASKED:
+        return levels.ACKNOWLEDGED
+    return levels.OBSERVED if state.imu else levels.WRITTEN
 
 
 class Obedience:
@@ -132,7 +145,7 @@ class Obedience:
 
     def _answer(self, duty: Duty, now_s: float) -> Answer:
         duty.told_s = now_s
-        return Answer(duty.id, self._robot, dict(duty.reached), duty.why)
+        return Answer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
         """True while more is to be known of one."""
@@ -140,7 +153,7 @@ class Obedience:
 
     def waits(self, now_s: float) -> bool:
         """True while one is to be confirmed: the sender counts on that."""
-        return any(levels.ACKNOWLEDGED not in duty.reached for duty in self._open(now_s))
+        return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:
         self._followed = [duty for duty in self._followed if duty.open(now_s)]

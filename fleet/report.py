@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG
 from failstop.fleet import levels
-from failstop.fleet.tally import CONFIRMED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -26,6 +25,9 @@ def lines(tally: Tally) -> list[Line]:
         times_s = tally.times_s(level)
         slowest = f"  the last after {times_s[-1]:.2f} s" if times_s else ""
         found.append([(f"  {level:<13}", PLAIN), (f"{len(times_s)} of {len(robots)}", STRONG), (slowest, DIM)])
+    for robot, level in tally.confirmed_by().items():
+        if level != levels.ACKNOWLEDGED:
+            found.append([(f"  {robot} confirms as {level}: its board acknowledges nothing", DIM)])
     if missing:
         found.append([("NOT confirmed, so go and look, or use the POWER SWITCH:", FAIL)])
         columns = max(len(row.robot) for row in missing)
@@ -40,7 +42,7 @@ def as_dict(tally: Tally) -> dict[str, Any]:
     return {
         "confirmed": len(robots) - len(missing),
         "robots": len(robots),
-        "level": CONFIRMED,
+        "confirmed_by": tally.confirmed_by(),
         "missing": missing,
         **{level: {"robots": tally.reached(level), "after_s": tally.times_s(level)} for level in levels.PROOFS},
     }

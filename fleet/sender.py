@@ -10,7 +10,7 @@ import time
 from failstop.fleet import FleetError, levels, settings, signed, topics
 from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.levels import Order
-from failstop.fleet.tally import CONFIRMED, Tally
+from failstop.fleet.tally import Tally
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ ALL_AGAIN_S = 1.5
 MOST_SINGLE = 100
 """Missing robots that are told one by one, whatever the size of the fleet; of a large one half of them are."""
 OBSERVED_S = 2.5
-"""How long to go on for the third proof when all have acknowledged."""
+"""How long to go on for the third proof when all have confirmed."""
 TURN_S = 0.05
 
 
@@ -65,7 +65,7 @@ class Sender:
                 self._send(now_s)
             self.broker.turn(TURN_S)
             progress(self.tally)
-            if self._heard_all and self.tally.all_reached(CONFIRMED):
+            if self._heard_all and self.tally.all_confirmed():
                 if self.tally.all_reached(levels.OBSERVED):
                     break
                 enough_s = min(enough_s, now_s + OBSERVED_S)
@@ -74,7 +74,7 @@ class Sender:
         self.broker.close()
         if self.sent_s is None:
             raise FleetError(f"NO ROBOT WAS STOPPED: {self.broker.problem}; stop them by hand (power switch)")
-        return self._heard_all and self.tally.all_reached(CONFIRMED)
+        return self._heard_all and self.tally.all_confirmed()
 
     def _up(self) -> None:
         self._send(time.monotonic())

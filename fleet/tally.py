@@ -10,8 +10,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.fleet.levels import Answer
 
-CONFIRMED = levels.ACKNOWLEDGED
-"""From this level on a robot counts as stopped: its board was in step after the stop."""
+UNCONFIRMED = {
+    levels.WRITTEN: "asked, but not written as far as it knows",
+    levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
+    levels.OBSERVED: "written, but its IMU has not observed that the wheels stand",
+}
+"""What is known of a robot that has not come to the level that confirms."""
 WORDS = {vda5050.OFFLINE: "its publisher was ended", vda5050.BROKEN: "its connection is broken"}
 
 
@@ -32,6 +36,9 @@ class Tally:
         self._connections: dict[str, str] = {}
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
+        self._confirms: dict[str, str] = {}
+        """The level that confirms, by each robot's own word."""
+        self._confirmed: set[str] = set()
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str) -> None:
@@ -49,6 +56,9 @@ class Tally:
                 told[level] = after_s
                 self._counts[level] = self._counts.get(level, 0) + 1
         self._whys[answer.robot] = answer.why
+        self._confirms[answer.robot] = answer.confirms
+        if answer.confirms in told:
+            self._confirmed.add(answer.robot)
 
     def robots(self) -> list[str]:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""
@@ -70,18 +80,27 @@ class Tally:
         """When they told of it, the first one first."""
         return sorted(told[level] for told in self._answers.values() if level in told)
 
-    def missing(self, level: str = CONFIRMED) -> list[Missing]:
-        """Who did not, and why, as far as is known."""
-        reached = set(self.reached(level))
-        return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in reached]
+    def all_confirmed(self) -> bool:
+        """Every robot has confirmed the stop; False while none is known."""
+        if len(self._confirmed) < max(1, len(self._answers)):
+            return False  # the quick way: this is asked after each answer
+        return not self.missing()
+
+    def confirmed_by(self) -> dict[str, str]:
+        """The robots that have confirmed the stop, each with the level that confirms it there."""
+        return {robot: self._confirms[robot] for robot in sorted(self._confirmed)}
+
+    def missing(self) -> list[Missing]:
+        """The robots that have not confirmed it, and why, as far as is known."""
+        return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in self._confirmed]
 
     def _why(self, robot: str) -> str:
         told = self._answers.get(robot, {})
         if levels.WRITTEN in told:
-            return "written, but its board has not acknowledged it"
+            return UNCONFIRMED[self._confirms[robot]]
         for level in (levels.FAILED, levels.REFUSED, levels.ASKED):
             if level in told:
                 why = self._whys[robot]
-                return f"{level}: {why}" if why else "asked, but not written as far as it knows"
+                return f"{level}: {why}" if why else UNCONFIRMED[levels.WRITTEN]
         connection = self._connections.get(robot, "")
         return f"no answer: {WORDS[connection]}" if connection in WORDS else "no answer"

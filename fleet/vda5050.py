@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 
-from failstop.api import verdict
+from failstop.api import steps, verdict
 from failstop.cli.screen.summary import BATTERY_LOW_V
 from failstop.policy.causes import Cause
 from failstop.shm import blocks
@@ -153,19 +153,19 @@ def _errors(state: State) -> list[Message]:
     if doubt := verdict.doubt(state):
         found.append(_error("wheelsMayTurn", FATAL, doubt, "use the POWER SWITCH"))
     if state.cause:
-        found.append(_error("stopLatched", FATAL, str(state.cause), verdict.next_step(state), _named(state.cause)))
+        found.append(_error("stopLatched", FATAL, str(state.cause), steps.line(state), _named(state.cause)))
     for name, process in state.processes.items():
         if process.state != "running":
             found.append(_error("processNotRunning", WARNING, f"{name} is {process.state}", "", {"process": name}))
     if state.device.state == "open" and state.device.link == "unproven":
-        found.append(_error("linkUnproven", WARNING, "the board has not answered a ping since the port was opened"))
+        found.append(_error("linkUnproven", WARNING, f"{verdict.NEVER_ANSWERED}: no stop is known to reach the wheels"))
     if state.starved:
         found.append(_error("starved", WARNING, "the machine did not run the service in time", "`failstop doctor`"))
     return found + [_error("arm", WARNING, text) for text in (state.arm.wrong if state.arm else ())]
 
 
 def _information(state: State) -> list[Message]:
-    found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", verdict.next_step(state))]
+    found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", steps.line(state))]
     if state.battery_v is None:
         found.append(_info("battery", "not known"))
     if state.last_stop:
@@ -178,7 +178,8 @@ def why(state: State) -> str:
     if doubt := verdict.doubt(state):
         return doubt
     blocked = state.blocked.removeprefix(blocks.LATCHED) if state.blocked else None
-    return blocked or verdict.headline(state)
+    unproven = verdict.unproven(state)
+    return f"{f'unproven: {unproven}; ' if unproven else ''}{blocked or verdict.headline(state)}"
 
 
 def _named(cause: Cause) -> dict[str, object]:

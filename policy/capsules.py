@@ -7,7 +7,7 @@ joint turns what is behind it about the vertical (yaw), about an axis across (pi
 
 from __future__ import annotations
 
-from math import cos, inf, sin, sqrt
+from math import ceil, cos, inf, sin, sqrt
 
 from failstop.policy.settings import Settings
 
@@ -16,6 +16,8 @@ Capsule = tuple[str, Point, Point, float]
 
 FLOOR = "the floor"
 CHASSIS = "the chassis"
+STEP_RAD = 0.05
+"""Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
 
 
 class Model:
@@ -93,3 +95,23 @@ def _apart_squared(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 def _held(share: float) -> float:
     return max(0.0, min(1.0, share))
+
+
+def on_the_way(
+    model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
+) -> tuple[float, str, str] | None:
+    """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
+    `start` along the rows; None: none does. What touches already may part."""
+    at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
+    for t_s, to in rows:
+        end = {**at, **to}
+        turns = {name: angle - at.get(name, 0.0) for name, angle in end.items()}
+        steps = max(1, ceil(max(map(abs, turns.values())) / STEP_RAD))
+        for step in range(1, steps + 1):
+            share = step / steps
+            was_m = gap_m
+            gap_m, name, other = model.nearest({name: at.get(name, 0.0) + share * turn for name, turn in turns.items()})
+            if gap_m < min(0.0, was_m):
+                return at_s + share * (t_s - at_s), name, other
+        at_s, at = t_s, end
+    return None

@@ -191,6 +191,11 @@ SUSPENDED = Kind(
     "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",
     "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
 )  # fmt: skip
+SUPERVISOR_SUSPENDED = Kind(
+    27, "supervisor_suspended", "supervisor was suspended for {s:.1f} s by a signal", "port_owner gate supervisor",
+    "somebody suspended the supervisor for {s:.1f} s, as Ctrl-Z in its terminal does, so nobody watched the others",
+    "leave the service running in its terminal, or end it with Ctrl-C",
+)  # fmt: skip
 REMOVED = Kind(
     8, "removed", "{what} was removed: restart the service", "supervisor",
     "{what}, which others need to find the service, was removed while it ran",
@@ -271,6 +276,11 @@ UNKNOWN = Kind(
     22, "unknown", "stopped by the supervisor", "",
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
+)  # fmt: skip
+DRIVER_DIED = Kind(
+    41, "driver_died", "driver died: {who}", CLIENTS,
+    "the program {who}, which had driven, ended without a word: it crashed or was killed",
+    "look at that program's own log",
 )  # fmt: skip
 OPERATOR_GONE = Kind(
     40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,

@@ -84,6 +84,7 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 
 LONGEST_TEXT = 255
 SWITCH = ("on", "off")
+DEATHS = ("disable", "latch", "stay")
 TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
 WEB_TLS = ("auto", "on", "off")
@@ -93,7 +94,8 @@ DECLARED = (
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, motor frames are so far apart, or a period_s more"),
-    Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "gate or supervisor silent for this long: the port owner stops"),
+    Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "longest silence of a process; unset, 0.2 without real-time rights"),
+    _word("gate.driver_death", "disable", "what the death of a program that has driven does to motion", DEATHS),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
@@ -175,6 +177,7 @@ DECLARED = (
     _word("web.address", "127.0.0.1", "the operator's page (`failstop web`) listens here"),
     Setting("web.port", 8477, "", 0, 65535, "on this port; 0: any that is free"),
     _word("web.hosts", "", "names that the page answers to, with blanks between; its own always"),
+    _word("web.origin", "", "the page's address in a browser where a proxy ends TLS: https://robot.example"),
     _word("web.tls", "auto", "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
     _word("web.pairing", "off", "paired devices may reset and enable; others see and stop", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),

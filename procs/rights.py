@@ -8,6 +8,7 @@ import ctypes
 import gc
 import os
 import resource
+from collections.abc import Iterator
 
 from failstop.shm import futex
 from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
@@ -45,6 +46,23 @@ def die_with_parent(parent_pid: int) -> None:
     _libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0)
     if os.getppid() != parent_pid:
         raise SystemExit(f"parent {parent_pid} is gone")
+
+
+@contextlib.contextmanager
+def realtime(priority: int) -> Iterator[bool]:
+    """Whether the kernel gives this process SCHED_FIFO at `priority` when it asks; the process has it within. Limits
+    and capabilities do not tell: a container or a control group may refuse all the same."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        with contextlib.suppress(PermissionError):  # a priority that it inherited, and may not take itself
+            os.sched_setscheduler(0, *before)
 
 
 def take_rights(priority: int) -> int:

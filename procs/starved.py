@@ -37,16 +37,16 @@ def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) ->
         # One that is starting has not beaten yet: what is there is its predecessor's.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0
         ran_ns = clock_gettime_ns(~pid << 3 | _CPU_CLOCK) - before_ns
-        state = _state(pid)
+        state = state_of(pid)
         if state == "S":
             bell.ring()
-            state = _state(pid)
+            state = state_of(pid)
     except (OSError, IndexError):
         return False
     return starved(state, ran_ns, deadline_ns)
 
 
-def _state(pid: int) -> str:
+def state_of(pid: int) -> str:
     """The letter of the main thread's state, which is the one that beats. Raises OSError."""
     with open(f"/proc/{pid}/task/{pid}/stat", "rb", buffering=0) as file:
         # The name in parentheses may hold anything.

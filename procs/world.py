@@ -62,7 +62,7 @@ def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int
     try:
         # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children in
         # it, they would all die or freeze at once, with nobody left to stop the wheels.
-        return os.posix_spawn(arguments[0], arguments, environ, setsid=True)
+        return os.posix_spawn(arguments[0], arguments, environ, setsid=True, setsigmask=())
     finally:
         for fd in passed:
             os.set_inheritable(fd, False)
@@ -72,6 +72,13 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
     """The exit code of a child that has ended, negative the signal that killed it; None: it can't be collected yet."""
     found, status = os.waitpid(pid, options)
     return os.waitstatus_to_exitcode(status) if found else None
+
+
+def continued() -> bool:
+    """True when a signal has let this process go on since the last call, which takes SIGCONT to be blocked."""
+    import signal  # the supervisor, which alone asks, has it; the others stay small without
+
+    return signal.sigtimedwait((signal.SIGCONT,), 0) is not None
 
 
 class World:
@@ -102,5 +109,6 @@ class World:
         """The same by what it holds, in threads of their own."""
         self.starved = starved.look
         """Whether the machine did not run a silent process."""
+        self.continued = continued
         self.unsent_bytes = port.unsent_bytes
         """What the kernel has taken for a port, and not passed on."""

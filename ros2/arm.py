@@ -183,7 +183,7 @@ class ArmFace:
             try:
                 job.result()
             except FailstopError as error:
-                self._node.get_logger().warning(f"{ARM_GOAL.name}: {error}")
+                self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _turned(self, now_ns: int) -> None:
         """This node runs. Whoever was held up for longer than a goal counts takes what it finds for old: how long that

@@ -110,6 +110,7 @@ class Bridge:
         gc.collect()
         gc.freeze()
         self._outward.start()
+        failed: BaseException | None = None
         try:
             while not self._shared.ending and self._rclpy.ok():
                 spinner.turn(self._inward.due_s())
@@ -117,9 +118,12 @@ class Bridge:
                 self._follow_settings()
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
+        except BaseException as error:
+            failed = error
+            raise
         finally:
             # First its claim: what it commanded ends with it.
-            self._links[1].close()
+            self._links[1].close(failed or self._shared.failed)
             if self._inward.arm:
                 self._inward.arm.close()
             self._outward.end()

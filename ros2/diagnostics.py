@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from failstop.api import verdict
+from failstop.api import steps, verdict
 from failstop.api.state import Process, State
 from failstop.cli.screen import summary
 from failstop.ros2 import report, words
@@ -17,8 +17,7 @@ STALE = 3
 
 Status = dict[str, Any]
 LINKS = {
-    "alive": (OK, "alive: the board answers"),
-    "unproven": (WARN, "unproven: the board has not answered a ping yet, so nobody knows that it hears"),
+    "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
     "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
 }
 
@@ -43,14 +42,13 @@ def _status(name: str, level: int, message: str, **values: object) -> Status:
 
 def _stop_layer(state: State) -> Status:
     """Why it is blocked, and the next command."""
-    word = verdict.word(state)
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
     if state.age_s > verdict.STALE_S:
         level = STALE
-    step = verdict.next_step(state)
+    step = steps.line(state)
     blocked = report.blocked(state)
     what = f"blocked: {blocked}" if blocked else verdict.headline(state)
-    message = f"{word}: {what}" + (f"; next: {step}" if step else "")
+    message = f"{verdict.proven_word(state)}: {what}" + (f"; next: {step}" if step else "")
     return _status(
         "stop layer",
         level,
@@ -88,7 +86,8 @@ def _port(state: State) -> Status:
 
 
 def _link(state: State) -> Status:
-    return _status("link", *LINKS.get(state.device.link, (ERROR, state.device.link)))
+    link = state.device.link
+    return _status("link", *LINKS.get(link, (OK, f"{link}: {verdict.LINKS[link]}")))
 
 
 def _battery(state: State) -> Status:

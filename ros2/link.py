@@ -61,10 +61,11 @@ class Link:
             found = self.call(lambda robot: robot.state)
         return found
 
-    def close(self) -> None:
-        """Give the connection back: what the bridge commanded ends at once."""
+    def close(self, failed: BaseException | None = None) -> None:
+        """Give the connection back: what the bridge commanded ends at once. `failed`: by what the bridge ends, which is
+        then the death of a driver."""
         if self._robot:
-            self._robot.close()
+            self._robot.__exit__(type(failed), failed, None)
             self._robot = None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import degrees, nan
 from typing import Any
 
-from failstop.api import verdict
+from failstop.api import steps
 from failstop.api.state import State
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
@@ -75,7 +75,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
         "gyro_bias_dps": [round(degrees(value), 4) for value in (bias.bias_radps if bias else (0.0, 0.0, 0.0))],
         "gyro_bias_tracking": bool(bias and bias.tracking),
         "pad_mode": state.pad_mode or "locked",
-        "next": verdict.steps(state),
+        "next": steps.typed(state),
         "driver": driver(state),
         "publishers": list(publishers),
         "wrong": "; ".join(wrong) or None,

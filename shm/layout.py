@@ -109,6 +109,7 @@ def _client(index: int) -> SegmentSpec:
         "the client that holds the slot's claim",
         CLIENTS,
         (
+            _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", records.HELLO, "gate"),
             _latest("command", records.COMMAND, "gate"),
@@ -117,6 +118,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", records.REQUEST, "gate"),
             _latest("speed_limit", records.SPEED_LIMIT, "gate"),  # the limit that a request is about
+            _latest("seen", records.SEEN, "gate"),  # the newest stop that the person knew of who asks for a reset
             _latest("arm_goal", records.ARM_GOAL, "gate"),  # follow or jog, renewed
             _latest("arm_path", records.ARM_PATH, "gate"),  # the trajectory that a request is about
             _latest("said", records.SAID, "gate"),  # in a line, what the client sees and what is wrong
@@ -141,7 +143,7 @@ SEGMENTS = (
             _word("resets", "gate"),  # the number of the newest reset that was decided
             _latest("reset", records.REPLY, "gate"),  # what became of it (policy/reply.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
-            _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
+            _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
             _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)

@@ -39,7 +39,7 @@ LEFT_OUT = b" ..."
 """What such words end with where they were cut."""
 
 NOBODY = 0
-"""No client's session. In a whole hello: who held the slot has left it in order."""
+"""No client's session."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
@@ -281,12 +281,16 @@ HELD: Payload[int, list[str]] = Payload(
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""Who holds a client slot: a random session number (NOBODY: a goodbye), the pid it says it has and in which namespace
-of pids (lifeline.pid_namespace), its name."""
+"""Who holds a client slot: a random session number, the pid it says it has and in which namespace of pids
+(lifeline.pid_namespace), its name."""
+LEFT: Payload[int] = Payload("<Q")
+"""The goodbye of the session that has left a client slot in order."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a session's request is about, in percent of the settings' speeds."""
+SEEN: Payload[int, int] = Payload("<QQ")
+"""The epoch that a session's person had seen who asks for a reset; 0: the asking itself is all that is known."""
 REPLY: Payload[int, int, int, str, bytes] = Payload(
     "<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )

@@ -104,8 +104,10 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty every record of a client's own slot, whatever its holder before left there."""
-        self.view[HEADER_BYTES : self.spec.size] = bytes(self.spec.size - HEADER_BYTES)
+        """Empty a client's own slot, whatever its holder before left there, all but a goodbye: the gate may not have
+        seen it yet, and would take it for a death."""
+        at = HEADER_BYTES + self.spec.records["left"].size()
+        self.view[at : self.spec.size] = bytes(self.spec.size - at)
 
     def fileno(self) -> int:
         """The descriptor of an unmapped segment; else -1."""

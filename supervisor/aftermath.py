@@ -10,6 +10,7 @@ import os
 import signal
 from collections.abc import Callable
 
+from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import layout, records
@@ -17,7 +18,7 @@ from failstop.shm.packing import pack
 from failstop.shm.words import Barrier
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
-from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNPROVEN, Link, Stop
+from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNASKED, UNPROVEN, Link, Stop
 
 MOST_SAID = 64
 
@@ -46,7 +47,7 @@ class Aftermath:
         self._command_ran = False
         self._seen_pong = 0
         self.heard = (0, 0)
-        self.link = Link(run.settings.ns("link.deaf_s"))
+        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(BOARD.pings))
         self._published = ""
         self._last: Stop | None = None
         self._said: set[Cause] = set()
@@ -113,7 +114,7 @@ class Aftermath:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        stop.follow(self._after_ns, self._run.world.unix_s())
+        stop.follow(self._after_ns, self._run.world.now_ns(), self._run.world.unix_s())
         self._last = stop
         self._publish(stop)
 
@@ -232,6 +233,8 @@ class Aftermath:
             heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
         elif link == UNPROVEN:
             heard, level = "whether the board hears is not known (link unproven)", "warning"
+        elif link == UNASKED:
+            heard, level = "this board acknowledges nothing (link unasked)", ""
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
         self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
@@ -242,7 +245,7 @@ class Aftermath:
         elif state == ALIVE:
             again = " again" if before == DEAF else ""
             self._run.events.tell("link", f"the board answers{again}", {"state": state})
-        elif before:
+        elif before and state == UNPROVEN:
             text = "whether the board hears is not known until it answers"
             self._run.events.tell("link", text, {"state": state}, level="info")
 

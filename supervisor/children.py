@@ -83,13 +83,21 @@ class Child:
     """One row of the process table as it is now."""
 
     def __init__(
-        self, world: World, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int]
+        self,
+        world: World,
+        row: Process,
+        beat: HeartbeatReader,
+        restart: Timer,
+        limits: tuple[int, int, int],
+        lease_ns: int,
     ) -> None:
-        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns."""
+        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
+        machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
         self._world = world
         self.row = row
         self.beat = beat
         self._limits = limits
+        self._deadline_ns = max(row.deadline_ns, lease_ns)
         self._deaths: list[int] = []
         """When it died, as long as that counts."""
         self.state = WAITING
@@ -150,7 +158,7 @@ class Child:
 
     def allowed_ns(self) -> int:
         """How long it may be silent: when it runs, or until it says so."""
-        return self.row.deadline_ns if self.running() else STARTING_NS
+        return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
         """Its silence is the machine's: as long again from now on. `silent_ns`: as judged; it may beat meanwhile."""

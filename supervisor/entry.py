@@ -26,9 +26,10 @@ def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
     # What a parent may have left, and exec hands on: without SIGCHLD no child can be collected, and what is blocked
-    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that.
+    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that. SIGCONT lets a suspended
+    # process go on all the same, and is asked for (World.continued): a handler might run after the turn that needs it.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     world = World()
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))

@@ -39,6 +39,7 @@ KINDS = (
     EventKind("not_started", "error", "192201d8d49d43efb4ce40b1729976ac", "reason"),
     EventKind("fenced", "error", "61960dd921854ce5960e3d28f97288ee", "process pid silent_ms kill_us"),
     EventKind("starved", "warning", "3823733a664c4c1aa730d19d41555c76", "process silent_ms times"),
+    EventKind("suspended", "warning", "7755f507240d40259ec70e7e2702f8f0", "silent_ms"),
     EventKind("enabled", "notice", "3bfd144a1c00461f861da553c93614d9", "who"),
     EventKind("disabled", "notice", "9ed186beffa7488bbf12bd4f6463b06f"),
     EventKind("reset", "notice", "085c02e749f54017874cb058835723df", "who"),

@@ -28,7 +28,7 @@ from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify, Status
-from failstop.supervisor.stops import UNPROVEN, Stop
+from failstop.supervisor.stops import UNASKED, UNPROVEN, Stop, explained
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -92,6 +92,8 @@ class Supervisor:
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
         self._turned_ns = self._watched_ns = self._now_ns()
+        self._suspended_ns = 0
+        """How long a signal has suspended it since its last turn; 0: none has."""
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
@@ -147,6 +149,8 @@ class Supervisor:
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
+        gap_ns = now_ns - self._turned_ns
+        self._suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and self._run.world.continued() else 0
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0
@@ -197,10 +201,14 @@ class Supervisor:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
-        if not self._motion():
+        cause = explained(causes.HELD_UP(gap_ns // MS), self._suspended_ns)
+        if self._motion():
+            return [Stop(now_ns, layout.SUPERVISOR, cause)]
+        if self._suspended_ns:
+            self._events.tell("suspended", str(cause), {"silent_ms": gap_ns // MS})
+        else:
             self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
-            return []
-        return [Stop(now_ns, layout.SUPERVISOR, causes.HELD_UP(gap_ns // MS))]
+        return []
 
     def _follow_names(self, now_ns: int) -> None:
         """A stop, and the end, for a service that others can't find any more."""
@@ -225,7 +233,7 @@ class Supervisor:
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
-                stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
+                stops.append(Stop(cause_ns, process, explained(causes.read(cause), self._suspended_ns), written_ns))
         for child in dead:
             child.on(DIED)
             death = causes.DIED(child.row.name)
@@ -331,7 +339,7 @@ class Supervisor:
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
-            for what, text in grant.lacking(self._granted, self._advice):
+            for what, text in grant.lacking(self._granted, self._advice, self._run.settings[grant.LEASE]):
                 self._events.tell("rights", text, {"what": what})
         self.status.tell_people(missing, now_ns)
         if self.epochs.answered():
@@ -357,12 +365,12 @@ class Supervisor:
         self.aftermath.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
-        return sent and (heard_ns > 0 or link == UNPROVEN)
+        return sent and (heard_ns > 0 or link in (UNPROVEN, UNASKED))
 
     def _hear(self) -> int:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
-        ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
-        until_ns = self._now_ns() + HEAR_NS
+        ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that ask and listen must live for it."""
+        until_ns = self._now_ns() + (0 if self.aftermath.link.state == UNASKED else HEAR_NS)
         while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
             sent_ns, arrival_ns = self.aftermath.heard

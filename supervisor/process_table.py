@@ -18,6 +18,8 @@ from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
+STARVED_SHOWN_NS = 600_000_000_000
+"""A silence that the machine explains is shown for so long; each that follows meanwhile begins this anew."""
 GATE_AGAIN_NS = 60_000_000_000
 """A gate that died too often is tried again: it is the one that hears a reset."""
 
@@ -39,13 +41,15 @@ class ProcessTable:
         self._environment = starter.environment(run.settings)
         restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
         limits = int(run.settings["restart.deaths"]), *restart
+        lease_ns = run.settings.ns("gate.lease_s")
         self.children = [
-            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
+            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns)
+            for row in PROCESSES
         ]
         self._advice = advice
-        self._starved_told_ns = self._starved_times = self._starved_ms = 0
+        self._starved_told_ns = self._starved_ns = self._starved_times = self._starved_ms = 0
         self._starved = ""
-        """The one that the machine did not run for longest, for so many ms."""
+        """The process that the machine did not run for longest, for so many ms, of those that are shown."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -172,8 +176,10 @@ class ProcessTable:
 
     def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
         """The machine did not run a process for so long; told at once, then at most every ten seconds."""
-        self._starved_times += 1
         silent_ms = round(silent_ns / 1e6)
+        self._forget_starved(now_ns)
+        self._starved_times += 1
+        self._starved_ns = now_ns
         if silent_ms > self._starved_ms:
             self._starved_ms, self._starved = silent_ms, name
         if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
@@ -182,11 +188,16 @@ class ProcessTable:
         text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
         self._events.tell("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
 
-    def starved_record(self) -> dict[str, int | str] | None:
-        """For clients; None: the machine has run everybody in this run."""
-        if not self._starved_times:
-            return None
-        return {"times": self._starved_times, "longest_ms": self._starved_ms, "process": self._starved}
+    def _forget_starved(self, now_ns: int) -> None:
+        if now_ns - self._starved_ns >= STARVED_SHOWN_NS:
+            self._starved, self._starved_ms = "", 0
+
+    def starved_record(self) -> dict[str, object]:
+        """For clients: the longest silence that the machine explains, of those that are shown, and the number of all in
+        this run."""
+        self._forget_starved(self._now_ns())
+        shown = {"longest_ms": self._starved_ms, "process": self._starved} if self._starved else None
+        return {"starved": shown, "starved_times": self._starved_times}
 
     def _free_block(self) -> int:
         """The next block that no living process holds."""

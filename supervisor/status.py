@@ -136,9 +136,7 @@ class Status:
             }
             for child in self._processes.children
         }
-        table = pack(
-            {"waiting_for": missing or None, "starved": self._processes.starved_record(), "processes": processes}
-        )
+        table = pack({"waiting_for": missing or None, **self._processes.starved_record(), "processes": processes})
         self._epochs.ready_word.set(not missing)
         if table != self._table:
             self._table = table
@@ -146,9 +144,8 @@ class Status:
         if missing or self.ever:
             return False
         self.ever, self._told_missing = True, ""
-        text = (
-            f"{self._run.name!r} is ready: wheels stopped, motion disabled; next: {self._run.events.command('enable')}"
-        )
+        todo = self._run.events.command("enable")
+        text = f"{self._run.name!r} is ready: the stop is written, motion disabled; next: {todo}"
         self._run.events.tell("ready", text)
         return True
 

@@ -12,12 +12,14 @@ the port back; the board may be silent while the IMU sees the wheels come to res
 
 from __future__ import annotations
 
+from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import layout
 
 UNPROVEN = "unproven"
 ALIVE = "alive"
 DEAF = "deaf"
+UNASKED = "unasked"
 ANSWER_NS = 20_000_000
 """A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
 BY_PORT_OWNER = "port owner"
@@ -51,6 +53,13 @@ def wheels_seen(seconds: float) -> str:
     return f"wheels still after {still_after(seconds)}" if seconds else "no shaking seen before or after"
 
 
+def explained(cause: Cause, suspended_ns: int) -> Cause:
+    """What others notice as a silence of the supervisor, by what that knows itself: it was suspended for so long (0: it
+    was not)."""
+    silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
+    return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
+
+
 class Stop:
     """One stop. Times are CLOCK_MONOTONIC in ns."""
 
@@ -68,7 +77,7 @@ class Stop:
         self.behind: Stop | None = None
         """The one that was latched when it was answered; None: this one itself."""
         self.unix_s = 0.0
-        """The wall clock when it was answered, for people."""
+        """The wall clock when its cause was noticed, for people."""
         self.acknowledged_ns: int | None = None
         """From the cause to the board's answer."""
         self.observed_ns: int | None = None
@@ -120,9 +129,12 @@ class Stop:
         self.behind = None if latched is self else latched  # nobody collects what refers to itself
         self.epoch = epoch
 
-    def follow(self, after_ns: int, unix_s: float) -> None:
-        """From here on it is followed. `after_ns`: how long the wheels may take to be still."""
-        self.unix_s = unix_s
+    def follow(self, after_ns: int, now_ns: int, unix_s: float) -> None:
+        """From here on it is followed. `after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock
+        now. A supervisor that was held up follows late: the stop has the time of its cause, and whoever is to answer
+        has the usual time from now on."""
+        self.unix_s = unix_s - (now_ns - self.t_ns) / 1e9
+        self._since_ns = now_ns
         self._after_ns = after_ns
         self._again_ns = self.t_ns + after_ns
 
@@ -220,13 +232,16 @@ class Link:
     unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
     alive      it answers
     deaf       it has answered before and is silent: a stop cause, once, until it answers again
+    unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
 
     A board can go deaf while its telemetry goes on, so only answers count.
     """
 
-    def __init__(self, deaf_ns: int) -> None:
+    def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
+        """`asked`: the board has pings."""
         self._deaf_ns = deaf_ns
-        self.state = UNPROVEN
+        self._opened = UNPROVEN if asked else UNASKED
+        self.state = self._opened
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
@@ -234,7 +249,7 @@ class Link:
 
     def opened(self) -> None:
         """Another port, perhaps another board: nothing is known of it."""
-        self.state = UNPROVEN
+        self.state = self._opened
         self._answered_ns = self._asked_ns = 0
 
     def listen(self, newest_ping_ns: int) -> None:

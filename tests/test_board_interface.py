@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import ast
+import inspect
+import re
 from math import inf, nan
 from pathlib import Path
 
 import pytest
 
+from failstop.api.snapshot import Device
 from failstop.board import decoder
 from failstop.board.framing import FrameError
-from failstop.board.interface import BOARD
+from failstop.board.interface import BOARD, Board
+from failstop.doctor import stop_path
+from failstop.doctor.look import OK
 from failstop.lab.sim.receiver import Receiver
+from failstop.procs.loop import Timer
+from failstop.procs.port_owner.schedule import Pings
 from failstop.shm import layout
+from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
 # What the rooms may import of the board. Telemetry knows it; the gate never sees the port. What can be asked of a
@@ -61,10 +69,18 @@ def test_the_burst_ends_between_frames_with_a_stop() -> None:
 
 
 def test_the_pings_move_nothing_and_are_different_frames() -> None:
-    assert len(set(BOARD.pings)) == len(BOARD.pings) == layout.PINGS
+    assert len(set(BOARD.pings)) == len(BOARD.pings)
+    assert len(BOARD.pings) in (0, layout.PINGS), "a word in shared memory for each; none for a board that answers none"
     for ping in BOARD.pings:
         assert BOARD.check_motion(ping, 1000.0) != ""
         assert len(decoder.Decoder().feed(ping)) == 1
+
+
+def test_the_first_stop_begins_the_burst_and_the_burst_with_no_servos_is_the_burst() -> None:
+    assert BOARD.burst.startswith(BOARD.first_stop)
+    assert BOARD.first_stop.endswith(BOARD.stop)
+    assert BOARD.burst_with(()) == BOARD.burst
+    assert BOARD.burst_with((1, 2)).startswith(BOARD.burst)
 
 
 def board_modules(folder: str) -> set[str]:
@@ -88,8 +104,65 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
     assert found <= KNOWN[folder]
 
 
-def test_the_page_on_porting_names_all_of_the_interface() -> None:
+USERS = {
+    "stop port": "board/stop_port.py",
+    "gate": "procs/gate",
+    "port owner": "procs/port_owner",
+    "supervisor": "supervisor",
+    "stopper": "procs/stopper",
+    "telemetry": "procs/telemetry",
+    "doctor": "failstop/doctor",
+    "incidents": "failstop/incidents",
+    "stop tool": "failstop/stopping.py",
+    "command line": "failstop/cli",
+    "API": "failstop/api",
+}
+"""Whoever may use the interface, by the words of the page."""
+
+
+def used(member: str) -> set[str]:
+    """The users of one member of the interface."""
+    return {user for user, place in USERS.items() if any(member in names(path) for path in files(place))}
+
+
+def files(place: str) -> list[Path]:
+    found = ROOT / place
+    return [found] if found.suffix else sorted(found.rglob("*.py"))
+
+
+def names(path: Path) -> set[str]:
+    """Of BOARD, in one file."""
+    return {
+        node.attr
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "BOARD"
+    }
+
+
+def takes(member: str) -> list[str] | None:
+    """Names of what it takes; None: it is a constant."""
+    found = getattr(BOARD, member)
+    return list(inspect.signature(found).parameters) if callable(found) else None
+
+
+def test_the_page_on_porting_has_all_of_the_interface_and_no_more() -> None:
     page = (ROOT / "docs" / "dev" / "porting.md").read_text()
-    for name in ("motor_speeds", "check_motion", "check_aux", "stop", "burst", "pings", "pong"):
-        assert f"| `{name}" in page
-        assert hasattr(BOARD, name)
+    rows = re.findall(r"^\| `(\w+)(?:\(([\w, ]*)\))?` \| ([\w, ]+) \|", page.partition("| `Board` |")[2], re.MULTILINE)
+    told = {name: (given.split(", ") if given else None, set(users.split(", "))) for name, given, users in rows}
+    members = [name for name in vars(Board) if not name.startswith("_")]
+    assert told == {name: (takes(name), used(name)) for name in members}
+    count = len(members)
+    assert f"the {count} members of `Board`" in (ROOT / "docs" / "boards.md").read_text()
+
+
+def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the page allows: nobody divides by their number, waits for an answer, or calls the board deaf."""
+    monkeypatch.setattr(Board, "pings", ())
+    pings = Pings(len(BOARD.pings), 1, Timer(), 0)
+    pings.stopped(0)
+    assert not pings.due(10**12)
+    (found,) = stop_path.judged("stopper's duplicate", stop_path.Tap(-1).answered_ms(0.0), "failstop doctor")
+    assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board acknowledges nothing")
+    unasked = Device("/dev/ttyACM0", "open", "unasked")
+    (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))
+    assert (found.level, found.text) == (OK, "the service's last stop: written; this board acknowledges nothing")

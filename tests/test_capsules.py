@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.api.arm import on_the_way
-from failstop.policy.capsules import CHASSIS, FLOOR, Model, _apart_squared
+from failstop.policy.capsules import CHASSIS, FLOOR, Model, _apart_squared, on_the_way
 from failstop.policy.settings import Settings
 
 CHAIN = (("base", "yaw", 0.05), ("shoulder", "pitch", 0.15), ("elbow", "pitch", 0.15), ("hand", "pitch", 0.1))

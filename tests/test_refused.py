@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+import traceback
+
 import pytest
 
 from failstop.api.errors import FailstopError, NoService, Refused
@@ -10,16 +13,25 @@ from failstop.shm.records import CAUSE
 
 
 @pytest.mark.parametrize("reason", ["a stop is latched (key1)", "arm is not in the drive pose"])
-def test_a_refusal_reads_as_one(reason: str) -> None:
+def test_a_refusal_is_its_reason_under_its_own_name(reason: str) -> None:
     refusal = Refused(reason)
-    assert str(refusal) == f"refused: {reason}"
-    assert refusal.args == (reason,)
+    assert (str(refusal), refusal.reason, refusal.step) == (reason, reason, "")
+    last = traceback.format_exception_only(refusal)[-1]
+    assert last == f"failstop.api.errors.Refused: {reason}\n"
+    assert last.lower().count("refused: ") == 1
     assert refusal.exit_code == 2
+
+
+def test_a_refusal_says_what_to_do() -> None:
+    refusal = Refused("motion is disabled", step="`failstop enable`")
+    assert str(refusal) == "motion is disabled; next: `failstop enable`"
+    again = pickle.loads(pickle.dumps(refusal))
+    assert (str(again), again.step) == (str(refusal), refusal.step)
 
 
 def test_a_cause_s_own_text_is_put_in_where_it_is_told() -> None:
     refusal = Refused(f"a stop is latched ({CAUSE})", causes.KEY(1))
-    assert str(refusal) == "refused: a stop is latched (key1)"
+    assert str(refusal) == "a stop is latched (key1)"
     assert refusal.template == f"a stop is latched ({CAUSE})"
 
 

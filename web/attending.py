@@ -1,4 +1,5 @@
-"""Attending: the operators whose devices are proven to be there, for the gate, which alone counts the time."""
+"""Attending: the operators whose devices are proven to be there, for the gate, which alone counts the time. The gate
+hears of one at a time, the one that was proven last."""
 
 from __future__ import annotations
 
@@ -10,11 +11,11 @@ from failstop.web.lease import Lease
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.web.handlers import Live
+    from failstop.web.sockets import Live
 
 
 class Attending:
-    """Who attends by the page. The gate hears of one at a time, the one that was proven last."""
+    """The operators who attend by the page."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -26,17 +27,33 @@ class Attending:
         found = self._leases.get(viewer)
         return found[1] if found else None
 
-    def names(self) -> list[str]:
-        """Who attends."""
-        return sorted({who for who, _ in self._leases.values()})
-
     def begin(self, viewer: Live, who: str, key: bytes) -> None:
         """A device attends, from its first answer on."""
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Live) -> str:
-        """An answer has proven something new; returns what is wrong with telling the gate."""
-        who, lease = self._leases[viewer]
+        """The answer of this viewer has proven something new; returns what is wrong with telling the gate."""
+        return self._tell() if self._leases[viewer] is self._last() else ""
+
+    def end(self, viewer: Live) -> None:
+        """A device attends no more: the gate is told at once who is left, and when that one was proven, which may be
+        too long ago."""
+        last = self._last()
+        found = self._leases.pop(viewer, None)
+        if found is not None and found is last:
+            self._tell()
+
+    def _last(self) -> tuple[str, Lease] | None:
+        """The one that was proven last, if any was."""
+        found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
+        return found if found and found[1].proven_ns else None
+
+    def _tell(self) -> str:
+        last = self._last()
+        if last is None:
+            self._close()
+            return ""
+        who, lease = last
         try:
             if self._robot is None:
                 self._robot = Robot(self._name, client="failstop web")
@@ -46,14 +63,6 @@ class Attending:
             return str(error)
         return ""
 
-    def end(self, viewer: Live) -> None:
-        """A device attends no more: told at once, unless another one does."""
-        found = self._leases.pop(viewer, None)
-        if found is None:
-            return
-        if not any(lease.proven_ns for _, lease in self._leases.values()):
-            self._close()
-
     def _close(self) -> None:
         robot, self._robot = self._robot, None
         if robot:
@@ -62,6 +71,6 @@ class Attending:
             robot.close()
 
     def close(self) -> None:
-        """The page ends: whoever attends by it does no more."""
+        """The page ends, and with it all attending by it."""
         for viewer in tuple(self._leases):
             self.end(viewer)

@@ -25,17 +25,28 @@ if TYPE_CHECKING:
     from failstop.web.server import Page
 
 TIMEOUT_S = 5.0
+REFUSED = 409
 
 
 class _Asked(RequestHandler):
     def initialize(self, page: Page) -> None:
         self.page = page
 
+    def write_error(self, status_code: int, **given: Any) -> None:
+        """The command tells its user what was wrong here."""
+        error = given.get("exc_info", (None, self._reason))[1]
+        self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a defect of the page: {error!r}"})
+
+    def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
+        """An error that is told is no defect."""
+        if not isinstance(value, FailstopError):
+            super().log_exception(typ, value, tb)
+
 
 class _Pair(_Asked):
     def post(self) -> None:
         if not self.page.pairing_on:
-            self.set_status(409)
+            self.set_status(REFUSED)
             self.finish({"error": 'pairing is off: set web.pairing = "on", and restart the page'})
             return
         code = devices.code_of(secrets.token_bytes(5))
@@ -84,18 +95,29 @@ def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: obj
         try:
             connection.request(method, path, json.dumps(body))
             answer = connection.getresponse()
-            found: dict[str, Any] = json.loads(answer.read())
+            said = answer.read()
         except PermissionError:
             denied = f"{folder} belongs to another user: sudo failstop web ..."
             continue
-        except (OSError, ValueError, http.client.HTTPException):
+        except (OSError, http.client.HTTPException):
             continue
         finally:
             connection.close()
-        if answer.status != 200:
-            raise Refused(str(found.get("error", answer.status)))
-        return found
+        return _understood(answer.status, said)
     raise FailstopError(denied or f"no page of {name!r} runs: start it with `failstop web`")
+
+
+def _understood(status: int, said: bytes) -> dict[str, Any]:
+    """What the page has answered. Raises Refused, FailstopError."""
+    try:
+        found: dict[str, Any] = json.loads(said)
+    except ValueError:
+        raise FailstopError(f"the page answered {status} and in words of another version's") from None
+    if status == REFUSED:
+        raise Refused(str(found["error"]))
+    if status != 200:
+        raise FailstopError(str(found.get("error", status)))
+    return found
 
 
 def remove(path: str) -> None:

@@ -59,6 +59,15 @@ class Devices:
         """In the order of their pairing."""
         return list(self._by_digest.values())
 
+    def free_name(self, name: str) -> str:
+        """That name as people may see it, with a number where a device has it already: a stop names one of them."""
+        wanted, taken = clean(name), {device.name for device in self.all()}
+        for number in range(2, MOST + 2):
+            if wanted not in taken:
+                return wanted
+            wanted = f"{clean(name)[: LONGEST_NAME - 4]} {number}"
+        return wanted
+
     def add(self, device: Device) -> None:
         """Raises NotPaired when there are too many."""
         if len(self._by_digest) >= MOST:

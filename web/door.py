@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any, Generic, Protocol, TypeVar
 
 from tornado.httpserver import HTTPServer
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
-
     from tornado.iostream import IOStream
 
+
+class Closes(Protocol):
+    """A connection of any kind."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+T = TypeVar("T", bound=Closes)
+
 MOST = 256
+"""Connections that are no websocket, or not yet."""
 IDLE_S = 10.0
 """How long a connection may take to send the head of its next request."""
 BODY_S = 5.0
@@ -20,12 +30,42 @@ MOST_HEAD = 16 * 1024
 MOST_BODY = 4 * 1024
 
 
+class Places(Generic[T]):
+    """Connections of one kind, so many at most. When all places are taken, the address that has most of them gives its
+    oldest to the newcomer, which may be a STOP."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._taken: dict[T, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._taken)
+
+    def take(self, one: T, address: str) -> None:
+        """A newcomer."""
+        while len(self._taken) >= self._most:
+            fullest, _ = Counter(self._taken.values()).most_common(1)[0]
+            oldest = next(each for each, whose in self._taken.items() if whose == fullest)
+            del self._taken[oldest]
+            oldest.close()
+        self._taken[one] = address
+
+    def leave(self, one: T) -> None:
+        """Give a place back."""
+        self._taken.pop(one, None)
+
+    def all(self) -> tuple[T, ...]:
+        """The connections that have a place, the oldest first."""
+        return tuple(self._taken)
+
+
 class Door(HTTPServer):
-    """Of too many connections, the oldest idle one of whoever has most is closed: the newest may be a STOP."""
+    """Every new connection has one of MOST places until it becomes a websocket, of which there are limits of their
+    own."""
 
     def initialize(self, *arguments: Any, **options: Any) -> None:
         """As of tornado's HTTPServer; the limits are set here."""
-        self._streams: dict[IOStream, str] = {}
+        self._places: Places[IOStream] = Places(MOST)
         options |= {
             "idle_connection_timeout": IDLE_S,
             "body_timeout": BODY_S,
@@ -37,19 +77,13 @@ class Door(HTTPServer):
 
     def handle_stream(self, stream: IOStream, address: Any) -> None:
         """A new connection."""
-        if len(self._streams) >= MOST:
-            self._make_room()
-        self._streams[stream] = str(address[0]) if address else ""
+        if len(self._places) >= MOST:
+            for each in self._places.all():
+                if each.closed():
+                    self._places.leave(each)
+        self._places.take(stream, str(address[0]) if address else "")
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:
-        """It is a viewer now, and those are counted by themselves."""
-        self._streams.pop(stream, None)
-
-    def _make_room(self) -> None:
-        self._streams = {stream: address for stream, address in self._streams.items() if not stream.closed()}
-        while len(self._streams) >= MOST:
-            most, _ = Counter(self._streams.values()).most_common(1)[0]
-            oldest = next(stream for stream, address in self._streams.items() if address == most)
-            del self._streams[oldest]
-            oldest.close()
+        """A connection that has become a websocket: floods of others can't close it."""
+        self._places.leave(stream)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.api import verdict, words
+from failstop.api import steps, verdict, words
+from failstop.api.steps import Purpose
 from failstop.api.why import meaning, troubles
 from failstop.shm import blocks
-from failstop.shm.layout import GATE
 from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
@@ -21,32 +21,28 @@ if TYPE_CHECKING:
     from failstop.api.events import Event
     from failstop.api.state import State, Stop
 
-MOVING = "MOVING"
-STOPPED = "STOPPED"
-CAN_MOVE = "CAN MOVE"
-MAY_TURN = "WHEELS MAY TURN"
 NO_SERVICE = "NO SERVICE"
-ROLES = {MOVING: "moves", STOPPED: "stopped", CAN_MOVE: "free", MAY_TURN: "bad", NO_SERVICE: "bad"}
+BAD = "bad"
+"""What colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
 
 BLOCKS = {
     blocks.DISABLED: "Motion is disabled, as after every start and every stop.",
     blocks.NO_COMMAND: "Motion is enabled, and nobody commands.",
     blocks.NO_SCAN: "Motion is enabled, but the obstacle sensor is silent.",
 }
-POWER = "Turn the robot's POWER SWITCH off"
 MOST_EVENTS = 40
 
 
 def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
     """Everything that changes seldom. `events`: of this run, oldest first."""
-    word = _word(state)
     return {
         "name": state.name,
-        "word": word,
-        "role": ROLES[word],
+        "word": verdict.large_word(state),
+        "role": _role(state),
         "why": _why(state),
         "since": _since(state, events),
-        "next": _next(state),
+        "next": steps.pressed(state),
+        "epoch": state.epoch,
         "latched": state.estop is not None,
         "enabled": state.enabled,
         "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
@@ -63,9 +59,9 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
             {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
             for name, process in state.processes.items()
         ],
-        "troubles": [sentence(text) for text in troubles(state, events)],
+        "troubles": [words.sentence(text) for text in troubles(state, events)],
         "events": [
-            {"seq": event.seq, "t": event.t, "kind": event.kind, "level": event.level, "text": plain(event.text)}
+            {"seq": event.seq, "t": event.t, "kind": event.kind, "level": event.level, "text": words.plain(event.text)}
             for event in events[-MOST_EVENTS:]
         ],
     }
@@ -83,10 +79,11 @@ def absent(note: str) -> dict[str, Any]:
     return {
         "name": "",
         "word": NO_SERVICE,
-        "role": ROLES[NO_SERVICE],
-        "why": sentence(note),
+        "role": BAD,
+        "why": words.sentence(note),
         "since": None,
-        "next": f"If the wheels turn: {POWER.lower()}. Then start the service.",
+        "epoch": 0,
+        "next": f"If the wheels turn: {steps.POWER.lower()}. Then start the service.",
         "latched": False,
         "enabled": False,
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
@@ -123,33 +120,29 @@ def _seen(observed_s: float) -> str:
     return wheels_seen(observed_s).replace("wheels still", "still").replace("less than", "<")
 
 
-def sentence(text: str) -> str:
-    """A capital at its beginning, a full stop at its end."""
-    text = plain(text).strip()
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
-
-
-def plain(text: str) -> str:
-    """Without the backquotes of commands."""
-    return text.replace("`", "")
-
-
-def _word(state: State) -> str:
-    if verdict.doubt(state):
-        return MAY_TURN
+def _role(state: State) -> str:
+    """What colours the word."""
+    if verdict.doubt(state) or verdict.unproven(state):
+        return BAD
     if state.moving:
-        return MOVING
-    return CAN_MOVE if state.enabled and not state.estop else STOPPED
+        return "moves"
+    return "free" if state.enabled and not state.estop else "stopped"
 
 
 def _why(state: State) -> str:
     if doubt := verdict.doubt(state):
-        return sentence(doubt)
+        return words.sentence(doubt)
+    unproven = verdict.unproven(state)
+    return f"{words.sentence(unproven)} {_held(state)}" if unproven else _held(state)
+
+
+def _held(state: State) -> str:
+    """What holds the wheels, or how they move."""
     if state.cause:
-        return sentence(meaning(state.cause)[0])
+        return words.sentence(meaning(state.cause)[0])
     if state.blocked:
-        return BLOCKS.get(state.blocked) or sentence(state.blocked)
-    return sentence(words.velocity(*state.body_vel) or "The command is zero")
+        return BLOCKS.get(state.blocked) or words.sentence(state.blocked)
+    return words.sentence(words.velocity(*state.body_vel) or "The command is zero")
 
 
 def _since(state: State, events: Sequence[Event]) -> float | None:
@@ -162,52 +155,28 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
     return None
 
 
-def _next(state: State) -> str:
-    """One step; empty while it moves."""
-    if any(process.state == "dead" for process in state.processes.values()):
-        return "Start the service again."
-    if state.device.state != "open":
-        return f"{POWER} if the wheels turn; then plug the board in."
-    if verdict.doubt(state):
-        return f"{POWER} and on again."
-    if state.cause:
-        return f"{sentence(meaning(state.cause)[1])[:-1]}; then hold RESET."
-    if missing := _waits(state):
-        return sentence(missing)
-    if not state.enabled and state.attended_by == ():
-        return "Somebody has to attend: press ATTEND."
-    if not state.enabled:
-        return "Hold ENABLE when nobody is in its way."
-    if state.blocked == blocks.NO_SCAN:
-        return "Start the obstacle sensor and the program that calls robot.sensed()."
-    if state.blocked == blocks.NO_COMMAND:
-        return "Start what is to drive."
-    return ""
-
-
-def _waits(state: State) -> str:
-    if GATE in verdict.down(state):
-        return "wait: the gate died too often and is tried again within a minute"
-    if state.waiting_for and not verdict.down(state):
-        return f"wait for {state.waiting_for}"
-    return ""
-
-
 def _no_reset(state: State) -> str:
     """What stands in the way of a reset; empty when nothing does."""
     if not state.estop:
         return "nothing is latched"
-    if state.device.state != "open":
-        return "the board is not there"
-    return ""
+    return _in_the_way(state, Purpose.RESET)
 
 
 def _no_enable(state: State) -> str:
     if state.enabled:
         return "motion is enabled already"
-    if state.estop:
+    return _in_the_way(state, Purpose.ENABLE)
+
+
+def _in_the_way(state: State, goal: Purpose) -> str:
+    """The first step without which it is refused, as a clause."""
+    first = next(iter(steps.before(state, goal)), None)
+    if first is None:
+        return ""
+    if first.purpose is Purpose.RESET:
         return "a stop is latched: reset first"
-    return "nobody attends: press ATTEND first" if state.attended_by == () else _waits(state)
+    text = first.pressed or ""
+    return f"{text[:1].lower()}{text[1:].removesuffix('.')}"
 
 
 def _no_disable(state: State) -> str:

@@ -10,6 +10,8 @@ import dataclasses
 import ipaddress
 from urllib.parse import urlsplit
 
+from failstop.api.errors import FailstopError
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,11 +57,21 @@ class Request:
     """It asks for a websocket."""
 
 
-def names(hostname: str, more: str) -> frozenset[str]:
-    """Every name that the robot answers to, beside addresses: its own, with .local, localhost, and those of a setting,
-    with blanks between them."""
+def origin_of(setting: str) -> str:
+    """The origin that browsers see where a proxy is in between; empty: there is none. Raises FailstopError."""
+    found = setting.lower().rstrip("/")
+    scheme, _, host = found.partition("://")
+    if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
+        raise FailstopError(f"web.origin = {setting!r} is no address of a page: give one such as https://robot.example")
+    return found
+
+
+def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
+    """Every name that the robot answers to, beside addresses: its own, with .local, localhost, those of a setting,
+    with blanks between them, and that of the origin that browsers see."""
     own = hostname.lower().partition(".")[0]
-    return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split())) - {""}
+    proxied = host_of(origin.partition("://")[2])
+    return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split(), proxied)) - {""}
 
 
 def host_of(header: str) -> str:
@@ -88,36 +100,43 @@ def only_here(address: str) -> bool:
     return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
 
 
-def _own_host(request: Request, known: frozenset[str]) -> bool:
+def _own_host(request: Request, known: frozenset[str], proxied: str) -> bool:
     host = host_of(request.host)
     return is_address(host) or host in known
 
 
-def _own_origin(request: Request, known: frozenset[str]) -> bool:
+def _own_origin(request: Request, known: frozenset[str], proxied: str) -> bool:
     if request.origin:
-        return request.origin.lower() == f"{request.scheme}://{request.host.lower()}"
+        # An origin that was sent is never empty, as one that is not set is.
+        return request.origin.lower() in (f"{request.scheme}://{request.host.lower()}", proxied)
     # A browser names the origin of each of these; a program has none.
     return not request.upgrade
 
 
-ROWS: tuple[tuple[str, int, Callable[[Request, frozenset[str]], bool], str], ...] = (
-    ("method", 405, lambda request, known: request.method in METHODS, "only GET, HEAD and POST are answered"),
+ROWS: tuple[tuple[str, int, Callable[[Request, frozenset[str], str], bool], str], ...] = (
+    ("method", 405, lambda request, known, proxied: request.method in METHODS, "only GET, HEAD and POST are answered"),
     ("host", 421, _own_host, "this robot does not answer to that name: the setting web.hosts adds names"),
-    ("site", 403, lambda request, known: request.site in SAME, "a page of another site may not call this one"),
-    ("origin", 403, _own_origin, "a page of another site may not call this one"),
+    ("site", 403, lambda request, known, proxied: request.site in SAME, "a page of another site may not call this one"),
+    (
+        "origin",
+        403,
+        _own_origin,
+        "a page of another site may not call this one; behind a proxy that ends TLS: set web.origin",
+    ),
     (
         "header",
         403,
-        lambda request, known: request.method in READS or request.header == "1",
+        lambda request, known, proxied: request.method in READS or request.header == "1",
         f"a request that changes something carries the header {HEADER}: 1",
     ),
 )
 """Name, status, what must hold, what is said otherwise."""
 
 
-def refusal(request: Request, known: frozenset[str]) -> tuple[int, str] | None:
-    """Status and reason for a request that is not let in; None for one that is."""
+def refusal(request: Request, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
+    """Status and reason for a request that is not let in; None for one that is. `proxied`: the origin that browsers see
+    where a proxy is in between."""
     for _, status, holds, why in ROWS:
-        if not holds(request, known):
+        if not holds(request, known, proxied):
             return status, why
     return None

@@ -1,20 +1,16 @@
-"""Handlers: each request passes the guard, then does one thing."""
+"""Handlers: each request passes the guard, then does one thing. The websockets are in sockets.py."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import json
-import secrets
+import logging
 import time
+import traceback
 from typing import Any
 
-from tornado.iostream import StreamClosedError
-from tornado.web import RequestHandler
-from tornado.websocket import WebSocketClosedError, WebSocketHandler
+from tornado.web import HTTPError, RequestHandler
 
-from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, devices, guard, lease, stopping
+from failstop.api.errors import FailstopError
+from failstop.web import assets, devices, guard, lease, messages, stopping
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,9 +18,8 @@ if TYPE_CHECKING:
     from failstop.web.server import Page
 
 YEAR_DAYS = 365
-MOST_VIEWERS = 64
-STUCK_S = 10.0
-"""A viewer that takes nothing for this long is let go."""
+NOT_YET = 202
+LINES_OF_A_DEFECT = 6
 
 
 class Guarded(RequestHandler):
@@ -44,7 +39,7 @@ class Guarded(RequestHandler):
 
     def prepare(self) -> None:
         """Refuse what the guard does not let in."""
-        if found := guard.refusal(self._request(), self.page.names):
+        if found := guard.refusal(self._request(), self.page.names, self.page.origin):
             self.refuse(*found)
 
     def _request(self) -> guard.Request:
@@ -68,18 +63,25 @@ class Guarded(RequestHandler):
         """A defect, or a request that is none: nothing of it is told."""
         self.finish({"error": self._reason})
 
+    def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
+        """Tell of a defect in a few lines, and of many seldom: strangers must not fill the journal."""
+        if not isinstance(value, HTTPError) and self.page.defect_limit.take(str(typ), time.monotonic()):
+            told = "".join(traceback.format_exception(typ, value, tb)).splitlines()[-LINES_OF_A_DEFECT:]
+            logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
+
     def body(self) -> dict[str, Any]:
         """What was sent: an object, or nothing."""
-        try:
-            found = json.loads(self.request.body or b"{}")
-        except ValueError:
-            return {}
-        return found if isinstance(found, dict) else {}
+        return messages.read(self.request.body)
+
+    @property
+    def scheme(self) -> str:
+        """How the browser has asked: http or https."""
+        return self.page.scheme or self.request.protocol
 
     @property
     def cookie(self) -> str:
         """The name of the cookie; over HTTPS one that no other name of the robot, and no plain answer, can set."""
-        return "__Host-failstop" if self.request.protocol == "https" else "failstop"
+        return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
         """What the device says it is."""
@@ -137,18 +139,17 @@ class Stop(Guarded):
 
     async def post(self) -> None:
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
-        asked = time.time()
-        try:
-            asked_ns = self.page.asked.ask(self.page.name, self.who(), self.body().get("id"))
-            written = await stopping.written(self.page.name, asked_ns)
-        except NoService as error:
-            self.refuse(503, str(error))
-            return
-        except FailstopError as error:
-            self.refuse(500, str(error))
-            return
-        self.page.look()
-        self.finish({"asked": asked, "written": written, "face": self.page.watcher.shown})
+        status, found = await stopping.stop(self.page, self.who(), self.body().get("id"))
+        self.set_status(status)
+        self.finish(found)
+
+
+class Check(Guarded):
+    """A request like STOP that changes nothing: the page asks when it opens whether its requests are let in."""
+
+    def post(self) -> None:
+        """They are."""
+        self.finish({"ok": True})
 
 
 class Me(Guarded):
@@ -179,7 +180,7 @@ class Pair(Guarded):
             self.refuse(403, str(error))
             return
         self.page.pair_limit.give_back(address)  # who has the code does not guess: one address may be a room of phones
-        secure = self.request.protocol == "https"
+        secure = self.scheme == "https"
         self.set_cookie(
             self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"
         )
@@ -193,13 +194,17 @@ class Forget(Guarded):
     def post(self) -> None:
         """By its own wish."""
         if device := self.paired():
-            self.page.revoke(device.id)
+            try:
+                self.page.revoke(device.id)
+            except FailstopError as error:
+                self.refuse(500, str(error))
+                return
             self.clear_cookie(self.cookie, path="/")
             self.finish({"device": None})
 
 
 class Verb(Guarded):
-    """Reset, enable, disable, limit the speed, for paired devices."""
+    """Disable, and limit the speed to less, for paired devices. What is held is asked for by the websocket alone."""
 
     async def post(self, verb: str) -> None:
         """The gate decides."""
@@ -208,7 +213,11 @@ class Verb(Guarded):
         if not self.page.verb_limit.take(verb, time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
             return
-        done, said = await self.page.hands.ask(verb, self.who(), self.body().get("percent"))
+        percent = messages.whole(self.body().get("percent"), 100)
+        if verb == "limit" and percent is not None and percent > self.page.limit():
+            self.refuse(409, "a higher limit is held for, on the page")
+            return
+        done, said = await self.page.hands.ask(verb, self.who(), percent)
         if done:
             self.finish({"said": said})
         else:
@@ -224,115 +233,23 @@ class Cards(Guarded):
 
 
 class Story(Guarded):
-    """What happened, and how it looked."""
+    """What happened, and how it looked. Neither is waited for: what is not made yet is asked for again."""
 
     async def get(self, identity: str, what: str) -> None:
         """The picture as PNG, the story as lines."""
-        if not self.page.story_limit.take(what, time.monotonic()):
+        if not self.page.story_limit.take(str(self.request.remote_ip), time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
-            return
-        if what == "picture":
-            picture = await self.page.incidents.picture(identity)
-            if picture is None:
-                self.refuse(404, "no picture: that needs failstop[plots] on the robot")
-                return
+        elif not await self.page.incidents.known(identity):
+            self.refuse(404, "no such incident")
+        elif what == "story":
+            story, picture = self.page.incidents.story(identity)
+            self.set_status(NOT_YET if story is None or picture is None else 200)
+            self.finish({"story": story, "picture": picture})
+        elif (content := self.page.incidents.picture(identity)) is None:
+            self.refuse(NOT_YET, "not yet")
+        elif not content:
+            self.refuse(404, "no picture: that needs failstop[plots] on the robot")
+        else:
             self.set_header("Content-Type", "image/png")
             self.set_header("Cache-Control", "private, max-age=86400, immutable")
-            self.finish(picture)
-            return
-        story = await self.page.incidents.story(identity)
-        if story is None:
-            self.refuse(404, "no such incident")
-        else:
-            self.finish({"story": story})
-
-
-class Live(Guarded, WebSocketHandler):
-    """The state, ten times a second, to one viewer."""
-
-    def initialize(self, page: Page) -> None:
-        """`page`: what serves it."""
-        super().initialize(page)
-        self._number = -1
-        self._sending: asyncio.Future[None] | None = None
-        self._sent_s = 0.0
-
-    def prepare(self) -> None:
-        """The guard, and room for one more: a paired device takes somebody else's place."""
-        super().prepare()
-        if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
-            strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
-            if self.device() is None or not strangers:
-                self.refuse(503, "too many viewers")
-            else:
-                strangers[0].close(1013, "a paired device takes this place")
-                self.page.leave(strangers[0])
-
-    def check_origin(self, origin: str) -> bool:
-        """The guard has seen to it."""
-        return True
-
-    def open(self, *_: str, **__: str) -> None:
-        """A viewer comes."""
-        self.page.join(self)
-
-    def on_close(self) -> None:
-        """A viewer goes."""
-        self.page.leave(self)
-
-    def on_message(self, message: str | bytes) -> None:
-        """It attends, answers, or attends no more; anything else means nothing."""
-        try:
-            found = json.loads(message)
-        except ValueError:
-            return
-        if not isinstance(found, dict):
-            return
-        if identity := found.get("stop"):
-            with contextlib.suppress(FailstopError):  # the request that comes by the other way is answered
-                self.page.asked.ask(self.page.name, self.who(), identity)
-        elif found.get("attend") is True:
-            self._attend()
-        elif found.get("attend") is False:
-            self.page.attending.end(self)
-        elif (held := self.page.attending.of(self)) and held.take(str(found.get("nonce")), str(found.get("answer"))):
-            if self.device() is None:  # revoked since
-                self.page.attending.end(self)
-            elif wrong := self.page.attending.proven(self):
-                self.send({"attend": wrong})
-
-    def _attend(self) -> None:
-        device = self.device()
-        if device is None:
-            self.send({"attend": "this device is not paired"})
-        else:
-            self.page.attending.begin(self, device.name, lease.key_of(self.token()))
-
-    def show(self, now_s: float, unix_s: float) -> None:
-        """Send what is new. Nothing waits: a viewer that has not taken the last message misses this one."""
-        if self._sending is not None and not self._sending.done():
-            connection = self.ws_connection
-            if now_s - self._sent_s > STUCK_S and connection and connection.stream:
-                connection.stream.close()
-            return
-        watcher = self.page.watcher
-        message: dict[str, Any] = {"t": unix_s, "live": watcher.values}
-        if held := self.page.attending.of(self):
-            message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
-        if self._number != watcher.number:
-            self._number = watcher.number
-            message["face"] = watcher.shown
-        self.send(message)
-        self._sent_s = now_s
-
-    def send(self, message: dict[str, Any]) -> None:
-        """Hand a message over; a viewer that has just gone gets none."""
-        try:
-            self._sending = asyncio.ensure_future(_quiet(self.write_message(message)))
-        except WebSocketClosedError:
-            self.page.leave(self)
-
-
-async def _quiet(sent: asyncio.Future[None]) -> None:
-    with contextlib.suppress(WebSocketClosedError, StreamClosedError):
-        await sent
+            self.finish(content)

@@ -8,7 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
-VERBS = ("reset", "enable", "disable", "limit")
+TOUCHED = ("disable", "limit")
+"""What may be asked for by a touch; the rest, and a higher limit, is held for."""
 MOST_WAITING = 4
 
 
@@ -21,25 +22,26 @@ class Hands:
         self._threads = ThreadPoolExecutor(MOST_WAITING, "hands")
         self._waiting = 0
 
-    async def ask(self, verb: str, who: str, percent: object = None) -> tuple[bool, str]:
-        """(done, what was said). `percent`: of the speed limit, as it came."""
+    async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
+        """(done, what was said). `percent`: of the speed limit; `epoch`: the newest stop that the asker knew of."""
         if self._waiting >= MOST_WAITING:
             return False, "others are asking: again in a moment"
         self._waiting += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads, self._ask, verb, who, percent)
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._ask, verb, who, percent, epoch)
         finally:
             self._waiting -= 1
 
-    def _ask(self, verb: str, who: str, percent: object) -> tuple[bool, str]:
+    def _ask(self, verb: str, who: str, percent: int | None, epoch: int | None) -> tuple[bool, str]:
         try:
             with Robot(self._name, client=who, disable_on_exit=False) as robot:
                 if verb == "limit":
-                    return True, robot.limit_speed(percent / 100 if isinstance(percent, (int, float)) else 0.0)
-                asked = {"reset": robot.reset, "enable": robot.enable, "disable": robot.disable}[verb]
-                return True, asked()
+                    return True, robot.limit_speed((percent or 0) / 100)
+                if verb == "reset":
+                    return True, robot.reset(seen=epoch)
+                return True, {"enable": robot.enable, "disable": robot.disable}[verb]()
         except Refused as refused:
-            return False, str(refused.args[0])
+            return False, refused.reason
         except (FailstopError, ValueError) as error:
             return False, str(error)
 

@@ -4,7 +4,9 @@ its own: matplotlib is several times as large as all of the page."""
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
+import logging
 import os
 import re
 import sys
@@ -23,14 +25,24 @@ NEAR_MS = 3000.0
 ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
 
 
+@dataclasses.dataclass
+class Made:
+    """What was made of an incident. None: not yet."""
+
+    story: list[dict[str, Any]] | None = None
+    picture: bytes | None = None
+    """As PNG; empty: nothing draws it."""
+
+
 class Incidents:
-    """Of one service."""
+    """Of one service. One story or picture is made at a time, for the one who asked when nothing was being made: nobody
+    waits in a line, and no request waits at all."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._one_at_a_time = asyncio.Lock()
         self._pictures = tempfile.TemporaryDirectory(prefix="failstop-web-")
-        self._stories: dict[str, list[dict[str, Any]]] = {}
+        self._made: dict[str, Made] = {}
+        self._making: asyncio.Task[None] | None = None
         self._cards: list[dict[str, Any]] = []
         self._looked_s = float("-inf")
 
@@ -45,42 +57,45 @@ class Incidents:
     def _heads(self) -> list[dict[str, Any]]:
         return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
-    async def _known(self, identity: str) -> bool:
+    async def known(self, identity: str) -> bool:
+        """There is such an incident among the cards."""
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
-    async def story(self, identity: str) -> list[dict[str, Any]] | None:
-        """What happened, line by line, in ms from the cause; None for an incident that there is not."""
-        if not await self._known(identity):
-            return None
-        if identity not in self._stories:
-            async with self._one_at_a_time:
-                said = await self._command("show", identity, "--json")
-            lines = json.loads(said)["story"] if said else []
-            self._stories[identity] = _near(lines)
-            if len(self._stories) > MOST_SHOWN:
-                self._stories.pop(next(iter(self._stories)))
-        return self._stories[identity]
+    def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
+        """What happened, line by line, in ms from the cause, and whether there is a picture. None: not yet."""
+        made = self._of(identity)
+        return made.story, None if made.picture is None else bool(made.picture)
 
-    async def picture(self, identity: str) -> bytes | None:
-        """As PNG; None where there is none, or nothing that draws it."""
-        if not await self._known(identity):
-            return None
+    def picture(self, identity: str) -> bytes | None:
+        """As PNG; empty where nothing draws it; None: not yet."""
+        return self._of(identity).picture
+
+    def _of(self, identity: str) -> Made:
+        made = self._made.get(identity) or Made()
+        if made.picture is None and self._making is None:
+            self._made[identity] = made
+            if len(self._made) > MOST_PICTURES:
+                self._made.pop(next(iter(self._made)))
+            self._making = asyncio.ensure_future(self._make(identity, made))
+            self._making.add_done_callback(self._ready)
+        return made
+
+    async def _make(self, identity: str, made: Made) -> None:
+        said = await self._command("show", identity, "--json")
+        made.story = _near(json.loads(said)["story"] if said else [])
         path = os.path.join(self._pictures.name, f"{identity}.png")
-        async with self._one_at_a_time:
-            if not os.path.exists(path):
-                await self._command("plot", identity, "-o", path)
-                self._forget()
+        await self._command("plot", identity, "-o", path)
         try:
             with open(path, "rb") as file:
-                return file.read()
+                made.picture = file.read()
+            os.unlink(path)
         except OSError:
-            return None
+            made.picture = b""
 
-    def _forget(self) -> None:
-        """The oldest pictures."""
-        found = sorted(os.scandir(self._pictures.name), key=lambda entry: entry.stat().st_mtime)
-        for entry in found[:-MOST_PICTURES]:
-            os.unlink(entry.path)
+    def _ready(self, done: asyncio.Task[None]) -> None:
+        self._making = None
+        if not done.cancelled() and (error := done.exception()):
+            logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes:
         """What it said; nothing when it failed."""
@@ -95,13 +110,16 @@ class Incidents:
         try:
             said, _ = await asyncio.wait_for(made.communicate(), MAKE_S)
         except asyncio.TimeoutError:
-            made.kill()
-            await made.wait()
             return b""
+        finally:
+            if made.returncode is None:
+                made.kill()
         return said if made.returncode == 0 else b""
 
     def close(self) -> None:
-        """The pictures go."""
+        """Give up what is being made; the pictures go."""
+        if self._making:
+            self._making.cancel()
         self._pictures.cleanup()
 
 

@@ -77,6 +77,24 @@ class Kept:
         """Whole or not at all. Raises FailstopError."""
         self._write(DEVICES, devices.dump())
 
+    def keep_fewer(self, devices: Devices) -> None:
+        """After one was revoked. On a full disk the old file is overwritten, which takes no room; a crash in the middle
+        of that leaves a damaged file, which lets nobody in. Raises FailstopError."""
+        try:
+            self.keep(devices)
+        except FailstopError as error:
+            try:
+                fd = durable.open_own(self.path(DEVICES), os.O_WRONLY)
+                try:
+                    data = devices.dump().ljust(os.fstat(fd).st_size)
+                    if os.pwrite(fd, data, 0) != len(data):
+                        raise error
+                    os.fsync(fd)
+                finally:
+                    os.close(fd)
+            except OSError:
+                raise error from None
+
     def _write(self, name: str, data: bytes) -> None:
         draft = f"{self.path(name)}.{secrets.token_hex(4)}"
         before = os.umask(0o077)

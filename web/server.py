@@ -15,10 +15,11 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import assets, control, devices, guard, handlers, kept, stopping
+from failstop.api.errors import FailstopError
+from failstop.web import assets, control, devices, guard, handlers, kept, sockets, stopping
 from failstop.web.attending import Attending
-from failstop.web.door import Door
-from failstop.web.hands import VERBS, Hands
+from failstop.web.door import Door, Places
+from failstop.web.hands import TOUCHED, Hands
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
@@ -26,6 +27,9 @@ from failstop.web.watcher import PERIOD_S, Watcher
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     import ssl
+    from collections.abc import Callable
+
+    from tornado.iostream import IOStream
 
     from failstop.policy.settings import Settings
 
@@ -42,14 +46,19 @@ class Page:
         self.address = settings.text("web.address")
         self.port = int(settings["web.port"])
         self.assets = assets.load()
-        self.names = guard.names(socket.gethostname(), settings.text("web.hosts"))
+        self.origin = guard.origin_of(settings.text("web.origin"))
+        self.scheme = self.origin.partition(":")[0]
+        self.names = guard.names(socket.gethostname(), settings.text("web.hosts"), self.origin)
         self.watcher = Watcher(name)
-        self.viewers: list[handlers.Live] = []
+        self.viewers: list[sockets.Live] = []
+        self.stops: Places[sockets.StopSocket] = Places(sockets.MOST_STOPS)
+        self.let_in: Callable[[IOStream], None] = lambda stream: None
         self.pairing_on = settings.on("web.pairing")
         self.pairing = devices.Pairing()
         self.pair_limit = Limit(0.2, 5)
         self.verb_limit = Limit(2.0, 6)
-        self.story_limit = Limit(4.0, 40)
+        self.story_limit = Limit(10.0, 60)
+        self.defect_limit = Limit(1 / 60, 2)
         self.asked = stopping.Asked()
         self.hands = Hands(name)
         self.attending = Attending(name)
@@ -71,11 +80,13 @@ class Page:
         rows = [
             ("/api/state", handlers.State),
             ("/api/stop", handlers.Stop),
-            ("/api/live", handlers.Live),
+            ("/api/stop/live", sockets.StopSocket),
+            ("/api/check", handlers.Check),
+            ("/api/live", sockets.Live),
             ("/api/me", handlers.Me),
             ("/api/pair", handlers.Pair),
             ("/api/forget", handlers.Forget),
-            (f"/api/({'|'.join(VERBS)})", handlers.Verb),
+            (f"/api/({'|'.join(TOUCHED)})", handlers.Verb),
             ("/api/incidents", handlers.Cards),
             ("/api/incidents/([^/]+)/(story|picture)", handlers.Story),
             ("/(.*)", handlers.Asset),
@@ -91,18 +102,29 @@ class Page:
     def whereabouts(self) -> dict[str, Any]:
         """Where it listens, for whoever is to find it."""
         scheme = "https" if self.tls else "http"
-        return {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
+        where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
+        return {**where, "origin": self.origin}
 
     def look(self) -> None:
         """Read the state now, for one request."""
         self.watcher.look(time.monotonic(), time.time())
+
+    def newest_stop(self) -> int:
+        """The epoch that is in force now; 0: no service runs."""
+        self.look()
+        return self.watcher.state.epoch if self.watcher.state else 0
+
+    def limit(self) -> int:
+        """The speed limit that is in force now, in percent of the settings' speeds."""
+        self.look()
+        return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 
     def pair(self, code: str, name: str) -> str:
         """A new device's token. Raises NotPaired, FailstopError."""
         self.pairing.take(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
         made = devices.Device(
-            secrets.token_hex(ID_BYTES), devices.clean(name), devices.digest_of(token), round(time.time())
+            secrets.token_hex(ID_BYTES), self.devices.free_name(name), devices.digest_of(token), round(time.time())
         )
         self.devices.add(made)
         try:
@@ -113,17 +135,21 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """The name of the device that may nothing any more; empty when there is none of that id."""
+        """The name of the device that may nothing any more; empty when there is none of that id. Raises FailstopError
+        when it may until the page ends only."""
         found = self.devices.revoke(identity)
         if found is None:
             return ""
         for viewer in tuple(self.viewers):
             if viewer.device() is None:
                 self.attending.end(viewer)
-        self._kept.keep(self.devices)
+        try:
+            self._kept.keep_fewer(self.devices)
+        except FailstopError as error:
+            raise FailstopError(f"{found.name} is revoked, and back after a restart of the page: {error}") from None
         return found.name
 
-    def join(self, viewer: handlers.Live) -> None:
+    def join(self, viewer: sockets.Live) -> None:
         """Somebody looks: from now on the state is read."""
         self.viewers.append(viewer)
         if not self._timer.is_running():
@@ -131,7 +157,7 @@ class Page:
         self.look()
         viewer.show(time.monotonic(), time.time())
 
-    def leave(self, viewer: handlers.Live) -> None:
+    def leave(self, viewer: sockets.Live) -> None:
         """Who attended by it does no more. The last one ends the reading."""
         self.attending.end(viewer)
         if viewer in self.viewers:
@@ -160,10 +186,11 @@ async def serve(name: str, settings: Settings) -> None:
     # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
     page = Page(name, settings)
-    sockets = bind_sockets(page.port, page.address)
-    page.port = sockets[0].getsockname()[1]
+    listening = bind_sockets(page.port, page.address)
+    page.port = listening[0].getsockname()[1]
     door = Door(page.application(), ssl_options=page.tls)
-    door.add_sockets(sockets)
+    page.let_in = door.let_in
+    door.add_sockets(listening)
     commands = control.listen(page, page.control_path)
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -174,6 +201,6 @@ async def serve(name: str, settings: Settings) -> None:
     door.stop()
     commands.stop()
     page.close()
-    for viewer in tuple(page.viewers):
-        viewer.close(1001, "the page is stopping")
+    for socket_ in (*page.viewers, *page.stops.all()):
+        socket_.close(1001, "the page is stopping")
     await door.close_all_connections()

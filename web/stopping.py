@@ -5,10 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+from typing import Any
 
-from failstop.api.client import attach, send_stop
-from failstop.api.errors import FailstopError
+from failstop.api.client import attach, run, send_stop
+from failstop.api.errors import FailstopError, NoService
 from failstop.shm import layout
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.web.server import Page
 
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
@@ -39,17 +44,34 @@ class Asked:
         return asked_ns
 
 
-async def written(name: str, asked_ns: int) -> bool:
-    """Wait for a stop that was asked for then; True once one is written to the board, by the word of the port owner.
-    While there is no board there is none."""
+async def stop(page: Page, who: str, identity: object) -> tuple[int, dict[str, Any]]:
+    """Ask for a stop, then wait until it is written, for WRITTEN_S at most: an HTTP status, and what the page is
+    told."""
+    asked = time.time()
     try:
-        found = attach(name, layout.PORT_OWNER)
-    except FailstopError:
-        return False
-    with contextlib.closing(found):
-        word = found.word("written_ns")
+        asked_ns = page.asked.ask(page.name, who, identity)
+        is_written = await written(page.name, asked_ns)
+    except FailstopError as error:
+        return 503 if isinstance(error, NoService) else 500, {"error": str(error)}
+    page.look()
+    return 200, {"asked": asked, "written": is_written, "face": page.watcher.shown}
+
+
+async def written(name: str, asked_ns: int) -> bool:
+    """Wait for a stop that was asked for then; True once one is written to the board, by the word of the port owner, or
+    of the supervisor, which writes where no port owner can. While there is no board there is none."""
+    with contextlib.ExitStack() as opened:
+        try:
+            found = run(name)
+            parts = [
+                opened.enter_context(contextlib.closing(attach(name, each, found)))
+                for each in (layout.PORT_OWNER, layout.SUPERVISOR)
+            ]
+        except FailstopError:
+            return False
+        words = [part.word("written_ns") for part in parts]
         until_s = time.monotonic() + WRITTEN_S
-        while word.get() < asked_ns:
+        while max(word.get() for word in words) < asked_ns:
             if time.monotonic() >= until_s:
                 return False
             await asyncio.sleep(LOOK_S)

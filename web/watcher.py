@@ -57,8 +57,8 @@ class Watcher:
 
     @staticmethod
     def _what_matters(state: State) -> object:
-        moves = any(state.wheels_radps)
-        return state.blocked, state.enabled, state.epoch, state.waiting_for, state.device, state.last_stop, moves
+        moves, board = any(state.wheels_radps), (state.device, state.last_stop)
+        return state.blocked, state.enabled, state.epoch, state.waiting_for, *board, moves, state.speed_limit
 
     def _show(self, shown: dict[str, Any]) -> None:
         text = json.dumps(shown, sort_keys=True)

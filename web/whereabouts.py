@@ -25,7 +25,9 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """The best first."""
+    """The best first. Through a proxy there is one."""
+    if found["origin"]:
+        return [f"{found['origin']}/"]
     hosts = [found["address"]]
     if found["address"] in EVERYWHERE:
         own = socket.gethostname().partition(".")[0]

@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from bench.vm import guest, image, payload, table
 from bench.vm.guest import Guest, GuestError
@@ -123,6 +124,7 @@ def main() -> int:
     wanted = {"install", *(arguments.only or table.BY_NAME)}
     names = [name for name in table.BY_NAME if name in wanted]
     run = Run()
+    shutil.rmtree(guest.LOGS, ignore_errors=True)
     # However it is ended, the guests end with it.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
@@ -138,6 +140,8 @@ def main() -> int:
     rows = table.rows(run.results, names)
     print(table.markdown(rows))
     print(run.times())
+    if any(row.problems for row in rows):
+        print(f"what the guests said: {guest.LOGS.absolute()}")
     if arguments.json:
         Path(arguments.json).write_text(json.dumps([dataclasses.asdict(found) for found in run.results], indent=2))
     return int(any(row.problems for row in rows))
@@ -155,13 +159,13 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
             try:
                 with (
                     run.phase(f"{OUTSIDE} {number}"),
-                    Guest(made, place / f"{OUTSIDE}{number}", disk, disk=state) as machine,
+                    _guest(made, place, f"{OUTSIDE}{number}", disk, disk=state) as machine,
                 ):
                     outside(machine, life, run)
             except (GuestError, SimBoardError, TrialError, OSError) as error:
                 run.say(f"{OUTSIDE}: {error}")
 
-    with Guest(made, place / INSIDE, disk, disk=saved, clock=guest.LEAPS) as machine:
+    with _guest(made, place, INSIDE, disk, disk=saved, clock=guest.LEAPS) as machine:
         install(machine, run)
         thread = None
         if mine[OUTSIDE]:
@@ -174,6 +178,10 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
             run.say(f"{INSIDE}: {error}")
     if thread is not None:
         thread.join()
+
+
+def _guest(made: image.Image, place: Path, name: str, tried: Path, **options: Any) -> Guest:
+    return Guest(made, place / name, guest.LOGS / name, tried, **options)
 
 
 @contextlib.contextmanager

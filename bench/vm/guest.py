@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.vm.image import Image, cache, key
+from bench.vm.patience import Patience, ran
 
 MEMORY_MB = 768
 WAITS = "shift=2"
@@ -44,13 +45,19 @@ machine outside 40 s of its processor instead of 57."""
 MACHINE = "q35,sata=off,smbus=off,i8042=off,vmport=off"
 
 
+LOGS = Path("build", "vm")
+"""What the guests of the last run said, a folder for each: what a message points to outlives the run."""
+CONSOLE = "console.log"
+QEMU = "qemu.log"
+
+
 class GuestError(Exception):
     """The guest does not do what it should; the message says where to look."""
 
 
-def command(image: Image, place: Path, disk: Path, payload: Path, clock: str, state: str) -> list[str]:
+def command(image: Image, place: Path, disk: Path, payload: Path, clock: str, state: str, logs: Path) -> list[str]:
     """How qemu is called: one processor, the two disks, the agent, the clock, and a host controller with the board."""
-    chardevs = {"console": f"file,path={place}/console.log,append=on"}
+    chardevs = {"console": f"file,path={logs}/{CONSOLE},append=on"}
     chardevs |= {name: f"socket,path={place}/{name},server=on,wait=off" for name in ("agent", "clock", "usb")}
     options = {
         "M": [MACHINE],
@@ -81,13 +88,14 @@ def command(image: Image, place: Path, disk: Path, payload: Path, clock: str, st
 
 
 class Guest:
-    """A running guest, with its files in `place`. To be used by `with`."""
+    """A running guest, with its disk and sockets in `place`, and what it says in `logs`. To be used by `with`."""
 
     def __init__(
-        self, image: Image, place: Path, payload: Path, *, clock: str = WAITS, disk: Path | None = None
+        self, image: Image, place: Path, logs: Path, payload: Path, *, clock: str = WAITS, disk: Path | None = None
     ) -> None:
-        self.place = place
-        place.mkdir(parents=True, exist_ok=True)
+        self.place, self.logs = place, logs.absolute()
+        for folder in (self.place, self.logs):
+            folder.mkdir(parents=True, exist_ok=True)
         self.board = place / "usb"
         """Where the usb-redir device listens."""
         self._image, self._payload, self._clock = image, payload, clock
@@ -112,8 +120,8 @@ class Guest:
         else:
             backing = ("-b", str(self._image.disk), "-F", "raw")
             subprocess.run(["qemu-img", "create", "-q", "-f", "qcow2", *backing, str(disk)], check=True)
-        words = command(self._image, self.place, disk, self._payload, self._clock, state)
-        with (self.place / "qemu.log").open("wb") as log:
+        words = command(self._image, self.place, disk, self._payload, self._clock, state, self.logs)
+        with (self.logs / QEMU).open("wb") as log:
             # It ends with the thread that started it, however that ends.
             words = ["setpriv", "--pdeathsig", "KILL", *words]
             self._process = subprocess.Popen(words, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
@@ -145,9 +153,9 @@ class Guest:
         self._number += 1
         message = {"id": self._number, "run": words, "timeout_s": timeout_s}
         self._agent.sendall(json.dumps(message).encode() + b"\n")
-        until_s = time.monotonic() + wait_s
+        patience = self.patience(wait_s)
         while True:
-            answer = self._receive(until_s)
+            answer = self._receive(patience)
             if answer.get("id") == self._number:
                 yield answer["line"] if "line" in answer else answer["code"]
                 if "code" in answer:
@@ -155,21 +163,26 @@ class Guest:
 
     def greeted(self, wait_s: float = BOOT_S) -> str:
         """Wait for the agent of a boot; returns the boot's id."""
-        before, until_s = len(self.boots), time.monotonic() + wait_s
+        before, patience = len(self.boots), self.patience(wait_s)
         while len(self.boots) == before:
-            self._receive(until_s)
+            self._receive(patience)
         return self.boots[-1]
 
-    def _receive(self, until_s: float) -> dict[str, Any]:
+    def patience(self, wait_s: float) -> Patience:
+        """For so much of a time in which the host has a processor for the guest."""
+        pid = self._process.pid if self._process else 0
+        return Patience(wait_s, lambda: ran(pid))
+
+    def _receive(self, patience: Patience) -> dict[str, Any]:
         while b"\n" not in self._waiting:
-            left_s = until_s - time.monotonic()
+            left_s = patience.left_s()
             if left_s <= 0:
-                raise GuestError(f"the guest says nothing any more: see {self.place}/console.log")
+                raise GuestError(f"the guest says nothing any more: {patience.why()}; see {self.logs / CONSOLE}")
             self._agent.settimeout(left_s)
             with contextlib.suppress(TimeoutError):
                 data = self._agent.recv(65536)
                 if not data:
-                    raise GuestError(f"the guest has ended: see {self.place}/qemu.log, console.log")
+                    raise GuestError(f"the guest has ended: see {self.logs / QEMU} and {self.logs / CONSOLE}")
                 self._waiting += data
         line, _, self._waiting = self._waiting.partition(b"\n")
         message: dict[str, Any] = json.loads(line)
@@ -189,7 +202,7 @@ class Guest:
                 return answer["return"]
             if "error" in answer:
                 raise GuestError(f"qemu refuses {command}: {answer['error']['desc']}")
-        raise GuestError(f"qemu has ended: see {self.place}/qemu.log")
+        raise GuestError(f"qemu has ended: see {self.logs / QEMU}")
 
     def save(self, state: str) -> None:
         """Save the state of all of it into the disk."""
@@ -209,10 +222,11 @@ class Guest:
     def ended(self, wait_s: float) -> bool:
         """Whether qemu ends by itself, as it does when the guest turns the machine off."""
         assert self._process is not None
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(wait_s)
-            return True
-        return False
+        patience = self.patience(wait_s)
+        while self._process.poll() is None and (left_s := patience.left_s()) > 0:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(left_s)
+        return self._process.poll() is not None
 
     def close(self) -> None:
         """End it."""
@@ -232,7 +246,7 @@ class Guest:
             except OSError:
                 assert self._process is not None
                 if self._process.poll() is not None or time.monotonic() > until_s:
-                    said = (self.place / "qemu.log").read_text().strip()
+                    said = (self.logs / QEMU).read_text().strip()
                     raise GuestError(f"qemu does not start: {said}") from None
                 time.sleep(0.05)
 
@@ -241,7 +255,7 @@ def state(image: Image, payload: Path) -> Path:
     """A disk with the saved state of the booted guest, made if it is not there. Raises GuestError."""
     # A state is of one machine: of these devices, by this qemu.
     nowhere = Path("-")
-    words = command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, LEAPS, "")
+    words = command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, LEAPS, "", nowhere)
     version = subprocess.run(["qemu-system-x86_64", "--version"], check=True, capture_output=True, text=True).stdout
     path = cache() / f"state-{key(image.key, version, *words)}.qcow2"
     if path.exists():
@@ -249,7 +263,7 @@ def state(image: Image, payload: Path) -> Path:
     print("booting the guest once, to keep its state ...", flush=True)
     with (
         tempfile.TemporaryDirectory(prefix="failstop-vm-") as place,
-        Guest(image, Path(place), payload, clock=LEAPS) as guest,
+        Guest(image, Path(place), LOGS / "first-boot", payload, clock=LEAPS) as guest,
     ):
         guest.start()
         guest.greeted()

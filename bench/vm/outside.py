@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from failstop.lab.trial import TrialError, judge
 PYTHON = "/srv/venv/bin/python"
 UNIT = "failstop.service"
 WAIT_S = 240.0
-"""Of this machine's time: the guest's is slower."""
+"""Of this machine's time, while it has a processor for the guest; the guest's is slower."""
 IMU_HZ = 10.0
 """The board's second is several times shorter than the guest's, so that this is more in there."""
 CLOCK_S = 60.0
@@ -49,8 +48,9 @@ HIBERNATED = "Image saving done"
 class Clock:
     """The guest's clock, as the client passes it on."""
 
-    def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
+    def __init__(self, machine: Guest) -> None:
+        self._machine = machine
+        self._connection = machine.dial("clock")
         self._ours: list[int] = []
         self._theirs: list[int] = []
         threading.Thread(target=self._follow, daemon=True).start()
@@ -66,10 +66,10 @@ class Clock:
 
     def passed(self, ours_ns: int) -> None:
         """Wait until a word of it has come after one of our times. Raises GuestError."""
-        until_s = time.monotonic() + CLOCK_S
+        patience = self._machine.patience(CLOCK_S)
         while not self._ours or self._ours[-1] <= ours_ns:
-            if time.monotonic() > until_s:
-                raise GuestError("the guest's clock is not passed on")
+            if patience.left_s() <= 0:
+                raise GuestError(f"the guest's clock is not passed on: {patience.why()}")
             time.sleep(LOOK_S)
 
     def theirs(self, ours_ns: int) -> int:
@@ -88,7 +88,7 @@ class Scene:
 
     def __init__(self, machine: Guest, board: SimBoard) -> None:
         self.machine, self.board = machine, board
-        self.clock = Clock(machine.dial("clock"))
+        self.clock = Clock(machine)
 
     def found(self) -> None:
         """Wait until the service has the board. Raises TrialError."""
@@ -108,10 +108,10 @@ class Scene:
 
     def until(self, what: str, check: Callable[[], bool], wait_s: float = WAIT_S) -> None:
         """Wait for it, and leave the guest its processor meanwhile. Raises TrialError."""
-        until_s = time.monotonic() + wait_s
+        patience = self.machine.patience(wait_s)
         while not check():
-            if time.monotonic() > until_s:
-                raise TrialError(f"waited {wait_s:g} s for {what}")
+            if patience.left_s() <= 0:
+                raise TrialError(f"waited {wait_s:g} s for {what}: {patience.why()}")
             time.sleep(LOOK_S)
 
     def shown(self, name: str) -> str:

@@ -115,11 +115,15 @@ class Tab:
 
         return self._loop.run_until_complete(wait())
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One method of the protocol. Raises BrowserError."""
+    def tell(self, method: str, **parameters: Any) -> None:
+        """One method of the protocol, whose answer is not waited for: a browser that is held up has none yet."""
         self._number += 1
         asked = json.dumps({"id": self._number, "method": method, "params": parameters})
         self._wait(lambda: self.connection.write_message(asked))
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One method of the protocol. Raises BrowserError."""
+        self.tell(method, **parameters)
         while True:
             text = self._wait(self.connection.read_message, START_S)
             if text is None:

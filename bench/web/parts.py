@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Any
+from typing import IO, Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
@@ -29,14 +29,20 @@ class Web:
     """A context manager: `failstop web` for the service of that name, on a port of its own."""
 
     def __init__(
-        self, name: str, *options: str, state: str = "", program: tuple[str, ...] = ("-m", "failstop")
+        self,
+        name: str,
+        *options: str,
+        state: str = "",
+        program: tuple[str, ...] = ("-m", "failstop"),
+        says: IO[bytes] | None = None,
     ) -> None:
-        """`state`: where it keeps what it keeps, and finds the incidents of a trial; `program`: what Python runs."""
+        """`state`: where it keeps what it keeps, and finds the incidents of a trial; `program`: what Python runs;
+        `says`: where to what it says goes, beside its address."""
         self.name = name
         self.environment = {**os.environ, **({"STATE_DIRECTORY": state} if state else {})}
         command = [sys.executable, *program, "web", "--name", name, "--port", "0", *options]
         self.process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=self.environment
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=says, text=True, env=self.environment
         )
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()
@@ -77,13 +83,19 @@ class Web:
         return http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT_S)
 
     def ask(
-        self, method: str, path: str, body: object = None, headers: dict[str, str] | None = None
+        self,
+        method: str,
+        path: str,
+        body: object = None,
+        headers: dict[str, str] | None = None,
+        *,
+        raw: bytes | None = None,
     ) -> tuple[int, dict[str, str], bytes]:
-        """Status, headers (by their small names), content."""
+        """Status, headers (by their small names), content. `raw`: a body that is no JSON."""
         connection = self.connect()
         try:
             given = HEADERS if headers is None else headers
-            connection.request(method, path, None if body is None else json.dumps(body), given)
+            connection.request(method, path, raw if body is None else json.dumps(body), given)
             answer = connection.getresponse()
             return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
         finally:

@@ -20,8 +20,10 @@ WAIT_S = 10.0
 class Viewer:
     """A context manager: connected on entry."""
 
-    def __init__(self, web: Web, headers: dict[str, str] | None = None) -> None:
+    def __init__(self, web: Web, headers: dict[str, str] | None = None, path: str = "/api/live") -> None:
+        """`path`: of the websocket, of which there are two."""
         self._web = web
+        self._path = path
         self._headers = {"Origin": f"{web.scheme}://127.0.0.1:{web.port}", **(headers or {})}
         self.key = lease.key_of(self._headers.get("Cookie", "").partition("=")[2])
         self.loop = asyncio.new_event_loop()
@@ -29,7 +31,7 @@ class Viewer:
 
     def __enter__(self) -> Viewer:
         scheme = "wss" if self._web.scheme == "https" else "ws"
-        url = f"{scheme}://127.0.0.1:{self._web.port}/api/live"
+        url = f"{scheme}://127.0.0.1:{self._web.port}{self._path}"
 
         async def connect() -> WebSocketClientConnection:
             return await websocket_connect(HTTPRequest(url, headers=self._headers, validate_cert=False))
@@ -83,6 +85,30 @@ class Viewer:
             assert "attend" not in found, found
             assert time.monotonic() < until_s
         self.answer(found["nonce"])
+
+    def hold(self, verb: str, seconds: float = WAIT_S, *, epoch: int | None = None, **more: Any) -> dict[str, Any]:
+        """Hold a button as the page does, for so long at most, with the epoch that it knew at the beginning; returns
+        what the robot says at the end."""
+        while epoch is None and not self.epoch():
+            self.next()
+        epoch = self.epoch() if epoch is None else epoch
+        self.send(hold=verb, id=(identity := f"{time.monotonic_ns()}"), epoch=epoch, **more)
+        until_s = time.monotonic() + seconds
+        while True:
+            found = self.next()
+            if found.get("hold") == identity and "enough" not in found:
+                return found
+            if found.get("enough"):
+                self.send(sure=identity)
+            elif time.monotonic() < until_s:
+                self.send(held=identity)
+            else:
+                self.send(released=identity)
+                return {}
+
+    def epoch(self) -> int:
+        """What the newest face said; 0: there was none yet."""
+        return next((message["face"]["epoch"] for message in reversed(self.seen) if "face" in message), 0)
 
     def stay(self, seconds: float) -> None:
         """Answer every nonce for so long."""

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import ceil, isfinite
+from math import isfinite
 from time import monotonic_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.session import Session, Told, sleep_through
 from failstop.api.snapshot import ArmState
-from failstop.policy.capsules import Model, would_hit
+from failstop.policy.capsules import Model, on_the_way, would_hit
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.goals import too_far
 from failstop.procs.gate.arm.joints import Joint
 from failstop.shm import records
 
 Point = tuple[float, Mapping[str, float]]
-
-STEP_RAD = 0.05
-"""Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
 POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
@@ -142,23 +139,3 @@ class Arm:
     def _check(self, angles: Mapping[str, float]) -> None:
         if fault := too_far({self._joint(name): angle for name, angle in angles.items()}):
             raise Refused(fault)
-
-
-def on_the_way(
-    model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
-) -> tuple[float, str, str] | None:
-    """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
-    `start` along the rows; None: none does. What touches already may part."""
-    at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
-    for t_s, to in rows:
-        end = {**at, **to}
-        turns = {name: angle - at.get(name, 0.0) for name, angle in end.items()}
-        steps = max(1, ceil(max(map(abs, turns.values())) / STEP_RAD))
-        for step in range(1, steps + 1):
-            share = step / steps
-            was_m = gap_m
-            gap_m, name, other = model.nearest({name: at.get(name, 0.0) + share * turn for name, turn in turns.items()})
-            if gap_m < min(0.0, was_m):
-                return at_s + share * (t_s - at_s), name, other
-        at_s, at = t_s, end
-    return None

@@ -7,12 +7,10 @@ service may be of another version, half started or half dead.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import termios
 import time
 
-from failstop.api.client import attach, send_stop
+from failstop.api.client import attach, send_stop, unread
 from failstop.api.errors import FailstopError
 from failstop.shm import instance, layout, records
 
@@ -40,21 +38,20 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str]:
 def _watch(name: str, pipe: int) -> tuple[str, str]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
     others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
-    from failstop.api import verdict
+    from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
     reader, problem, taken, first_epoch = None, "", False, -1
     while time.monotonic() < until_s:
-        unread = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), "little")
-        taken = taken or not unread
+        taken = taken or not unread(pipe)
         try:
             reader = reader or StateReader(name)
             state = reader.read()
             first_epoch = state.epoch if first_epoch < 0 else first_epoch
             if state.estop and (taken or state.epoch > first_epoch):
                 doubt = verdict.doubt(state)
-                text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
+                text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
                 return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
         except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
             problem = str(error)

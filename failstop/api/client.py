@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import termios
 import time
 import weakref
 from collections.abc import Callable
@@ -12,6 +14,7 @@ from typing import Any, TypeVar
 
 import msgpack
 
+from failstop.api import reason
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
@@ -33,12 +36,15 @@ RECORDS: dict[str, Callable[..., bytes]] = {
     "attended": records.HELD.pack,
     "said": records.SAID.pack,
     "speed_limit": records.SPEED_LIMIT.pack,
+    "seen": records.SEEN.pack,
     "arm_goal": records.ARM_GOAL.pack,
     "arm_path": records.ARM_PATH.pack,
 }
 """What a client writes into its slot once it has said hello there, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
+OWN_WORDS_S = 0.1
+"""How long the words of an object that is given as the reason of a stop are worth telling."""
 
 
 def runtime_dir(name: str) -> str:
@@ -74,17 +80,39 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
         raise kind(str(error)) from None
 
 
-def send_stop(name: str, reason: str, who: str = "") -> None:
+def unread(fd: int) -> int:
+    """How many bytes wait in a pipe to be read. Raises OSError."""
+    return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
+
+
+def send_stop(name: str, why: object, who: object = "") -> None:
     """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
-    reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
+    reason of more than records.ASKED_BYTES cut. What an object says of itself follows as a request of its own, unless
+    it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError."""
     directory, fd = _found(instance.open_stop, name)
     try:
-        bell.send(fd, records.asking(reason, who, os.getpid()))
+        words, whole = reason.plain(why)
+        asks = reason.plain(who)[0]
+        bell.send(fd, records.asking(words, asks, os.getpid()))
+        if not whole:
+            _say_more(fd, why, asks)
     except OSError as error:
         path = instance.stop_path(directory)
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
     finally:
         os.close(fd)
+
+
+def _say_more(fd: int, why: object, who: str) -> None:
+    """What the object says of itself, once the first request is read: of several that are read at once only the first
+    is told of. Words that come late would be a stop after somebody's reset."""
+    until_s = time.monotonic() + OWN_WORDS_S
+    with contextlib.suppress(Exception):
+        words = reason.own(why)
+        while unread(fd) and time.monotonic() < until_s:
+            time.sleep(OWN_WORDS_S / 100)
+        if words and time.monotonic() < until_s:
+            bell.send(fd, records.asking(words, who, os.getpid()))
 
 
 def gone(name: str) -> NoService:
@@ -123,7 +151,7 @@ class Run:
         if not self._rules and (entry := self._record.read()):
             self._rules = msgpack.unpackb(entry[2])
             # The kernel tells of the supervisor's death where its pid means the same process here as there.
-            if pid_namespace() == self._rules["pid_namespace"] != 0:
+            if self.shares_pids():
                 try:
                     self._life = Lifeline(self._beat.pid.get())
                 except ProcessLookupError:
@@ -131,6 +159,10 @@ class Run:
                 except OSError:
                     pass  # no descriptor is left, or this call is forbidden: then its silence tells
         return self._rules
+
+    def shares_pids(self) -> bool:
+        """True where a pid of the service means the same process here as there."""
+        return bool(pid_namespace() == self._rules.get("pid_namespace", 0) != 0)
 
     def dead(self) -> bool:
         """True once the kernel says that the supervisor has died; False where it can't be asked."""
@@ -201,16 +233,19 @@ class Client:
             with contextlib.suppress(RuntimeError, OSError):
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
-            """A hello that is a goodbye; without one the gate takes the slot's end for a death."""
+            """A goodbye; without one the gate takes the slot's end for a death."""
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
-        self._segment.latest_writer("hello").write(self._hello(self._session))
+        hello = records.HELLO.pack(self._session, os.getpid(), pid_namespace(), self.who)
+        self._segment.latest_writer("hello").write(hello)
         self._ring()
 
-    def _hello(self, session: int) -> bytes:
-        return records.HELLO.pack(session, os.getpid(), pid_namespace(), self.who)
+    @property
+    def drove(self) -> bool:
+        """It has given a command, so that its death is that of a driver."""
+        return bool(self._commanded[0])
 
     def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
         memory, owner = found
@@ -276,9 +311,9 @@ class Client:
 
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
-        people are not told of a death."""
+        the gate does not take it for a death."""
         if in_order:
-            self._farewell.append(self._hello(records.NOBODY))
+            self._farewell.append(records.LEFT.pack(self._session))
         self._drop()
 
 
@@ -290,9 +325,9 @@ def _give_back(
     if os.getpid() == owner:
         # Another process may have the claim before the gate has seen it free.
         with contextlib.suppress(OSError, ValueError):
-            held.wipe()
             for goodbye in farewell:
-                held.latest_writer("hello").write(goodbye)
+                held.latest_writer("left").write(goodbye)
+            held.wipe()
             bell.send(ring, bytes([slot]))
         if life:
             life.let_go()

@@ -17,19 +17,27 @@ class FailstopError(Exception):
 
 
 class Refused(FailstopError):
-    """The service answered, and said no. The message is "refused: " and the reason, which alone is in `args`."""
+    """The service answered, and said no. The message is the reason and, where there is one, the next step."""
 
     exit_code = 2
     """Of a command that ends with it."""
 
-    def __init__(self, template: str, cause: Cause | None = None) -> None:
+    def __init__(self, template: str, cause: Cause | None = None, step: str = "") -> None:
         """`template`: the reason, with CAUSE in the place of the cause's own text."""
-        super().__init__(template.replace(CAUSE, str(cause)))
+        super().__init__(template, cause, step)
         self.template = template
         self.cause = cause
+        """Of the stop that it was refused for; None: for something else."""
+        self.step = step
+        """What to do, commands in backquotes; empty: the reason says it all."""
+
+    @property
+    def reason(self) -> str:
+        """Why it was refused."""
+        return self.template.replace(CAUSE, str(self.cause))
 
     def __str__(self) -> str:
-        return f"refused: {super().__str__()}"
+        return f"{self.reason}; next: {self.step}" if self.step else self.reason
 
 
 class NoService(FailstopError):

@@ -8,6 +8,7 @@ match robot.drive(0.2, 0.0, 0.0):
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from failstop.api.arm import Arm
 from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError
 from failstop.api.events import LOOK_S, Event, EventLog
 from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import Block, Sample, State, Velocity
@@ -86,37 +88,22 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 
 
 class Calls(Session):
-    """Drive, assert, look: the base of both."""
+    """Assert, look, stop: what both have, and what waits for nobody."""
 
-    def drive(
-        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
-    ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
-        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
-        restart of the service nothing moves before somebody enables motion again.
-
-        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
-        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
-        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
-
-        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
-        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
-        do not name, NoService when no service runs.
-        """
+    def _command(self, vx: float, vy: float, wz: float, *, manual: bool, source: str) -> None:
+        """Hand a command over; the gate takes it by itself. Raises what drive() raises."""
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
             run = self._current()
             run.check("source", source)
             self._slot(run).command(vx, vy, wz, manual=manual, source=source)
-        until_s = time.monotonic() + wait_s
-        while True:
-            with self._lock:
-                decided, cause, *_ = self._current().decided()
-            answer, settled = judge(decided, source, cause)
-            if settled or time.monotonic() >= until_s:
-                return answer
-            time.sleep(POLL_S)
+
+    def _judged(self, source: str) -> tuple[Answer, bool]:
+        """The answer by what the gate has decided last, and whether it is settled (judge)."""
+        with self._lock:
+            decided, cause, *_ = self._current().decided()
+        return judge(decided, source, cause)
 
     def sensed(self) -> None:
         """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
@@ -141,7 +128,8 @@ class Calls(Session):
         """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
         was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
         motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
-        unless somebody else attends; so does leave(), and this program's end. Raises NoService."""
+        unless somebody else attends; so does leave(), and this program's end. A Robot speaks for one operator at a
+        time: with another name the one before has left. Raises NoService."""
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
 
@@ -160,17 +148,21 @@ class Calls(Session):
         with self._lock:
             self._client().tell("said", sees, wrong)
 
-    def estop(self, reason: str = "") -> None:
+    def estop(self, reason: object = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
         Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
         closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
-        N)`; of a reason of more than 180 bytes the rest is left out."""
+        N)`; of a reason of more than 180 bytes the rest is left out. A reason may be anything, such as an exception:
+        the stop never waits for its `__str__`. An object's own words follow in the events."""
         send_stop(self.name, reason, self.client_name)
 
     def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:
         if not 0.0 < share <= 1.0:
             raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
         return self._asking(records.LIMIT, about=("speed_limit", round(100 * share)), awaited=awaited)
+
+    def _resetting(self, seen: int | None, *, awaited: bool = False) -> Steps[str]:
+        return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
         """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
@@ -202,7 +194,18 @@ class AsyncRobot(Calls):
         return self
 
     async def __aexit__(self, *raised: object) -> None:
-        self._close(in_order=not isinstance(raised[1], Exception))
+        try:
+            if self._enabled and self._disable_on_exit and self._connected:
+                with contextlib.suppress(FailstopError):
+                    await self._answered(records.DISABLE)
+        finally:
+            self._close(in_order=not isinstance(raised[1], Exception))
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT) -> Answer:
+        """As Robot.drive, but it never waits: the answer is what the gate has decided last, which is of the command
+        before until it has taken this one."""
+        self._command(vx, vy, wz, manual=manual, source=source)
+        return self._judged(source)[0]
 
     async def _answered(self, verb: int, told: Told = None) -> str:
         return await _through(self._asking(verb, told, awaited=True))
@@ -215,9 +218,9 @@ class AsyncRobot(Calls):
         """As Robot.disable."""
         return await self._answered(records.DISABLE)
 
-    async def reset(self) -> str:
+    async def reset(self, *, seen: int | None = None) -> str:
         """As Robot.reset."""
-        return await self._answered(records.RESET)
+        return await _through(self._resetting(seen, awaited=True))
 
     async def limit_speed(self, share: float) -> str:
         """As Robot.limit_speed."""
@@ -259,6 +262,29 @@ class Robot(Calls):
     def __exit__(self, *raised: object) -> None:
         self._close(in_order=not isinstance(raised[1], Exception))
 
+    def drive(
+        self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT, wait_s: float = 0.01
+    ) -> Answer:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
+        restart of the service nothing moves before somebody enables motion again.
+
+        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
+        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
+        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
+
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
+        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
+        do not name, NoService when no service runs.
+        """
+        self._command(vx, vy, wz, manual=manual, source=source)
+        until_s = time.monotonic() + wait_s
+        while True:
+            answer, settled = self._judged(source)
+            if settled or time.monotonic() >= until_s:
+                return answer
+            time.sleep(POLL_S)
+
     def enable(self, told: Told = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
         before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
@@ -269,10 +295,11 @@ class Robot(Calls):
         """Disable motion: the wheels stop at once."""
         return sleep_through(self._asking(records.DISABLE))
 
-    def reset(self) -> str:
+    def reset(self, *, seen: int | None = None) -> str:
         """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
-        Refused."""
-        return sleep_through(self._asking(records.RESET))
+        Refused: a stop came after this was called, or after the State whose `epoch` is given as `seen`, which the
+        person who decides has looked at."""
+        return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
         """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.

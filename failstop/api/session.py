@@ -15,12 +15,15 @@ from collections.abc import Callable, Generator
 from math import inf
 from typing import Any, Literal, TypeVar, get_args
 
-from failstop.api import verdict
+from failstop.api import steps, verdict
 from failstop.api.client import Client, Run, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
 from failstop.api.events import LOOK_S
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
+from failstop.api.steps import Purpose
+from failstop.policy import causes
+from failstop.policy.reply import Reply
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 
@@ -29,16 +32,26 @@ Steps = Generator[float, None, T]
 """Each step: for how long to sleep, s."""
 Told = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""What `Robot.wait_for` takes: ready (motion could be enabled or reset), enabled, disabled, latched (a stop is), clear
-(none is), moving and standing (what the gate commands), still (the IMU has seen the wheels still since the last
-stop)."""
+"""What `Robot.wait_for` takes: ready (every process runs, and an enable would be granted, or a reset while a stop is
+latched), enabled, disabled, latched (a stop is), clear (none is), moving and standing (what the gate commands), still
+(the IMU has seen the wheels still since the last stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
 POLL_S = 0.0003
 
+
+def _ready(state: State) -> bool:
+    """Every process runs, and an enable would be granted; while a stop is latched, a reset."""
+    if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
+        return False
+    if state.cause:
+        return state.cause.kind.cleared_by == causes.RESET
+    return not steps.before(state, Purpose.ENABLE)
+
+
 _CHECKS: dict[str, Callable[[State], bool]] = {
-    "ready": lambda state: state.waiting_for is None and not verdict.down(state),
+    "ready": _ready,
     "enabled": lambda state: state.enabled,
     "disabled": lambda state: not state.enabled,
     "latched": lambda state: state.cause is not None,
@@ -92,10 +105,13 @@ class Session:
 
     def _close(self, *, in_order: bool) -> None:
         try:
-            if self._enabled and self._disable_on_exit and self._connected:
+            connected = self._connected
+            if self._enabled and self._disable_on_exit and connected:
                 # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
-                    sleep_through(self._asking(records.DISABLE))
+                    # The death of a driver is the gate's to answer, which tells people whose it was.
+                    if in_order or not connected.drove or self.settings["gate.driver_death"] == "stay":
+                        sleep_through(self._asking(records.DISABLE))
         finally:
             with self._lock:
                 self._closed = True
@@ -197,12 +213,22 @@ class Session:
                 yield POLL_S
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled
-                raise Refused(answer.text, answer.cause)
+                raise self._refused(verb, answer)
             if verb == records.DISABLE:
                 self._enabled = False
             return str(answer)
         finally:
             self._pass(turn)
+
+    def _refused(self, verb: int, answer: Reply) -> Refused:
+        """The error of a request that was refused, with what to do first. What a stop keeps from being done needs what
+        an enable needs."""
+        step = ""
+        if verb in (records.ENABLE, records.RESET) or answer.cause:
+            goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
+            with contextlib.suppress(FailstopError):  # the service ends: the reason is all there is
+                step = steps.after_refusal(self.state, goal, answer.text)
+        return Refused(answer.text, answer.cause, step)
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
@@ -248,7 +274,7 @@ class Session:
                 if is_so(state):
                     return state
                 if late:
-                    step = verdict.next_step(state)
+                    step = steps.line(state)
                     told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
                     raise TimedOut(told + (f"; next: {step}" if step else ""))
             yield min(LOOK_S, max(0.0, until_s - time.monotonic()))

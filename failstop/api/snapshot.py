@@ -12,7 +12,7 @@ from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks
 
 PortState = Literal["closed", "open", "lost"]
-Link = Literal["unproven", "alive", "deaf"]
+Link = Literal["unproven", "alive", "deaf", "unasked"]
 Plugged = Literal["unknown", "plugged", "unplugged"]
 PadMode = Literal["locked", "drive", "joint"]
 
@@ -93,7 +93,8 @@ class Process:
     pid: int
     """0: there is none now."""
     state: str
-    """starting, running, hanging, fenced (killed for that), dead, waiting (to be restarted), down, or stopping."""
+    """starting, running, hanging, suspended (by a signal), fenced (killed for hanging), dead, waiting (to be
+    restarted), down, or stopping."""
     age_s: float
     """Since its last heartbeat, s."""
     restarts: int
@@ -119,7 +120,8 @@ class Device:
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link
-    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before)."""
+    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers nothing
+    by its nature."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,19 +160,16 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """How often the machine did not run a process past its deadline, without a stop or a kill for it, since motion was
-    disabled."""
+    """The longest silence of the last ten minutes that the machine explains: it did not run a process past its
+    deadline, and nothing was stopped or killed for that, because motion was disabled."""
 
-    times: int
-    """How often."""
     longest_s: float
-    """The longest of them, s."""
+    """How long, s."""
     process: str
-    """Which process it was then."""
+    """Which process was not run."""
 
     def __str__(self) -> str:
-        times = "once" if self.times == 1 else f"{self.times} times"
-        return f"the machine starved the service {times}, at worst {self.process} for {self.longest_s * 1e3:.0f} ms"
+        return f"the machine starved the service: {self.process} was not run for {self.longest_s * 1e3:.0f} ms"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,8 +255,8 @@ class JointState:
     """Since it was read, s."""
     commanded_rad: float | None
     """Where it was sent, rad; None while it is not known where it is."""
-    torque: bool
-    """It holds."""
+    torque: bool | None
+    """It holds; None: not known yet."""
     temperature_c: int | None
     """Of the servo, degrees Celsius."""
     supply_v: float | None
@@ -329,7 +328,7 @@ class State:
     processes: dict[str, Process]
     """By name."""
     starved: Starved | None
-    """None: the machine has run every process in time."""
+    """None: the machine has run every process in time for ten minutes."""
     clients: tuple[Client, ...]
     """Who holds a client slot."""
     sources: tuple[Source, ...]
@@ -358,6 +357,13 @@ class State:
     """The operators who are there; None: none is needed (setting attend.required)."""
     arm: ArmState | None = None
     """None without an arm in the settings."""
+    unmet: str = ""
+    """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
+    starved_times: int = 0
+    """How often in this run the machine explained a silence as `starved` does."""
+    lease_s: float = 0.06
+    """How long the gate or the supervisor may be silent while the wheels turn, s (setting gate.lease_s; longer without
+    real-time rights)."""
 
     @property
     def block(self) -> Block | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from functools import cached_property
@@ -18,6 +19,7 @@ from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
+from failstop.procs.starved import state_of
 from failstop.shm import blocks, box, heartbeat, layout, records
 from failstop.shm.cell import RingReader
 
@@ -120,6 +122,10 @@ class StateReader(Run):
         return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
 
     @cached_property
+    def _lease_s(self) -> float:
+        return float(self.settings()["gate.lease_s"])
+
+    @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         given = Settings(dict(self.settings()))
@@ -160,6 +166,9 @@ class StateReader(Run):
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
+            starved_times=known["starved_times"],
+            unmet=decided.get("unmet", ""),
+            lease_s=self._lease_s,
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
@@ -233,7 +242,7 @@ class StateReader(Run):
             if dead:
                 state = "stopping" if name in table and BY_NAME[name].outlives_supervisor else "dead"
             elif state == "running" and age_s > HANGING_S:
-                state = "hanging"
+                state = "suspended" if self._is_suspended(row["pid"]) else "hanging"
             granted = beat.rights.get()
             found[name] = _made(
                 Process,
@@ -246,6 +255,12 @@ class StateReader(Run):
                 early_news=bool(granted & heartbeat.EARLY_NEWS),
             )
         return found
+
+    def _is_suspended(self, pid: int) -> bool:
+        """A signal has suspended it, as Ctrl-Z in its terminal does."""
+        with contextlib.suppress(OSError):
+            return self.shares_pids() and state_of(pid) in ("T", "t")
+        return False
 
     def _last_stop(self) -> Stop | None:
         if (found := self._value("stop")) is None:

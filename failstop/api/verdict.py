@@ -1,15 +1,14 @@
-"""Verdict: in a word what the wheels do, what holds them, the next command to type; and what the events of a run tell
-that its state does not. Pure; events are given oldest first."""
+"""Verdict: in a word what the wheels do, and what holds them; and what the events of a run tell that its state does
+not. Pure; events are given oldest first."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from failstop.api import host, words
+from failstop.api import words
 from failstop.api.events import Event
-from failstop.api.snapshot import State
+from failstop.api.snapshot import Block, State
 from failstop.policy import causes
-from failstop.shm import blocks
 from failstop.shm.layout import GATE
 
 DRIVING = "DRIVING"
@@ -17,10 +16,18 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
+NEVER_ANSWERED = "the board has never answered"
+LINKS = {
+    "unproven": NEVER_ANSWERED,
+    "alive": "the board answers",
+    "deaf": "the board does NOT answer",
+    "unasked": "this board answers nothing, by its nature",
+}
+"""What each link proves, in words."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
-"""Kinds of events that change whether motion is enabled."""
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
+"""Kinds of events that change whether motion is enabled, or may."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """Those that tell of a driver that left the wheels turning."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
@@ -37,6 +44,13 @@ def doubt(state: State) -> str:
     return ""
 
 
+def unproven(state: State) -> str:
+    """Why nothing proves what the wheels are said to do; empty when the board's answers do, when the wheels are in
+    doubt, and of a board that answers nothing by its nature."""
+    never = state.device.state == "open" and state.device.link == "unproven"
+    return NEVER_ANSWERED if never and not doubt(state) else ""
+
+
 def word(state: State) -> str:
     """What the wheels do."""
     if doubt(state):
@@ -44,6 +58,21 @@ def word(state: State) -> str:
     if state.moving:
         return DRIVING
     return STOPPED if state.blocked else STANDING
+
+
+def proven_word(state: State) -> str:
+    """The word; where nothing proves it, with that."""
+    why = unproven(state)
+    return f"{word(state)}, unproven: {why}" if why else word(state)
+
+
+def large_word(state: State) -> str:
+    """The word for a screen that is read at arm's length: whether the robot may begin to move counts more there than
+    what holds it."""
+    if doubt(state):
+        return "WHEELS MAY TURN"
+    found = "MOVING" if state.moving else "CAN MOVE" if state.enabled and not state.estop else "STOPPED"
+    return f"{found}, UNPROVEN" if unproven(state) else found
 
 
 def headline(state: State) -> str:
@@ -65,40 +94,6 @@ def until(name: str) -> str:
     return "down for a minute" if name == GATE else "down until a reset"
 
 
-def steps(state: State) -> list[str]:
-    """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
-    drive = "`failstop drive 0.1 0 0`, or commands by your program"
-    if state.blocked is None:
-        return [] if state.moving else [words.named(drive, state.name)]
-    if any(process.state == "dead" for process in state.processes.values()):
-        return [host.start(state.name, state.device.path), words.named("`failstop enable`", state.name)]
-    found = []
-    if state.device.state != "open":
-        found.append(f"plug the board in ({state.device.path})")
-    elif doubt(state):
-        found.append("turn the robot's POWER SWITCH off and on")
-    elif GATE in down(state):
-        found.append(f"wait for {GATE}")
-    elif state.waiting_for and not down(state):
-        found.append(f"wait for {state.waiting_for}")
-    if state.estop:
-        found.append("`failstop reset`")
-    if not state.enabled:
-        found += ["have somebody attend (`failstop attend`, or the page)"] if state.attended_by == () else []
-        found.append("`failstop enable`")
-    elif state.blocked == blocks.NO_SCAN:
-        found.append("start the obstacle sensor and the program that calls robot.sensed()")
-    elif state.blocked == blocks.NO_COMMAND:
-        found += [f"see to what {client.name} says is wrong" for client in state.clients if client.wrong]
-        found.append(drive)
-    return [words.named(step, state.name) for step in found]
-
-
-def next_step(state: State) -> str:
-    """The steps as one line."""
-    return ", then ".join(steps(state))
-
-
 # What events tell.
 
 
@@ -111,6 +106,12 @@ def left_off(events: Sequence[Event]) -> Event | None:
     """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
+
+
+def death(state: State, events: Sequence[Event]) -> Event | None:
+    """The death of a driver that motion is disabled for, if nothing has changed that since."""
+    last = newest(events, CHANGES)
+    return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from failstop.api import verdict, words
+from failstop.api import steps, verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.supervisor.stops import NOT_SENT, wheels_seen
+from failstop.supervisor.stops import NOT_SENT, UNASKED, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -55,17 +55,17 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     since, began = _since(state, events, now_s)
     when = "" if since is None else f" since {words.ago(since, now_s)}"
     what = f"{HOLDS[state.block]}{when}" if state.block else _free(state)
-    steps, also = verdict.steps(state), troubles(state, events)
+    also = troubles(state, events)
     if doubt := verdict.doubt(state):
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
-    elif state.cause:
-        steps.insert(0, meaning(state.cause)[1])
+    elif verdict.unproven(state):
+        what = f"{verdict.proven_word(state)}; {what}"
     if (before := verdict.before(events)) and not state.last_stop and state.block is Block.DISABLED:
         also.append(f"the run before this one: {before}")
     return Why(
         what=": ".join(filter(None, (what, began))),
         proof=_proof(state, now_s),
-        do=tuple(words.named(step, state.name) for step in steps),
+        do=tuple(step.typed for step in steps.todo(state)),
         also=tuple(words.named(text, state.name) for text in also),
         since=since,
     )
@@ -116,30 +116,31 @@ def _proof(state: State, now_s: float) -> str:
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
-        told = ", ".join(text for text, _ in proofs(stop, now_s))
+        told = ", ".join(text for text, _ in proofs(stop, now_s, state.device.link))
         if stop.written_s is None and not verdict.doubt(state):
             told += " at first; the port is open now, and the board is told zero"
         return f"{which}{told}"
-    hears = {"alive": "the board answers", "deaf": "the board does NOT answer"}
-    told = hears.get(state.device.link, "the board has not answered yet")
+    told = verdict.LINKS[state.device.link]
     return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 
-def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
+def proofs(stop: Stop, now_s: float, link: str) -> list[tuple[str, bool | None]]:
     """Its three proofs in words, each with whether it is one (None: there was nothing to see, as the wheels did not
-    shake before the stop either); of a stop that was not written, that alone."""
+    shake before the stop either, or as this board acknowledges nothing); of a stop that was not written, that alone."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
     heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by the IMU{yet}"
-    if stop.acknowledged_s is not None:
+    if link == UNASKED:
+        heard = "this board acknowledges nothing"
+    elif stop.acknowledged_s is not None:
         heard = f"acknowledged by the board after {words.took(stop.acknowledged_s)}"
     if stop.observed_s is not None:
         seen = wheels_seen(stop.observed_s)
     return [
         (written if stop.sent else NOT_SENT, stop.sent),
-        (heard, stop.acknowledged_s is not None),
+        (heard, None if link == UNASKED else stop.acknowledged_s is not None),
         (seen, None if stop.observed_s == 0 else stop.observed_s is not None),
     ]
 
@@ -154,9 +155,9 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
             how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
             found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
     if state.device.state == "open" and state.device.link == "unproven":
-        found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
+        found.append(f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels: see to its power")
     if state.starved:
-        found.append(f"{state.starved} (`failstop doctor` has the command that gives it real-time rights)")
+        found.append(f"{state.starved} (`failstop doctor` says what helps)")
     if not all(process.early_news for process in state.processes.values() if process.pid):
         found.append("this kernel tells of deaths late, and stops after one come later (`failstop doctor` says more)")
     if state.age_s > verdict.STALE_S:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.shm.instance import option
+from failstop.shm.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
@@ -77,6 +77,22 @@ def named(text: str, name: str) -> str:
     import re  # nor does the saver need this
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
+
+
+def plain(text: str) -> str:
+    """A text without the backquotes of its commands."""
+    return text.replace("`", "")
+
+
+def sentence(text: str) -> str:
+    """A text for the page: plain, with a capital at its beginning and a full stop at its end."""
+    text = plain(text).strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
+
+
+def of(name: str) -> str:
+    """Which service, for the title of a screen; empty for the one that has the usual name."""
+    return "" if name == DEFAULT_NAME else f" of {name!r}"
 
 
 def said(state: State) -> list[tuple[str, str, str]]:

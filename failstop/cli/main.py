@@ -99,9 +99,17 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        standard.say(f"no command {words[0]!r}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}; {_meant(words[0])}`failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
+
+
+def _meant(word: str) -> str:
+    """The command that a word resembles, as a question; empty: it resembles none."""
+    from difflib import get_close_matches
+
+    found = get_close_matches(word.lower(), COMMANDS, 1)
+    return f"did you mean `failstop {found[0]}`? " if found else ""
 
 
 def here(name: str) -> bool:
@@ -157,7 +165,7 @@ def _run(name: str, words: list[str]) -> int:
 def _told(error: Exception) -> int:
     """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
     again."""
-    from failstop.api.errors import FailstopError
+    from failstop.api.errors import FailstopError, Refused
     from failstop.board.port import PortError
     from failstop.policy.settings import SettingError
     from failstop.shm.instance import InstanceError
@@ -166,7 +174,7 @@ def _told(error: Exception) -> int:
     if lacking := _lack(error):
         standard.say(lacking)
     elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError)):
-        standard.say(str(error))
+        standard.say(f"refused: {error}" if isinstance(error, Refused) else str(error))
         return getattr(error, "exit_code", 1)
     elif isinstance(error, OSError) and error.errno in LOST:
         standard.let_go()

@@ -31,10 +31,14 @@ _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
 """A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
 
 
+def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
+    """Whether this is a terminal that obeys escape sequences, as far as TERM says."""
+    return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
+
+
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
     """What each role is on this terminal, as the parameters of an SGR sequence; empty: no colours at all."""
-    wanted = terminal and not environ.get("NO_COLOR") and environ.get("TERM", "dumb") not in ("", "dumb")
-    return _COLOURS if wanted else {}
+    return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 
 @cache

@@ -20,7 +20,7 @@ STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), 
 
 def rights(look: Look) -> list[Finding]:
     """Real-time priority and locked memory: of the running service, else of a process of this user."""
-    told = ""
+    told = price = ""
     if look.state:
         starved = look.state.starved
         poor = [name for name, row in look.state.processes.items() if not (row.realtime and row.memory_locked)]
@@ -29,12 +29,14 @@ def rights(look: Look) -> list[Finding]:
             return warn(f"{starved}, in spite of real-time priority", "", STARVED) if starved else ok(well)
         told = f"{starved}; " if starved else ""
         lack = f"no real-time priority, or memory that is not locked: {', '.join(poor)}"
+        if not all(row.realtime for row in look.state.processes.values()):
+            price = f", and {grant.cost(look.state.lease_s)}"
     else:
         with look.system.realtime() as granted:
             if granted:
                 return ok("this user gets real-time priority")
         lack = "this user gets no real-time priority"
-    return warn(f"{told}{lack}; a busy machine delays the stops", *_grant(look))
+    return warn(f"{told}{lack}; a busy machine delays the stops{price}", *_grant(look))
 
 
 def _grant(look: Look) -> tuple[str, str]:
@@ -88,7 +90,12 @@ def ticks(look: Look) -> list[Finding]:
     numbers = f"median {median_us:.0f} us, 99 % {p99_us:.0f} us, worst {worst_us:.0f} us of {len(late_ns)}"
     text = f"woken late {'with real-time priority' if realtime else 'at ordinary priority'}: {numbers}"
     _, found, _ = look.settings
-    spare_us = (found["gate.lease_s"] - found["gate.period_s"]) * MICRO
+    lease_s = found[grant.LEASE]
+    if look.state:
+        lease_s = look.state.lease_s
+    elif not realtime and lease_s == grant.LEASE_S:  # what a start from here would take
+        lease_s = grant.without(found)
+    spare_us = (lease_s - found["gate.period_s"]) * MICRO
     if worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
         if realtime:

@@ -23,9 +23,11 @@ from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.shm.instance import option
 from failstop.supervisor.port import OwnPort
+from failstop.supervisor.stops import UNASKED
 
 ANSWER_S = 0.5
 CHUNK = 4096
+UNANSWERED = "written; this board acknowledges nothing"
 
 
 class Tap:
@@ -59,8 +61,10 @@ class Tap:
         return index, now_ns
 
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board; after how long it answered, which is behind all that was written before; None: it did not.
-        Raises OSError."""
+        """Ask the board; after how long it answered, which is behind all that was written before; None: it did not, or
+        has no ping. Raises OSError."""
+        if not BOARD.pings:
+            return None
         index, asked_ns = self.ping()
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
@@ -97,6 +101,8 @@ def of_service(name: str, state: State) -> list[Finding]:
     stop = state.last_stop
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
+    if stop and stop.written_s is not None and state.device.link == UNASKED:
+        return ok(f"the service's last stop: {UNANSWERED}")
     text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
     advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"
     return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
@@ -143,6 +149,8 @@ WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
 
 def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:
     """One writer's burst, by the board's answer to a ping behind it."""
+    if not BOARD.pings:
+        return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:
         text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
         return fail(text, again, "is it the board? if so, cut its power and try again")

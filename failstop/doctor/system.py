@@ -16,9 +16,11 @@ import stat
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from failstop.policy.processes import BY_NAME
+from failstop.procs import rights
 from failstop.shm import futex
 
 SHM = "/dev/shm"
@@ -172,20 +174,9 @@ class System:
             return None
         return done.stdout if done.returncode == 0 else None
 
-    @contextlib.contextmanager
-    def realtime(self, priority: int = 1) -> Iterator[bool]:
-        """Whether the kernel gives this process real-time priority when it asks, and has it meanwhile: whatever limits
-        and capabilities say, a container or a control group may refuse."""
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError:
-            yield False
-            return
-        try:
-            yield True
-        finally:
-            os.sched_setscheduler(0, *before)
+    def realtime(self, priority: int = 1) -> AbstractContextManager[bool]:
+        """Whether this process gets real-time priority; it has it within."""
+        return rights.realtime(priority)
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
         """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""

@@ -46,7 +46,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
             killed_ns = time.monotonic_ns()
             found.kill()
             row = _judged(trial, killed_ns)
-            said("kill -9 the bridge", "the wheels stand, nothing is latched")
+            said("kill -9 the bridge", "the wheels stand, motion is disabled")
         yield "the bridge is killed", row, 50.0
 
 

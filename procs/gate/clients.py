@@ -28,6 +28,7 @@ RECORDS = {
     "arm_goal": records.ARM_GOAL,
     "arm_path": records.ARM_PATH,
     "speed_limit": records.SPEED_LIMIT,
+    "seen": records.SEEN,
     "sensed": records.HELD,
     "interlocks": records.HELD,
     "attended": records.HELD,
@@ -53,9 +54,7 @@ class Slot:
         self.pid = 0
         self.pid_namespace = 0
         self.name = ""
-        self.parted = False
-        """Who left the slot last said goodbye."""
-        self._hello = segment.latest_reader("hello")
+        self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
         self._greeting: Entry | None = None
         self._greeted: int | None = None
         """The hello that was read last, and whose it is."""
@@ -72,7 +71,7 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """The session that says hello now; NOBODY: it has said goodbye; None: there was none yet, or it is damaged."""
+        """The session that says hello now; None: there is none yet or any more, or it is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -83,6 +82,14 @@ class Slot:
             except ValueError:
                 return None
         return self._greeted
+
+    def parted(self) -> bool:
+        """True when the session that holds the slot has said goodbye."""
+        entry = self._left.read()
+        try:
+            return entry is not None and records.LEFT.unpack(entry[2]) == (self.session,)
+        except ValueError:
+            return False
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""
@@ -196,6 +203,10 @@ class ClientTable:
             self._leave(slot, now_ns)
             if not session or session == slot.ended:
                 return
+            # One that is started again for a death must not be heard before that death is.
+            for other in tuple(self.active):
+                if not claim.held(self._claims_fd, other.index) or (other.life and other.life.dead()):
+                    self._leave(other, now_ns)
             slot.join(session)
             self.active.append(slot)
             self._watch(slot)
@@ -215,6 +226,5 @@ class ClientTable:
                 self._loop.forget(slot.life.fd)
                 slot.life.close()
                 slot.life = None
-            slot.parted = slot.greet() == records.NOBODY
             self._gate.client_gone(slot, now_ns)
             slot.ended, slot.session = slot.session, 0

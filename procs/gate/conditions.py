@@ -96,11 +96,14 @@ class Attendance:
         """Who was there last, and how that ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """An operator was there at `t_ns`; a proof that is older than the last one, or than the lease, changes
-        nothing."""
+        """An operator was there at `t_ns`; a proof that is older than the last one of this operator, or than the lease,
+        renews nothing. A session speaks for one at a time: when it names another, the one before has left."""
+        known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
-        if self.on and max(self._there.get(session, (0, ""))[0], now_ns - self._lease_ns - 1) < proven_ns:
+        if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
             self._there[session] = proven_ns, who
+        elif known != who:
+            self.leave(session)
 
     def leave(self, session: int) -> None:
         """That session's operator is there no more, by its own word or by its death."""

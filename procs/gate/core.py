@@ -17,10 +17,10 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import Wheels
 from failstop.policy.reply import Reply
-from failstop.policy.settings import Settings
+from failstop.policy.settings import DEATHS, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
-from failstop.procs.gate.remarks import LeftOff
-from failstop.procs.gate.sources import PAD, Command, Sources
+from failstop.procs.gate.remarks import LeftOff, disabled_by_death
+from failstop.procs.gate.sources import PAD, PAD_SESSION, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.shm.packing import Note
 from failstop.shm.records import CAUSE
@@ -33,6 +33,7 @@ REST = (0.0, 0.0, 0.0)
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
+_DISABLE, _LATCH, _STAY = DEATHS
 MOST_IGNORED = 64
 """Sources that are no client's and are told of in the life of a gate."""
 
@@ -66,6 +67,10 @@ class GateCore:
         """What people are told, in order; whoever passes them on empties the list."""
         self._left_off = LeftOff(now_ns)
         self._ignored: set[tuple[int, str]] = set()
+        self._driver_death = settings.text("gate.driver_death")
+        self._drivers: dict[int, Command] = {}
+        """The last command of each session that has given one: its death is that of a driver, whether it drives now,
+        waits, or has fallen silent, since whatever starts it again would drive on."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
 
@@ -108,6 +113,8 @@ class GateCore:
         if rival is not None:
             return causes.TWO_PUBLISHERS(command.source, rival.who, command.who)
         self.sources.put(command, now_ns)
+        if command.session != PAD_SESSION:
+            self._drivers[command.session] = command
         return None
 
     def _note_ignored(self, command: Command) -> None:
@@ -120,13 +127,22 @@ class GateCore:
             text = f"command from {command.who} ignored: {why}"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
-    def client_gone(self, session: int, now_ns: int, *, parted: bool = False) -> bool:
-        """A client has gone, having `parted` in order or not; True when it had commands: they are dropped, and if it
-        drove, that is told."""
-        driving = self.sources.driving(now_ns)
-        if driving and driving.session == session and any(self.velocity):
-            self.notes += self._left_off.gone(driving, now_ns, parted=parted)
-        return self.sources.drop(session)
+    def client_gone(self, session: int, now_ns: int, *, parted: bool = False) -> Cause | None:
+        """A client has gone, having `parted` in order or not: its commands are dropped, and if it drove, that is told.
+        The death of a driver disables motion, or returns the cause to stop for, as the settings say."""
+        driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
+        self.sources.drop(session)
+        if driver is None:
+            return None
+        if parted or not self.enabled or self._driver_death == _STAY:
+            if driving and driving.session == session and any(self.velocity):
+                self.notes += self._left_off.gone(driver, now_ns, parted=parted)
+            return None
+        if self._driver_death == _LATCH:
+            return causes.DRIVER_DIED(driver.who)
+        self.stand_still()
+        self.notes.append(disabled_by_death(driver))
+        return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
         """Stop by itself: disable, stand still, and say so until the supervisor has latched it. True when nothing is

@@ -291,7 +291,12 @@ class Gate:
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         self.core.attendance.leave(slot.session)
-        if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
+        enabled = self.core.enabled
+        if died := self.core.client_gone(slot.session, now_ns, parted=slot.parted()):
+            self.stop(died, now_ns)
+        elif enabled and not self.core.enabled:
+            self.send(records.STOP, b"", now_ns)
+        else:
             self._step(now_ns)
         if self.arm:
             self.arm.client_gone(slot.session, now_ns)
@@ -305,6 +310,8 @@ class Gate:
         state: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
         if core.attendance.on:
             state["attended"] = core.attendance.names(now_ns)
+        if unmet := core.interlocks.unmet(now_ns):
+            state["unmet"] = unmet
         state |= {
             "enabled": core.enabled,
             "limit": core.limit,

@@ -75,6 +75,12 @@ class Budget:
         return True
 
 
+def disabled_by_death(driver: Command) -> Note:
+    """A driver has died, and motion is disabled for it: always told, as only an enable allows motion again."""
+    text = f"motion disabled: {driver.who}, which had driven, has died"
+    return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
+
+
 class LeftOff:
     """Who drove and left off: the wheels stand, and nothing is latched. What a person ends has a budget of its own: it
     must not hide the news of a program that fails."""

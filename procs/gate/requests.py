@@ -16,6 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.gate.main import Gate
 
+UNSEEN = "another stop has come since: look at it first, then ask again"
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 ENDS = (records.DISABLE, records.ARM_HOLD)
@@ -33,7 +34,7 @@ class Requests:
     def __init__(self, gate: Gate, context: Context, now_ns: int) -> None:
         own, supervisor = context.own, context.segment("supervisor")
         self._gate = gate
-        self._ready_word = supervisor.word("ready")
+        self._ready_word, self._epoch_word = supervisor.word("ready"), supervisor.word("epoch")
         self._limit_word = own.word("limit")
         gate.core.limit_to(self._limit_word.get() or 100)
         self._asked_ns: dict[int, int] = {}
@@ -52,12 +53,12 @@ class Requests:
     def take(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         """Decide, act, reply."""
         gate = self._gate
-        if verb == records.RESET:
+        enabled = gate.core.enabled
+        if refused := self._overtaken(slot, verb, asked_ns):
+            reply = refused
+        elif verb == records.RESET:
             self.ask_reset((slot, slot.session, number, asked_ns))
             return
-        enabled = gate.core.enabled
-        if overtaken := self._overtaken(verb, asked_ns):
-            reply = overtaken
         elif verb == records.ENABLE:
             reply = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
@@ -76,8 +77,17 @@ class Requests:
         if reply.done != records.UNDER_WAY:
             self._remark(verb, slot, reply, now_ns, enabled=enabled)
 
-    def _overtaken(self, verb: int, asked_ns: int) -> Reply | None:
-        """The refusal of what would move something, when a stop, or something that ends it, was asked for since."""
+    def _newer_than_seen(self, slot: Slot) -> Reply | None:
+        """The refusal where the newest stop is not the one that the person knew of. A stop that comes after this look
+        is newer than the request, which the supervisor refuses for that."""
+        _, seen = slot.latest("seen") or (0, 0)
+        return Reply(False, UNSEEN) if seen and seen != self._epoch_word.get() else None
+
+    def _overtaken(self, slot: Slot, verb: int, asked_ns: int) -> Reply | None:
+        """The refusal of a reset whose person had not seen the newest stop; and of what would move something, when a
+        stop, or something that ends it, was asked for since."""
+        if verb == records.RESET:
+            return self._newer_than_seen(slot)
         if verb not in GIVES_WAY:
             return None
         if asked_ns < self._gate.raised_ns:

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
+from failstop import AsyncRobot, Block, Driving, Refused, Robot, TimedOut
 from failstop.lab.trial import Trial
 
 
@@ -70,6 +70,41 @@ def test_the_speed_is_limited_by_either(trial: Trial) -> None:
                 await robot.limit_speed(0.01)
 
     asyncio.run(limit())
+
+
+def test_nothing_that_holds_the_wheels_makes_the_loop_wait(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever holds them, drive answers by what is known; nor does the end of `async with` sleep."""
+
+    def asleep(_: float) -> None:
+        raise AssertionError("a thread that runs an event loop sleeps")
+
+    async def drives() -> list[Block | None]:
+        found: list[Block | None] = []
+
+        async def holds(block: Block | None, *, manual: bool = False) -> None:
+            until_s = time.monotonic() + 10.0
+            while (state := robot.state).block is not block or (block is None and not state.moving):
+                assert time.monotonic() < until_s
+                robot.drive(0.1, 0.0, 0.0, manual=manual)
+                await asyncio.sleep(0)
+            answer = robot.drive(0.1, 0.0, 0.0, manual=manual)
+            found.append(None if answer else getattr(answer, "block", None))
+
+        async with Robot.connect(trial.name) as robot:
+            await holds(Block.DISABLED)
+            await robot.enable()
+            await holds(Block.NO_SCAN)
+            await holds(None, manual=True)
+            robot.estop("enough")
+            await holds(Block.LATCHED)
+            await robot.reset()
+            await robot.enable()
+        return found
+
+    monkeypatch.setattr(time, "sleep", asleep)
+    assert asyncio.run(drives()) == [Block.DISABLED, Block.NO_SCAN, None, Block.LATCHED]
+    monkeypatch.undo()
+    assert not trial.robot.state.enabled
 
 
 async def _ask(robot: AsyncRobot) -> None:

@@ -191,7 +191,10 @@ def test_each_of_many_threads_gets_its_own_answer(trial: Trial) -> None:
             if granted not in said:
                 wrong.append((granted, said))
 
-    calls: list[tuple[Callable[[], str], str]] = [(robot.disable, "motion disabled"), (robot.enable, "refused: ")]
+    calls: list[tuple[Callable[[], str], str]] = [
+        (robot.disable, "motion disabled"),
+        (robot.enable, "next: `failstop reset"),
+    ]
     threads = [threading.Thread(target=ask, args=calls[number % 2]) for number in range(6)]
     for thread in threads:
         thread.start()

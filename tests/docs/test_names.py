@@ -75,7 +75,7 @@ def test_a_message_that_is_helped_with_is_one(quoted: str) -> None:
     """Word for word, but for what differs from case to case (CAPITALS, `...`, the name of a process)."""
     if hasattr(Robot, quoted):
         return
-    for part in re.split(r"\.\.\.|\b[A-Z]{3,}\b|/dev/|\b(?:gate|port_owner)\b|: ", quoted):
+    for part in re.split(r"\.\.\.|\b[A-Z]{3,}\b|/dev/|\b(?:gate|port_owner|supervisor)\b|: ", quoted):
         words = part.strip()
         assert any(words in text for text in messages()), words
 

@@ -21,7 +21,7 @@ from tests.support.states import arm, stop
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
 UNLOCKED = {name: but(row, memory_locked=False) for name, row in STATE.processes.items()}
-STARVED = Starved(1, 0.07, "gate")
+STARVED = Starved(0.07, "gate")
 PORT = STATE.device
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
@@ -77,6 +77,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("rights", look(service=serving(processes=UNLOCKED)), WARN, "supervisor, port_owner"),
     ("rights", look(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; no"),
     ("rights", look(service=serving(starved=STARVED)), WARN, "for 70 ms, in spite of"),
+    ("rights", look(service=serving(processes=UNRIGHTED, lease_s=0.2)), WARN, "stopped for after 200 ms instead of"),
     ("rights", look(service=NOBODY, realtime=False), WARN, "this user gets no real-time priority"),
     ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
     ("shared memory", look(room=1024, service=NOBODY), FAIL, "1 KiB free"),
@@ -87,9 +88,16 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "40 ms and the lease runs out"),
     ("ticks", look(ticks=(True, [1000, 6_000_000])), WARN, "worst 6000 us"),
     ("ticks", look(ticks=(False, [1000, 41_000_000])), WARN, "ordinary priority"),
+    ("ticks", look(service=serving(lease_s=0.1), ticks=(False, [1000, 81_000_000])), WARN, "80 ms and the lease runs"),
+    ("ticks", look(service=NOBODY, ticks=(False, [1000, 181_000_000])), WARN, "180 ms and the lease runs out"),
     ("stop path", look(service=serving(last_stop=stop(acknowledged_s=None))), WARN, "not acknowledged by the board"),
     ("stop path", look(service=serving(last_stop=None)), SKIP, "has stopped nothing yet"),
 )
+
+
+def test_without_rights_a_tick_may_be_as_late_as_the_lease_that_a_start_takes() -> None:
+    [finding] = CHECKS["ticks"](look(service=NOBODY, ticks=(False, [1000, 41_000_000])))
+    assert finding.level == OK
 
 
 def test_on_a_machine_that_is_well_every_check_says_so() -> None:

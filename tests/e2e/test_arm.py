@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,32 @@ def test_move_goes_there_and_is_read_back(arm: Trial) -> None:
     assert re.search(r"^base +\d+ +\+0\.5\d\d +6\d\d ", told, re.MULTILINE)
     joints = json.loads(failstop("arm", "--json", "--name", arm.name).stdout)["joints"]
     assert joints["base"]["angle_rad"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_move_that_is_refused_as_too_fast_leaves_the_gate_alive_and_idle(arm: Trial) -> None:
+    before = arm.robot.state.processes["gate"]
+    found = failstop("arm", "move", "base=0.3", "--over", "0.05", "--name", arm.name)
+    assert found.returncode == 2
+    assert re.search(r"refused: joint base at [56]\.\d+ rad/s between 0 and 0.05 s: allowed is up to 1\n", found.stderr)
+    since_s, ran_s = time.monotonic(), processor_s(before.pid)
+    # It goes on to look at the servos, idly: a gate that spins is killed before that, or takes most of a core.
+    wait_for("it to look at the arm again", lambda: looked_at_s(arm) > since_s + 0.5)
+    assert processor_s(before.pid) - ran_s < (time.monotonic() - since_s) / 4
+    after = arm.robot.state
+    assert (after.processes["gate"].pid, after.cause) == (before.pid, None)
+    arm.robot.arm.move({"base": 0.1})
+
+
+def processor_s(pid: int | None) -> float:
+    """The processor time that a process has had."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) * 1e-9
+
+
+def looked_at_s(arm: Trial) -> float:
+    """When the position of a joint was read last (time.monotonic)."""
+    found = arm.robot.state.arm
+    assert found
+    return time.monotonic() - min(inf if joint.age_s is None else joint.age_s for joint in found.joints.values())
 
 
 def test_follow_reaches_the_speed_and_a_stale_goal_holds_the_arm(arm: Trial) -> None:

@@ -123,7 +123,7 @@ def test_death_of_the_driving_client(trial: Trial) -> None:
     client.wait()
     # Well before the command timeout of 300 ms: its claim is gone.
     assert (event.arrival_ns - killed_ns) / 1e6 < 100
-    assert trial.robot.state.enabled
+    assert not trial.robot.state.enabled
     assert trial.robot.state.estop is None
 
 

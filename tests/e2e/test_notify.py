@@ -58,7 +58,7 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Manager
 def test_ready_status_watchdog_and_end(manager: Manager, name: str) -> None:
     with Trial(name) as trial:
         wait_for("READY=1", lambda: "READY=1" in manager.listen())
-        assert "is ready: wheels stopped" in trial.service.said(), "said and told at the same time"
+        assert "is ready: the stop is written" in trial.service.said(), "said and told at the same time"
         assert trial.service.process is not None
         assert manager.senders == {trial.service.process.pid}, "the main process alone: NotifyAccess=main is enough"
         wait_for("the status", lambda: manager.status() == "ready, motion disabled")

@@ -4,6 +4,7 @@ it. One service for all of them."""
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop import Robot, instances
+from failstop import Robot, TimedOut, instances
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance, layout
 
@@ -281,7 +282,12 @@ def test_enable_is_refused_without_the_interlock(seen: Seen) -> None:
     """Nobody asserts it any more: its loss disables, and then enabling is refused."""
     seen.enable()
     wait_for("the interlock to lapse", lambda: not seen.trial.robot.state.enabled)
-    assert seen.refused("enable") == "failstop: refused: arm is not in the drive pose"
+    todo = ["see to the interlock (arm is not in the drive pose)", f"`failstop enable --name {seen.trial.name}`"]
+    refused = seen.refused("enable")
+    assert refused == f"failstop: refused: arm is not in the drive pose; next: see to that interlock, then {todo[1]}"
+    assert json.loads(seen.command("why", "--json")[1])["do"] == todo
+    with pytest.raises(TimedOut, match=r"see to the interlock \(arm is not in the drive pose\)"):
+        seen.trial.robot.wait_for("ready", 0.0)
     found = seen.status()
     assert (found["enabled"], found["estop"], found["blocked"]) == (False, None, "disabled")
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from failstop.lab.faults.starve import SHARP, Starved
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.policy.processes import BY_NAME
 from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
+from failstop.supervisor import grant
 from tests.support.commands import failstop
 
 pytestmark = pytest.mark.alone
@@ -70,7 +73,7 @@ def test_while_idle_it_is_left_alone_and_that_is_told(trial: Trial, process: str
     assert "the machine starves the service: " in trial.service.said()
     for command in ("status", "why", "doctor --quick"):
         shown = failstop(*command.split(), "--name", trial.name).stdout
-        assert "the machine starved the service " in " ".join(shown.lower().split()), command
+        assert "the machine starved the service: " in " ".join(shown.lower().split()), command
     if all(found.realtime for found in state.processes.values()):  # else others may have been starved for longer
         assert state.starved is not None
         assert state.starved.process == process
@@ -123,6 +126,38 @@ def ordinary(name: str) -> Iterator[Trial]:
     with trial as running:
         assert not any(process.realtime for process in running.robot.state.processes.values())
         yield running
+
+
+def test_without_rights_a_hang_is_stopped_for_when_a_busy_machine_could_not_be_the_reason(ordinary: Trial) -> None:
+    assert ordinary.robot.state.lease_s == grant.LEASE_WITHOUT_S
+    price = "200 ms instead of 60 to 100"
+    wait_for("the lease to be told", lambda: price in ordinary.service.said())
+    assert price in " ".join(failstop("status", "--name", ordinary.name).stdout.split())
+    ordinary.enable()
+    ordinary.drive(0.3)
+    pid = ordinary.service.pids()[GATE]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        wait_for("a latched stop", lambda: ordinary.drive(0.02) or ordinary.robot.state.estop is not None)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+    cause = ordinary.robot.state.cause
+    assert cause is not None
+    assert cause.arguments[0] == GATE
+    assert float(cause.arguments[1]) >= 1e3 * grant.LEASE_WITHOUT_S
+    wait_for("the wheels to stand", lambda: not ordinary.moving())
+
+
+def test_a_service_without_rights_has_the_lease_that_its_settings_give(ordinary: Trial, tmp_path: Path) -> None:
+    config = tmp_path / "short.toml"
+    write_settings(str(config), {grant.LEASE: grant.LEASE_S})
+    ordinary.leave()
+    ordinary.service.end()
+    ordinary.service._command += ["--config", str(config)]
+    ordinary.service.start()
+    assert ordinary.robot.state.lease_s == grant.LEASE_S
+    wait_for("the price to be told", lambda: "some have no cause" in ordinary.service.said())
 
 
 def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving(ordinary: Trial) -> None:

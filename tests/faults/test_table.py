@@ -25,7 +25,8 @@ DESIGN = {
     "supervisor hangs": ("hang-supervisor", "spin-supervisor", "hang-supervisor-continued"),
     "any two or three at once": ("kill-gate+stopper", "kill-supervisor+port_owner+stopper", "kill-gate-hang-stopper"),
     "all of them": ("kill-supervisor+port_owner+gate+telemetry+stopper",),
-    "client that drives dies": ("client-killed", "client-killed-large", "client-hung", "pad-silent"),
+    "client that drives dies": ("client-killed", "client-killed-large", "client-hung-up", "client-fails"),
+    "client that drives hangs": ("client-hung", "pad-silent"),
     "USB drop": ("usb-drop", "usb-drop-mid-frame", "usb-drop-renamed", "usb-drop-permission"),
     "USB drop while the supervisor hangs": ("usb-drop-unwatched",),
     "board deaf, not draining": ("board-deaf", "board-not-draining", "board-unproven"),
@@ -48,6 +49,7 @@ DESIGN = {
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
+    causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py, tests/e2e)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.UNSTILL,  # comes after the stop of another row
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)

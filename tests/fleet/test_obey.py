@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from failstop.api.snapshot import Imu
 from failstop.api.state import State
-from failstop.fleet import levels, obey
+from failstop.fleet import levels, obey, signed
 from failstop.fleet.levels import Answer, Order
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
@@ -62,6 +63,35 @@ def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> No
     known = stopped(written_s=0.0002, acknowledged_s=0.004, observed_s=0)
     assert told(robot.look(known, 0.9)) == [[levels.ASKED, *levels.PROOFS]]
     assert not robot.busy(0.9)
+
+
+@pytest.mark.parametrize(
+    ("link", "imu", "confirms"),
+    [
+        ("alive", True, levels.ACKNOWLEDGED),
+        ("unproven", True, levels.ACKNOWLEDGED),
+        ("unasked", True, levels.OBSERVED),
+        ("unasked", False, levels.WRITTEN),
+    ],
+)
+def test_what_confirms_is_what_the_board_and_the_imu_can_give(
+    robot: Obedience, link: Any, imu: bool, confirms: str
+) -> None:
+    begin(robot, order())
+    found = stopped(written_s=0.0002)
+    seen = Imu(1, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)) if imu else None
+    changed = dataclasses.replace(found, device=dataclasses.replace(found.device, link=link), imu=seen)
+    (answer,) = robot.look(changed, 0.1)
+    assert levels.read_answer(KEY, answer.message(KEY)).confirms == confirms
+    assert robot.waits(0.1) is (confirms != levels.WRITTEN)
+
+
+def test_an_answer_of_an_older_version_confirms_by_the_board() -> None:
+    body = {"id": order().id, "robot": "r", "reached": {levels.WRITTEN: 0.1}, "why": ""}
+    assert levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, body)).confirms == levels.ACKNOWLEDGED
+    for wrong in ("asked", "nothing", 7, None):
+        with pytest.raises(signed.Forged):
+            levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, {**body, "confirms": wrong}))
 
 
 def test_levels_may_come_at_once_and_out_of_order(robot: Obedience) -> None:

@@ -23,6 +23,12 @@ def test_what_is_signed_is_read() -> None:
     assert levels.read_answer(KEY, ANSWER.message(KEY)) == ANSWER
 
 
+@pytest.mark.parametrize("letter", ["x", "\0", '"', "\u20ac", "\U0001f916", "\udc80"])
+def test_robots_read_a_stop_whatever_its_reason(letter: str) -> None:
+    message = Order("f" * 32, 1e10 / 3, letter * 10_000, letter * 10_000).message(KEY)
+    assert levels.read_order(KEY, message).id == "f" * 32
+
+
 def test_another_key() -> None:
     with pytest.raises(signed.Forged, match="another key"):
         levels.read_order(KEY, ORDER.message(OTHER))

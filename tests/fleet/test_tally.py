@@ -29,6 +29,7 @@ def text(tally: Tally) -> str:
 def test_nobody_is_known() -> None:
     tally = Tally(None)
     assert not tally.all_reached(levels.WRITTEN)
+    assert not tally.all_confirmed()
     assert "NO ROBOT is known" in text(tally)
 
 
@@ -36,7 +37,7 @@ def test_all_of_them() -> None:
     tally = connected("a", "b")
     for robot in "ab":
         say(tally, robot, levels.ASKED, *levels.PROOFS)
-    assert tally.all_reached(levels.ACKNOWLEDGED)
+    assert tally.all_confirmed()
     assert tally.missing() == []
     assert text(tally).startswith("2 of 2 robots have confirmed the stop\n")
     assert "NOT" not in text(tally)
@@ -99,3 +100,21 @@ def test_the_first_time_of_a_level_counts() -> None:
     say(tally, "a", levels.WRITTEN, after_s=0.2)
     say(tally, "a", levels.WRITTEN, after_s=0.9)
     assert tally.times_s(levels.WRITTEN) == [0.2]
+
+
+def test_a_robot_confirms_by_what_its_board_can_give() -> None:
+    tally = connected("a", "b", "c")
+    for robot, confirms in (("a", levels.ACKNOWLEDGED), ("b", levels.OBSERVED), ("c", levels.WRITTEN)):
+        tally.answer(Answer(STOP, robot, {levels.WRITTEN: 0.0}, "", confirms), 0.1)
+    assert {row.robot: row.why for row in tally.missing()} == {
+        "a": "written, but its board has not acknowledged it",
+        "b": "written, but its IMU has not observed that the wheels stand",
+    }
+    assert not tally.all_confirmed()
+    tally.answer(Answer(STOP, "a", {levels.ACKNOWLEDGED: 0.0}), 0.2)
+    tally.answer(Answer(STOP, "b", {levels.OBSERVED: 0.0}, "", levels.OBSERVED), 0.2)
+    assert tally.all_confirmed()
+    assert text(tally).startswith("3 of 3 robots have confirmed the stop\n")
+    assert "c confirms as written: its board acknowledges nothing" in text(tally)
+    by = {"a": levels.ACKNOWLEDGED, "b": levels.OBSERVED, "c": levels.WRITTEN}
+    assert report.as_dict(tally)["confirmed_by"] == by

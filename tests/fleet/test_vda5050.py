@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Device, Source
+from failstop.api.snapshot import Device, Source, Starved
 from failstop.api.state import State
 from failstop.fleet import topics, vda5050
 from failstop.policy import causes
@@ -95,7 +95,7 @@ def test_a_stop_that_does_not_reach_the_wheels_is_fatal() -> None:
     [
         ({"processes": {"gate": states.process(state="down")}}, "processNotRunning"),
         ({"device": Device("x", "open", "unproven")}, "linkUnproven"),
-        ({"starved": {"times": 1, "longest_ms": 90, "process": "gate"}}, "starved"),
+        ({"starved": Starved(0.09, "gate")}, "starved"),
         ({"arm": states.arm(wrong=("servo 3 is silent",))}, "arm"),
     ],
 )

@@ -47,9 +47,16 @@ def test_the_examples_are_accepted_by_the_parser(
     assert max(map(len, shown.splitlines())) <= COLUMNS
 
 
-def test_a_mistyped_command_is_answered_with_where_all_of_them_are(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["enabel"]) == 1
-    assert capsys.readouterr().err == "failstop: no command 'enabel'; `failstop --help` lists them\n"
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("enabel", "enable"), ("Status", "status"), ("telop", "teleop"), ("stats", "status"), ("earthquake", "")],
+)
+def test_a_mistyped_command_is_answered_with_what_was_meant(
+    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([word]) == 1
+    question = f"did you mean `failstop {meant}`? " if meant else ""
+    assert capsys.readouterr().err == f"failstop: no command {word!r}; {question}`failstop --help` lists them\n"
 
 
 def test_words_that_make_no_sense_are_an_error_and_no_refusal(capsys: pytest.CaptureFixture[str]) -> None:

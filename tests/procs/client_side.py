@@ -46,6 +46,9 @@ class Client:
         hello = records.HELLO.pack(session, pid, pid_namespace() if namespace is None else namespace, name)
         self.segment.latest_writer("hello").write(hello)
 
+    def goodbye(self) -> None:
+        self.segment.latest_writer("left").write(records.LEFT.pack(self.session))
+
     def command(self, vx: float = 0.1, *, session: int | None = None, t_ns: int = NOW) -> None:
         payload = records.COMMAND.pack(self.session if session is None else session, vx, 0.0, 0.0, False, "cmd_vel")
         self.segment.latest_writer("command").write(payload, t_ns)
@@ -116,6 +119,7 @@ class Service:
         self.told.append(("request", slot.session, number, verb))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
+        self.parted = slot.parted()
         self.told.append(("gone", slot.session))
 
     def look(self, hints: bytes = ALL) -> list[tuple[object, ...]]:

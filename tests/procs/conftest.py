@@ -10,7 +10,16 @@ import pytest
 from tests.support.gate_scene import Scene
 
 from .arm_scene import ArmScene
+from .client_side import Service
 from .gate_bench import Gate
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Service]:
+    """The gate's table of clients, and the clients' side of it."""
+    made = Service(tmp_path)
+    yield made
+    made.close()
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ Velocity = tuple[float, float, float]
 class Gate:
     """A gate and its clock; without the scan gate, which has its own tests."""
 
-    def __init__(self, **changed: float) -> None:
+    def __init__(self, **changed: float | str) -> None:
         values: dict[str, object] = {key.replace("__", "."): value for key, value in changed.items()}
         self.core = GateCore(Settings({"scan.gate": "off", **values}), ROBOT, T0)
         self.now = T0

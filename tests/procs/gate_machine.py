@@ -60,6 +60,7 @@ class GateMachine(RuleBasedStateMachine):
         self.latched_in = 0
         self.commands: dict[str, tuple[int, int, tuple[float, float, float], bool]] = {}
         self.driver = ""
+        self.drivers: set[int] = set()
         self.scan_ns: int | None = None
         self.arm_ns: int | None = None
         self.stepped_ns = self.now
@@ -165,6 +166,7 @@ class GateMachine(RuleBasedStateMachine):
             self.halt(fault)
         else:
             self.commands[source] = (session, min(self.now, self.now - age_ns), velocity, manual)
+            self.drivers.add(session)
             self.move()
 
     @rule(velocity=st.tuples(axis, axis, axis))
@@ -224,15 +226,16 @@ class GateMachine(RuleBasedStateMachine):
         if self.latch is not None and self.epoch > self.latched_in:
             self.latch = None
 
-    @rule(session=st.sampled_from([1, 2]))
-    def client_gone(self, session: int) -> None:
-        """A client leaves, as gate/main.py handles it."""
-        gone = [source for source, command in self.commands.items() if command[0] == session]
-        assert self.core.client_gone(session, self.now) is bool(gone)
-        for source in gone:
+    @rule(session=st.sampled_from([1, 2]), parted=st.booleans())
+    def client_gone(self, session: int, parted: bool) -> None:
+        """A client leaves or dies, as gate/main.py handles it: the death of one that has driven disables motion."""
+        assert self.core.client_gone(session, self.now, parted=parted) is None
+        for source in [source for source, command in self.commands.items() if command[0] == session]:
             del self.commands[source]
-        if gone:
-            self.move()
+        if session in self.drivers and self.enabled and not parted:
+            self.stand()
+        self.drivers.discard(session)
+        self.move()
 
     @invariant()
     def enabled_by_nothing_but_enable(self) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import msgpack
 import pytest
@@ -13,14 +12,6 @@ from failstop.shm import layout, records
 from failstop.shm.segment import Segment
 
 from .client_side import INCARNATION, Client, Service
-
-
-@pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
-    made = Service(tmp_path)
-    yield made
-    made.close()
-
 
 # Damage.
 

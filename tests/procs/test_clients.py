@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
 from math import isnan, nan
-from pathlib import Path
 
 import pytest
 
@@ -16,14 +14,6 @@ from tests.support.ptys import open_fds
 from tests.support.waiting import until
 
 from .client_side import NOW, Service
-
-
-@pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
-    made = Service(tmp_path)
-    yield made
-    made.close()
-
 
 # New clients.
 
@@ -194,14 +184,13 @@ def test_a_goodbye_is_told_from_a_death(service: Service, seen_by: str) -> None:
         client = service.join(session=21 + parted)
         service.look()
         if parted:
-            client.segment.wipe()
-            client.hello(records.NOBODY, "test", os.getpid())
-        elif seen_by == "the slot":
-            client.segment.wipe()  # damage
+            client.goodbye()
         if seen_by == "the claim":
             client.leave()
+        else:
+            client.segment.wipe()
         assert service.look() == [("gone", 21 + parted)]
-        assert service.table.slots[0].parted is parted
+        assert service.parted is parted
         client.close()
         service.look()
 

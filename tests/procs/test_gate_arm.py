@@ -189,7 +189,7 @@ def test_a_second_publisher_latches_and_the_arm_is_held(scene: ArmScene, mode: s
 
 def test_a_client_that_goes_has_its_arm_held(scene: ArmScene) -> None:
     follow(scene, 0.5, 0.5)
-    scene._client.latest_writer("hello").write(records.HELLO.pack(records.NOBODY, 0, 0, ""))
+    scene._client.wipe()
     scene.run(0.02)
     last = len(scene.moves)
     stood = scene.at(1)

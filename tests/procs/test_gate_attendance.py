@@ -100,6 +100,26 @@ def test_an_old_proof_renews_nothing() -> None:
     assert gone(gate) is None
 
 
+def test_a_session_that_names_another_operator_says_that_the_one_before_has_left() -> None:
+    """The page speaks for several, and names the one who was there last."""
+    gate = attended()
+    gate.enable()
+    gate.core.attendance.hear(1, "Bert", gate.now - 300 * MS, gate.now)
+    assert gone(gate) is None, "Bert is there, and by his own moment"
+    gate.now += LEASE - 300 * MS
+    assert gone(gate) is None
+    gate.now += 1
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", "was not heard for 1000 ms")
+
+
+def test_a_session_that_names_one_who_sleeps_has_nobody() -> None:
+    gate = attended()
+    gate.enable()
+    for _ in range(3):  # the gate reads the same record at every tick
+        gate.core.attendance.hear(1, "Bert", gate.now - LEASE - 1, gate.now)
+        assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+
+
 def test_a_stamp_from_the_future_is_none() -> None:
     gate = Gate(attend__required="on")  # type: ignore[arg-type]
     gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS + 1, gate.now)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from failstop.procs.gate import main
+from failstop.procs.gate.requests import UNSEEN
 from failstop.shm import layout, records
 from failstop.supervisor.stops import Stop
 from tests.support.gate_scene import Scene
@@ -30,6 +33,64 @@ def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(gate_
     gate_scene.ask(records.RESET, gate_scene.clock() - 1)
     assert gate_scene.latched() == "device lost"
     assert not gate_scene.gate.core.enabled
+
+
+def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(gate_scene: Scene) -> None:
+    """Though it was asked for after that one."""
+    gate_scene.stop(2, "key1")
+    gate_scene.tick()
+    gate_scene.saw(2)
+    gate_scene.stop(3, "key2")
+    gate_scene.tick()
+    assert gate_scene.ask(records.RESET) == (False, UNSEEN)
+    assert gate_scene.latched() == "key1"
+    gate_scene.saw(3)
+    assert gate_scene.ask(records.RESET)[0]
+    assert gate_scene.latched() is None
+
+
+def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(gate_scene: Scene) -> None:
+    gate_scene.stop(2, "key1")
+    gate_scene.tick()
+    gate_scene.ask(records.DISABLE)
+    gate_scene.saw(2)
+    slot = gate_scene.gate.clients.slots[0]
+    gate_scene.stop(3, "key2")
+    gate_scene.gate.requests.take(slot, 2, records.RESET, gate_scene.clock(), gate_scene.clock())
+    assert gate_scene.replied()[1:] == (False, UNSEEN)
+    assert gate_scene.tick() == "key1"
+
+
+def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(gate_scene: Scene) -> None:
+    gate_scene.stop(2, "key1")
+    gate_scene.stop(3, "key2")
+    gate_scene.tick()
+    gate_scene.saw(0)
+    assert gate_scene.ask(records.RESET)[0]
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 2)), max_size=12))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_no_reset_clears_a_stop_that_its_person_had_not_seen(
+    gate_scene: Scene, steps: list[tuple[bool, int, int]]
+) -> None:
+    epoch = gate_scene.gate.epoch
+    for stops, behind, ago in steps:
+        gate_scene.clock.now_ns += MS
+        if stops:
+            epoch += 1
+            gate_scene.stop(epoch, f"key{1 + epoch % 2}")
+            gate_scene.tick()
+            continue
+        was, seen = gate_scene.latched(), max(0, epoch - behind)
+        gate_scene.saw(seen)
+        done, _ = gate_scene.ask(records.RESET, gate_scene.clock() - ago)
+        if done and was:
+            assert seen in (0, epoch)
+            assert gate_scene.latched() is None
+        elif seen not in (0, epoch):
+            assert not done
+            assert gate_scene.latched() == was
 
 
 @pytest.mark.parametrize("resets", [0, 1])

@@ -44,7 +44,8 @@ def test_a_driver_that_has_gone_is_told_of(driving: Gate) -> None:
 
 def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    assert driving.core.client_gone(1, driving.now, parted=True)
+    assert driving.core.client_gone(1, driving.now, parted=True) is None
+    assert driving.core.enabled
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
     assert note.text == "client 1 ended its command: the wheels are stopped"
@@ -97,7 +98,7 @@ def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None
     driving.drive(VELOCITY, 3)
     driving.drive(REST, 30)
     driving.step(301 * MS)
-    driving.core.client_gone(1, driving.now)
+    driving.core.client_gone(1, driving.now, parted=True)
     assert told(driving) == []
 
 

@@ -38,17 +38,17 @@ def test_another_may_take_over_once_the_last_command_no_longer_counts(driving: G
     assert driving.take((0.1, 0.0, 0.0), session=2) == ""
 
 
-def test_the_driver_s_end_stands_at_once(driving: Gate) -> None:
-    assert not driving.core.client_gone(2, driving.now), "a client that does not drive"
-    assert driving.core.client_gone(1, driving.now)
+def test_the_driver_s_orderly_end_stands_at_once(driving: Gate) -> None:
+    driving.core.client_gone(2, driving.now, parted=True)
+    assert driving.blocked == "", "a client that does not drive"
+    driving.core.client_gone(1, driving.now, parted=True)
     assert driving.step(0) == STILL
     assert driving.blocked == "cmd timeout"
     assert driving.core.latch is None
-    assert not driving.core.client_gone(1, driving.now)
 
 
-def test_another_may_drive_at_once_when_the_driver_has_gone(driving: Gate) -> None:
-    driving.core.client_gone(1, driving.now)
+def test_another_may_drive_at_once_when_the_driver_has_ended(driving: Gate) -> None:
+    driving.core.client_gone(1, driving.now, parted=True)
     driving.step(0)
     assert driving.take((0.2, 0.0, 0.0), session=2) == ""
     driving.step()

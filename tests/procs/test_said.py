@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from failstop.procs.gate.remarks import MOST_AT_ONCE, Said
@@ -13,13 +10,6 @@ from failstop.shm import records
 from .client_side import Service
 
 S = 1_000_000_000
-
-
-@pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
-    made = Service(tmp_path)
-    yield made
-    made.close()
 
 
 def test_told_once_when_it_changes_and_when_its_client_goes() -> None:

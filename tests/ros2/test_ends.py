@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import time
 
@@ -42,9 +43,15 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(ros: Ros) -
         killed_ns = time.monotonic_ns()
         scene.bridge.kill()
         assert zero_after(scene, killed_ns, 2.0) < 0.25, "sooner than its command would have timed out"
-        assert scene.trial.robot.state.estop is None, "as with any driver: nothing is latched"
+        state = scene.trial.robot.state
+        assert (state.enabled, state.estop) == (False, None), "as with any driver: motion is disabled, nothing latched"
+        assert re.search(r"motion disabled: ros2 \(pid \d+\), which had driven, has died", str(scene.trial.robot.why()))
+        scene.trial.board.events()
         scene.bridge.start()
         scene.state(lambda state: state["publishers"] == ["/nav"])
+        wait_for("it to command", lambda: scene.trial.robot.state.sources != ())
+        assert not [event for event in scene.trial.board.events() if event.is_motion]
+        scene.enable()
         scene.moving()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from typing import Any
 
@@ -12,6 +13,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
+from failstop.cli.commands import arm as arm_command
 from failstop.cli.commands import events
 from failstop.cli.commands.status import Live, spark
 from failstop.cli.screen import summary
@@ -19,7 +21,7 @@ from failstop.cli.screen.follow import Vibration
 from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
 from failstop.supervisor.kinds import KINDS
-from tests.support.states import NOW_S, driving, latched, process, state, stop
+from tests.support.states import NOW_S, arm, driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
@@ -233,3 +235,25 @@ def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
     rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")
+
+
+@pytest.mark.parametrize(
+    ("base", "wrist", "told"),
+    [
+        (True, True, "holding"),
+        (True, None, "holding"),
+        (True, False, "holding, but for wrist"),
+        (False, False, "its torque is off"),
+        (None, False, "its torque is off"),
+        (None, None, "stands; whether its torque is on is not read yet"),
+    ],
+)
+def test_an_arm_is_said_to_hold_by_what_its_joints_tell(base: bool | None, wrist: bool | None, told: str) -> None:
+    joints = arm("base", "wrist").joints
+    torques = {"base": base, "wrist": wrist}
+    found = {name: dataclasses.replace(joint, torque=torques[name]) for name, joint in joints.items()}
+    assert summary.arm_headline(arm(joints=found)) == told
+    shown = "\n".join(style.plain(line) for line in arm_command._lines(arm(joints=found)))
+    assert [row.split()[-3] for row in shown.splitlines()[-2:]] == [
+        {True: "on,", False: "off,", None: "read,"}[torque] for torque in (base, wrist)
+    ]

@@ -8,15 +8,16 @@ from typing import Any, cast
 
 import pytest
 
-from failstop.api.errors import NoService, Refused
+from failstop.api.errors import NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
+from failstop.api.snapshot import Device
 from failstop.cli import style
 from failstop.cli.commands.teleop import Pilot
 from failstop.cli.screen.keys import ENDS_S, SPACE
 from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
-from tests.support.states import arm, driving, latched, state
+from tests.support.states import arm, driving, latched, process, state
 
 ENABLED = driving(sources=(), body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
 RIVAL = driving()
@@ -29,6 +30,7 @@ class Scribe:
     def __init__(self) -> None:
         self.asked: list[Any] = []
         self.answer: Exception | None = None
+        self.state: Any = ENABLED
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool, source: str) -> None:
         assert manual
@@ -37,8 +39,11 @@ class Scribe:
     def estop(self, reason: str) -> None:
         self.asked.append("estop")
 
-    def enable(self) -> str:
+    def enable(self, told: Any = None) -> str:
         return self._ask("enable")
+
+    def disable(self) -> str:
+        return self._ask("disable")
 
     def reset(self) -> str:
         return self._ask("reset")
@@ -121,7 +126,6 @@ def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe:
     scribe.asked.clear()
     press(pilot, "w", "e", SPACE)
     assert scribe.asked == ["estop"]
-    assert pilot.note[1] == FAIL
 
 
 def test_of_what_comes_late_only_what_stops_counts(pilot: Pilot, scribe: Scribe) -> None:
@@ -175,11 +179,111 @@ def test_what_was_held_through_a_stop_drives_nothing_after_it(pilot: Pilot, scri
 
 def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot, scribe: Scribe) -> None:
     scribe.answer = Refused("arm is not in the drive pose")
-    press(pilot, "e")
+    press(pilot, "e", seen=state())
     assert pilot.note == ("refused: arm is not in the drive pose", FAIL)
     scribe.answer = NoService("gone")
     with pytest.raises(NoService):
-        press(pilot, "e")
+        press(pilot, "e", seen=state())
+
+
+def told(pilot: Pilot, seen: Any) -> str:
+    """The line for people, as the screen shows it."""
+    press(pilot, seen=seen)
+    *_, line, _how = pilot.lines(seen, 1.0, 200)
+    return style.plain(line)
+
+
+def down(*names: str) -> Any:
+    """Processes, of which those of these names died too often."""
+    base = state()
+    return {name: process(state="down" if name in names else "running", pid=0) for name in base.processes}
+
+
+@pytest.mark.parametrize(
+    ("seen", "line"),
+    [
+        (state(), "motion is disabled: e enables it"),
+        (state(waiting_for="the port"), "motion is disabled: wait for the port, then e enables it"),
+        (ENABLED, ""),
+        (RIVAL, ""),
+        (latched(), "a stop is latched: r resets it, then e enables motion"),
+        (
+            latched(processes=down("gate"), waiting_for="gate"),
+            "a stop is latched: wait for gate, then r resets it, then e enables motion",
+        ),
+        (
+            latched(processes=down("telemetry"), waiting_for="telemetry"),
+            "a stop is latched: r resets it, then e enables motion",
+        ),
+        (
+            latched(device=Device("/dev/ttyACM0", "lost", "alive")),
+            "a stop is latched: plug the board in, then r resets it, then e enables motion",
+        ),
+        (
+            latched(processes={"supervisor": process(state="dead")}),
+            "the service has died, and the wheels are stopped: q leaves",
+        ),
+    ],
+)
+def test_the_line_says_what_holds_the_wheels_now(pilot: Pilot, seen: Any, line: str) -> None:
+    assert told(pilot, seen) == line
+
+
+def test_what_came_of_a_key_is_told_until_the_state_changes(pilot: Pilot) -> None:
+    assert "e enables it" in told(pilot, state())
+    press(pilot, "e", seen=state())
+    assert told(pilot, ENABLED) == "enable done"
+    assert told(pilot, ENABLED) == "enable done"
+    assert told(pilot, state()) == "motion is disabled: e enables it"
+    assert told(pilot, ENABLED) == ""
+
+
+def test_motion_that_it_enabled_is_disabled_at_the_end(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "e", seen=state())
+    press(pilot, "q")
+    assert pilot.leave() == "disable done"
+    assert scribe.asked == ["enable", "disable"]
+
+
+def test_motion_that_somebody_else_enabled_stays_enabled(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "e")
+    assert pilot.note[0] == "motion is enabled already"
+    press(pilot, "w")
+    press(pilot, "q")
+    assert pilot.leave() == "motion stays enabled, as it was before"
+    assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.0, "cmd_vel")]
+    scribe.state = state()
+    assert pilot.leave() == "motion is disabled"
+
+
+def test_motion_that_somebody_else_enabled_after_a_stop_is_theirs(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "e", seen=state())
+    press(pilot)
+    press(pilot, seen=latched())
+    press(pilot)
+    assert pilot.leave() == "motion stays enabled, as it was before"
+    assert scribe.asked == ["enable"]
+
+
+def test_a_refused_enable_is_not_taken_back(pilot: Pilot, scribe: Scribe) -> None:
+    scribe.answer = Refused("arm is not in the drive pose")
+    press(pilot, "e", seen=state())
+    scribe.answer = None
+    press(pilot)
+    assert pilot.leave() == "motion stays enabled, as it was before"
+
+
+def test_an_enable_that_nobody_answered_is_taken_back(pilot: Pilot, scribe: Scribe) -> None:
+    scribe.answer = NoAnswer("the gate did not answer")
+    press(pilot, "e", seen=state())
+    scribe.answer = None
+    assert pilot.leave() == "disable done"
+
+
+def test_a_service_that_has_gone_is_told_of_at_the_end(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "e", seen=state())
+    scribe.answer = NoService("gone")
+    assert pilot.leave() == "the service can't be told (gone); the command timeout stops the wheels"
 
 
 class WithArm(Scribe):
@@ -223,3 +327,29 @@ def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time() -> None
     assert pilot._enabling
     pilot._enabling.join(10)
     assert scribe.asked == ["estop", "enable"]
+
+
+def test_with_an_arm_an_enable_that_is_under_way_is_given_up_at_the_end() -> None:
+    scribe = WithArm()
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+    press(pilot, "e", seen=ARM)
+    for _ in range(3):
+        press(pilot, seen=ARM)
+    assert pilot.leave() == "disable done"
+    scribe.let.set()
+    assert pilot._enabling
+    pilot._enabling.join(10)
+
+
+def test_with_an_arm_a_state_of_before_the_answer_takes_nothing_away() -> None:
+    """The state was read before the thread heard that motion is enabled."""
+    scribe = WithArm()
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+    press(pilot, "e", seen=ARM)
+    press(pilot, seen=ARM)
+    scribe.let.set()
+    assert pilot._enabling
+    pilot._enabling.join(10)
+    press(pilot, seen=ARM)
+    press(pilot)
+    assert pilot.leave() == "disable done"

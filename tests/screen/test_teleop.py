@@ -13,6 +13,7 @@ from failstop.api.events import EventLog
 from failstop.cli.screen.keys import COMMAND_S, ENDS_S
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Trial, wait_for
+from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 
 REPEAT_S = 0.03
@@ -83,6 +84,31 @@ def test_hold_to_run_and_leave(pilot: Typist, trial: Trial) -> None:
     assert "motion disabled" in pilot.raw
     assert pilot.restored()
     assert not trial.robot.state.enabled
+
+
+def test_what_somebody_else_enabled_goes_on_when_it_leaves(trial: Trial) -> None:
+    trial.enable()
+    with Typist.failstop("teleop", "--name", trial.name) as pilot:
+        pilot.wait("none held")
+        assert "e enables it" not in pilot.screen()
+        trial.board.events()
+        typed_ns = hold(pilot, b"w", 0.3)
+        trial.board.wait_for(lambda event: event.is_motion, 5.0)
+        pilot.type(b"q")
+        assert pilot.end() == 0
+        stopped_in_time(trial, typed_ns)
+        assert "motion stays enabled, as it was before" in pilot.raw
+    assert trial.robot.state.enabled
+    trial.drive(0.3)
+    assert trial.moving(), "another program drives on"
+
+
+def test_a_terminal_without_escapes_gets_none(trial: Trial) -> None:
+    for words in (["teleop"], ["status", "-w"]):
+        with Typist([*FAILSTOP, *words, "--name", trial.name], environ={"TERM": "dumb"}) as typist:
+            assert typist.end() == 1
+            assert "this needs a terminal with a screen, and TERM is 'dumb'" in " ".join(typist.raw.split())
+            assert "\x1b" not in typist.raw
 
 
 def test_nothing_moves_before_e(pilot: Typist, trial: Trial) -> None:

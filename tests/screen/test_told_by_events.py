@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -68,6 +69,19 @@ def test_who_ended_while_it_drove_is_named() -> None:
     found = driving(blocked="cmd timeout", sources=(), clients=())
     assert "nav (pid 42) has gone while it drove" in shown(found, events)
     assert "nav (pid 42) has gone while it drove" in why(found, events)
+
+
+def test_whose_death_disabled_motion_is_told_whoever_commands_now() -> None:
+    dead = dataclasses.replace(
+        told("driver_gone", NAV), text="motion disabled: nav (pid 42), which had driven, has died"
+    )
+    for disabled in (state(blocked="disabled"), driving(blocked="disabled", enabled=False)):
+        found = " ".join(shown(disabled, [told("enabled"), dead]).split())
+        assert "driver motion disabled: nav (pid 42), which had driven, has died (" in found
+        assert "motion disabled: nav (pid 42), which had driven, has died" in why(disabled, [told("enabled"), dead])
+        for since in ("disabled", "stop", "enabled"):
+            assert "has died" not in shown(disabled, [dead, told(since)])
+    assert "has died" not in shown(driving(), [dead])
 
 
 def test_a_driver_of_before_is_no_news() -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from failstop.api import verdict
+from failstop.api import steps, verdict
 from failstop.api.snapshot import Block, Device
+from failstop.api.steps import Purpose
 from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
@@ -18,6 +19,7 @@ from tests.support.states import driving, latched, process, state, stop
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
 UNPROVEN = Device("/dev/ttyACM0", "open", "unproven")
+UNASKED = Device("/dev/ttyACM0", "open", "unasked")
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 
@@ -67,19 +69,75 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
 )
 
 
-@pytest.mark.parametrize(("found", "word", "steps"), TABLE)
-def test_the_word_and_the_steps(found: Any, word: str, steps: list[str]) -> None:
+@pytest.mark.parametrize(("found", "word", "typed"), TABLE)
+def test_the_word_and_the_steps(found: Any, word: str, typed: list[str]) -> None:
     assert verdict.word(found) == word
-    assert verdict.steps(found) == steps
+    assert steps.typed(found) == typed
+
+
+@pytest.mark.parametrize(("found", "word", "typed"), TABLE)
+def test_the_page_begins_with_the_step_that_a_terminal_begins_with(found: Any, word: str, typed: list[str]) -> None:
+    todo = steps.todo(found)
+    assert [step.typed for step in todo if step.purpose is not Purpose.HEED] == typed
+    assert steps.pressed(found) == (todo[0].pressed if todo else "")
+    assert "`" not in steps.pressed(found)
+
+
+def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
+    unmet = state(unmet="the arm is not folded")
+    assert steps.typed(unmet) == ["see to the interlock (the arm is not folded)", "`failstop enable`"]
+    assert steps.pressed(unmet) == "See to the interlock (the arm is not folded)."
+    nobody = state(attended_by=(), unmet="the arm is not folded")
+    assert [step.purpose for step in steps.todo(nobody)] == [Purpose.ALLOW, Purpose.ALLOW, Purpose.ENABLE]
+    assert steps.typed(driving(unmet="the arm is not folded")) == []
+
+
+@pytest.mark.parametrize(
+    ("found", "goal", "begins"),
+    [
+        (state(), Purpose.ENABLE, ""),  # whatever refused it, the state does not show it: nobody is sent in a circle
+        (state(unmet="no"), Purpose.ENABLE, "see to that interlock, then `failstop enable`"),
+        (state(attended_by=()), Purpose.ENABLE, "have somebody attend"),
+        (state(waiting_for="gate"), Purpose.ENABLE, "wait for gate, then"),
+        (latched(), Purpose.ENABLE, "`failstop reset`, then `failstop enable`"),
+        (latched(), Purpose.RESET, ""),
+        (latched(waiting_for="stopper"), Purpose.RESET, ""),
+        (latched(causes.DEAF(), device=DEAF), Purpose.RESET, ""),  # a board that was switched off and on needs one
+        (latched(device=LOST), Purpose.RESET, "plug the board in"),
+    ],
+)
+def test_a_refusal_names_what_stands_in_its_way_alone(found: Any, goal: Purpose, begins: str) -> None:
+    told = steps.after_refusal(found, goal, "no")
+    assert told.startswith(begins)
+    assert bool(told) == bool(begins)
+
+
+@pytest.mark.parametrize(
+    ("found", "told", "large"),
+    [
+        (state(), "STOPPED", "STOPPED"),
+        (state(device=UNPROVEN), "STOPPED, unproven: the board has never answered", "STOPPED, UNPROVEN"),
+        (driving(device=UNPROVEN), "DRIVING, unproven: the board has never answered", "MOVING, UNPROVEN"),
+        (
+            driving(device=UNPROVEN, **STANDING),
+            "STANDING, unproven: the board has never answered",
+            "CAN MOVE, UNPROVEN",
+        ),
+        (latched(causes.UNSTILL(), device=UNPROVEN), "MAY TURN", "WHEELS MAY TURN"),
+        (state(device=LOST), "MAY TURN", "WHEELS MAY TURN"),
+        (state(device=UNASKED), "STOPPED", "STOPPED"),
+    ],
+)
+def test_what_nothing_proves_is_said_to_be_unproven(found: Any, told: str, large: str) -> None:
+    assert verdict.proven_word(found) == told
+    assert verdict.large_word(found) == large
 
 
 def test_commands_name_the_robot_where_there_are_several() -> None:
     other: dict[str, Any] = {"name": "left-arm"}
-    assert verdict.next_step(latched()) == "`failstop reset`, then `failstop enable`"
-    assert verdict.next_step(latched(**other)) == (
-        "`failstop reset --name left-arm`, then `failstop enable --name left-arm`"
-    )
-    assert verdict.next_step(state(**other)) == "`failstop enable --name left-arm`"
+    assert steps.line(latched()) == "`failstop reset`, then `failstop enable`"
+    assert steps.line(latched(**other)) == ("`failstop reset --name left-arm`, then `failstop enable --name left-arm`")
+    assert steps.line(state(**other)) == "`failstop enable --name left-arm`"
 
 
 def _gate_reasons() -> dict[str, str]:

@@ -118,15 +118,34 @@ def test_troubles_are_told() -> None:
     found = why(latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": gate}))
     assert found.also == ("gate died too often and is down for a minute, after it was killed by SIGKILL",)
     assert found.do[1:] == ("wait for gate", "`failstop reset`", "`failstop enable`")
-    (starved,) = why(state(starved=Starved(3, 0.612, "telemetry"))).also
-    assert starved.startswith("the machine starved the service 3 times, at worst telemetry for 612 ms (`")
+    (starved,) = why(state(starved=Starved(0.612, "telemetry"))).also
+    assert starved.startswith("the machine starved the service: telemetry was not run for 612 ms (`")
     waiting = process(state="waiting", last_exit="killed by SIGKILL")
     assert why(state(waiting_for="gate", processes={"gate": waiting})).also == (
         "gate is waiting, after it was killed by SIGKILL",
     )
     assert why(state(waiting_for="the port")).do[0] == "wait for the port"
-    assert "nobody knows that it hears" in why(state(device=Device("/dev/ttyACM0", "open", "unproven"))).also[0]
     assert "said nothing for 3.0 s" in why(state(age_s=3.0)).also[0]
+
+
+def test_a_board_that_never_answered_proves_nothing() -> None:
+    found = why(state(device=Device("/dev/ttyACM0", "open", "unproven")))
+    assert found.what == "STOPPED, unproven: the board has never answered; motion is disabled"
+    assert found.proof == "the board is told zero; the board has never answered"
+    assert found.also == ("the board has never answered, so no stop is known to reach the wheels: see to its power",)
+
+
+def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:
+    unasked = Device("/dev/ttyACM0", "open", "unasked")
+    found = why(latched(device=unasked, last_stop=stop(acknowledged_s=None)))
+    assert found.what.startswith("a stop is latched since ")
+    assert "this board acknowledges nothing, wheels still after about 0.3 s" in found.proof
+    assert found.also == ()
+
+
+def test_an_interlock_that_does_not_hold_comes_before_the_enable() -> None:
+    found = why(state(unmet="the arm is not folded"))
+    assert found.do == ("see to the interlock (the arm is not folded)", "`failstop enable`")
 
 
 def test_commands_name_the_robot_where_there_are_several() -> None:

@@ -170,6 +170,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     ),
     "latch": (lambda text: records.LATCH.pack(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.PORT.pack(TOP, TOP, 2, text), ["port_owner/port"]),
+    "left": (lambda _: records.LEFT.pack(TOP), [f"client.{i}/left" for i in range(CLIENT_SLOTS)]),
     "hello": (
         lambda text: records.HELLO.pack(TOP, 2**32 - 1, TOP, text),
         [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
@@ -191,6 +192,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.REQUEST.pack(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
+    "seen": (lambda text: records.SEEN.pack(TOP, TOP), [f"client.{i}/seen" for i in range(CLIENT_SLOTS)]),
     "speed_limit": (
         lambda text: records.SPEED_LIMIT.pack(TOP, 255),
         [f"client.{i}/speed_limit" for i in range(CLIENT_SLOTS)],
@@ -332,9 +334,11 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "stopped": (records.STOPPED, 24),
     "port": (records.PORT, 17),
     "latch": (records.LATCH, 24),
+    "left": (records.LEFT, 8),
     "hello": (records.HELLO, 20),
     "reply": (records.REPLY, 19),
     "request": (records.REQUEST, 17),
+    "seen": (records.SEEN, 16),
     "command": (records.COMMAND, 49),
     "held": (records.HELD, 8),
     "said": (records.SAID, 8),
@@ -346,7 +350,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "pad_request": (records.PAD_REQUEST, 1),
     "pad": (records.PAD, 8),
 }
-EXACT = {"request", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
+EXACT = {"left", "request", "seen", "command", "imu", "battery", "bias", "odometry", "pad_command", "pad"}
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:

@@ -165,7 +165,20 @@ def test_client_segments_are_not_mapped(name: str) -> None:
         seen.close()
 
 
-CLIENT_RECORDS = [name for name, record in BY_NAME["client.0"].records.items() if record.kind == "latest"]
+CLIENT_RECORDS = [
+    name for name, record in BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
+]
+
+
+def test_a_goodbye_outlives_the_next_holder_s_begin(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    own.latest_writer("left").write(b"goodbye", 1)
+    own.wipe()
+    assert seen.latest_reader("left").read() == (1, 1, b"goodbye")
+    assert own.latest_writer("left").write(b"another", 2) == 2
+    own.close()
+    seen.close()
 
 
 def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:

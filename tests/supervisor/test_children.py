@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.policy.processes import PROCESSES
+from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.supervisor import children
@@ -20,6 +20,7 @@ from failstop.supervisor.children import (
     NEXT,
     RUNNING,
     STARTING,
+    STARTING_NS,
     WAITING,
     Child,
     Fence,
@@ -40,9 +41,17 @@ CELLS = """
 process, nobody runs or beats who has none, nobody dies twice, and only the dead are reaped, and later given up."""
 
 
-def child(state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8)) -> Child:
+LEASE_NS = 60_000_000
+
+
+def child(
+    state: str,
+    limits: tuple[int, int, int] = (5, 10**10, 10**8),
+    row: Process = PROCESSES[0],
+    lease_ns: int = LEASE_NS,
+) -> Child:
     world = World()
-    made = Child(world, PROCESSES[0], None, Loop(world).timer(), limits)  # type: ignore[arg-type]
+    made = Child(world, row, None, Loop(world).timer(), limits, lease_ns)  # type: ignore[arg-type]
     made.state = state
     return made
 
@@ -56,6 +65,14 @@ def cells() -> list[tuple[str, int, str]]:
         for state, row in zip(STATES, rows, strict=True)
         for event, cell in zip(EVENTS, row, strict=True)
     ]
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_nobody_that_runs_has_less_time_than_a_lease(row: Process) -> None:
+    assert child(RUNNING, row=row).allowed_ns() == row.deadline_ns, "the usual lease is shorter than every deadline"
+    for lease_ns in (row.deadline_ns - 1, row.deadline_ns + 1):
+        assert child(RUNNING, row=row, lease_ns=lease_ns).allowed_ns() == max(row.deadline_ns, lease_ns)
+    assert child(STARTING, row=row, lease_ns=10**12).allowed_ns() == STARTING_NS
 
 
 @pytest.mark.parametrize(("state", "event", "cell"), cells())

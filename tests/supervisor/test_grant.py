@@ -1,13 +1,22 @@
-"""The one command that grants the rights, where the service runs."""
+"""The one command that grants the rights, where the service runs, and the leases of a service without them."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
+from failstop.policy.settings import BY_KEY, Settings
+from failstop.procs import rights
+from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
+from failstop.shm.layout import GATE
 from failstop.supervisor import grant
 
 
@@ -59,9 +68,80 @@ def test_the_unit_is_that_of_the_control_group(
 
 
 def test_what_is_lacking_is_told_of() -> None:
-    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}; give it rights")
+    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}, and {grant.cost(0.2)}; give it rights")
     early_news = ("robust futexes", grant.NO_EARLY_NEWS)
-    assert grant.lacking(0, "give it rights") == [realtime, early_news]
-    assert grant.lacking(REALTIME, "give it rights") == [early_news]
-    assert grant.lacking(EARLY_NEWS, "give it rights") == [realtime]
-    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights") == []
+    assert grant.lacking(0, "give it rights", 0.2) == [realtime, early_news]
+    assert grant.lacking(REALTIME, "give it rights", 0.2) == [early_news]
+    assert grant.lacking(EARLY_NEWS, "give it rights", 0.2) == [realtime]
+    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights", 0.2) == []
+
+
+def test_a_lease_is_told_with_what_it_costs() -> None:
+    late = "after 200 ms instead of 60 to 100 (gate.lease_s)"
+    assert grant.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
+    assert grant.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
+
+
+class Asked:
+    """A kernel that grants real-time priority, or does not; and which priority it was asked for."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, grants: bool) -> None:
+        self.grants = grants
+        self.priority = 0
+        monkeypatch.setattr(rights, "realtime", self.realtime)
+
+    @contextlib.contextmanager
+    def realtime(self, priority: int) -> Iterator[bool]:
+        self.priority = priority
+        yield self.grants
+
+
+def leased(chosen: dict[str, object]) -> float:
+    """The lease of a service that is started with these settings."""
+    return grant.leased(Settings(dict(chosen)), chosen)[grant.LEASE]
+
+
+def test_with_the_rights_of_every_process_the_lease_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Asked(monkeypatch, grants=True)
+    assert leased({}) == grant.LEASE_S
+    assert asked.priority == max(SUPERVISOR_PRIORITY, *(row.priority for row in PROCESSES))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "lease_s"),
+    [
+        ({}, 0.2),
+        ({"limits.vx_mps": 0.1}, 0.2),
+        ({"gate.lease_s": 0.06}, 0.06),
+        ({"gate.lease_s": 0.1, "sources.fast.timeout_s": 0.2, "sources.fast.priority": 1}, 0.1),
+        ({"gate.command_timeout_s": 2.0}, 0.2),
+        ({"gate.command_timeout_s": 0.2}, 0.18),
+        ({"sources.fast.timeout_s": 0.1, "sources.fast.priority": 1}, 0.09),
+        ({"gate.command_timeout_s": 0.061}, 0.06),
+    ],
+)
+def test_without_rights_the_lease_is_long_unless_somebody_chose_one(
+    chosen: dict[str, object], lease_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Asked(monkeypatch, grants=False)
+    assert leased(chosen) == pytest.approx(lease_s)
+
+
+def test_who_stops_first_stays_who_stops_first() -> None:
+    others_s = [HANG_NS / 1e9, BY_NAME[GATE].deadline_ns / 1e9]
+    assert all(Settings().ns(grant.LEASE) / 1e9 <= grant.LEASE_WITHOUT_S < other_s for other_s in others_s)
+
+
+@given(st.floats(0.0601, 2.0), st.floats(0.0601, 2.0), st.floats(0.005, 0.05))
+def test_no_rights_never_make_settings_wrong_that_were_right(
+    command_s: float, source_s: float, period_s: float
+) -> None:
+    timeouts = {"gate.command_timeout_s": command_s, "sources.cmd_vel.timeout_s": source_s}
+    with pytest.MonkeyPatch.context() as patch:
+        Asked(patch, grants=False)
+        lease_s = leased({**timeouts, "gate.period_s": period_s})
+    assert grant.LEASE_S <= lease_s < min(command_s, source_s)
+
+
+def test_the_meaning_of_the_setting_names_the_lease_without_rights() -> None:
+    assert f"{grant.LEASE_WITHOUT_S:g} without real-time rights" in BY_KEY[grant.LEASE].doc

@@ -6,6 +6,8 @@ import itertools
 
 import pytest
 
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import layout
 from failstop.supervisor.stops import (
     ACKNOWLEDGE_NS,
@@ -14,9 +16,11 @@ from failstop.supervisor.stops import (
     JUDGED_AFTER_NS,
     JUDGED_WITHIN_NS,
     SOONER_NS,
+    UNASKED,
     UNPROVEN,
     Link,
     Stop,
+    explained,
     still_after,
 )
 from tests.support.why import why
@@ -88,8 +92,32 @@ def stop(written_ms: float = 0.5) -> Stop:
     written_ns = T0 + round(written_ms * MS) if written_ms else 0
     found = Stop(T0, "gate", why("gate died"))
     found.answered_by("port owner", written_ns, found, 2)
-    found.follow(AFTER, 1.0)
+    found.follow(AFTER, T0, 1.0)
     return found
+
+
+def test_a_stop_that_is_followed_late_has_the_time_of_its_cause_and_a_whole_wait_for_its_answer() -> None:
+    found = Stop(T0, "port_owner", why("gate died"))
+    late_ns = T0 + 6_000 * MS
+    found.answered_by("port owner", T0 + MS, found, 2)
+    found.follow(AFTER, late_ns, 100.0)
+    assert found.as_record()["t"] == 94.0
+    assert not found.complete(late_ns + ACKNOWLEDGE_NS - 1)
+    assert found.complete(late_ns + AFTER + JUDGED_WITHIN_NS)
+
+
+@pytest.mark.parametrize(
+    ("cause", "suspended_ns", "told"),
+    [
+        (causes.HANGS(layout.SUPERVISOR, 61), 2_500 * MS, causes.SUPERVISOR_SUSPENDED(2.5)),
+        (causes.HELD_UP(2500), 2_500 * MS, causes.SUPERVISOR_SUSPENDED(2.5)),
+        (causes.HANGS(layout.SUPERVISOR, 61), 0, causes.HANGS(layout.SUPERVISOR, 61)),
+        (causes.HANGS(layout.GATE, 61), 2_500 * MS, causes.HANGS(layout.GATE, 61)),
+        (causes.DIED(layout.SUPERVISOR), 2_500 * MS, causes.DIED(layout.SUPERVISOR)),
+    ],
+)
+def test_what_a_supervisor_knows_of_its_own_silence(cause: Cause, suspended_ns: int, told: Cause) -> None:
+    assert explained(cause, suspended_ns) == told
 
 
 def test_written() -> None:
@@ -264,6 +292,14 @@ def deaf_after_ms(link: Link, pings_ms: list[int], until_ms: int = 5_000) -> int
         if link.silent(newest, T0 + ms * MS):
             return ms
     return None
+
+
+def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
+    link = Link(1_000 * MS, asked=False)
+    assert link.state == UNASKED
+    assert not link.silent(T0 + 10_000 * MS, T0 + 20_000 * MS)
+    link.opened()
+    assert link.state == UNASKED
 
 
 def test_a_board_that_never_answers_is_unproven_and_no_cause() -> None:

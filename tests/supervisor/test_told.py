@@ -224,5 +224,7 @@ def test_each_long_wait_and_its_end_are_told(status: Status, events: Told) -> No
     for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
         status.tell_people(missing, T0 + at * WAITED_NS)
     assert events.kinds == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
-    assert events.whole[0][1].endswith(" is ready: wheels stopped, motion disabled; next: `failstop enable --name x`")
+    assert events.whole[0][1].endswith(
+        " is ready: the stop is written, motion disabled; next: `failstop enable --name x`"
+    )
     assert events.whole[3][1] == "gate, the port is there now: motion can be enabled again"

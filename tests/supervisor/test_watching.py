@@ -27,11 +27,17 @@ from failstop.supervisor import process_table as table_module
 from failstop.supervisor.children import DEAD, DIED, KILLED, RUNNING, STARTING_NS, Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.process_table import GATE_AGAIN_NS
+from failstop.supervisor.process_table import GATE_AGAIN_NS, STARVED_SHOWN_NS
 from failstop.supervisor.status import TELL_EVERY_NS, Notify
 from tests.support.supervisor_scene import MS
 from tests.support.waiting import until
 from tests.support.watching_scene import Watching
+
+NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
+
+
+def shown(process: str, longest_ms: int, times: int) -> dict[str, object]:
+    return {"starved": {"longest_ms": longest_ms, "process": process}, "starved_times": times}
 
 
 def missing(supervisor: Supervisor) -> str:
@@ -234,6 +240,50 @@ def test_from_when_on_it_was_held_up(
     assert watching.supervisor.epoch == epoch
 
 
+@pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HELD_UP_NS])
+def test_one_that_was_suspended_knows_what_others_take_for_a_hang(watching: Watching, gap_ns: int) -> None:
+    watching.supervisor.status.ever = True
+    watching.enabled()
+    watching.pass_time(0)
+    watching.world.play("continued", lambda: True)
+    for process in (watching.port_owner, watching.gate):
+        cause = causes.HANGS(layout.SUPERVISOR, 61).pack()
+        process.ring_writer("stops").put(records.STOPPED.pack(1, watching.now_ns + 61 * MS, 0, cause))
+    watching.pass_time(gap_ns)
+    latched = watching.supervisor.epochs.latch.stop
+    assert latched is not None
+    assert latched.cause == causes.SUPERVISOR_SUSPENDED(gap_ns / 1e9)
+    watching.pass_time(MS)
+    watching.supervisor._events.flush()
+    told = [event["kind"] for event in watching.events()]
+    assert "stop_also" not in told, "all three are one cause"
+    assert "starved" not in told
+
+
+def test_one_that_was_suspended_while_nothing_could_move_tells_of_that(watching: Watching) -> None:
+    watching.supervisor.status.ever = True
+    watching.pass_time(0)
+    watching.world.play("continued", lambda: True)
+    watching.pass_time(HELD_UP_NS)
+    watching.supervisor._events.flush()
+    (event,) = watching.events()
+    assert (event["kind"], event["text"]) == ("suspended", "supervisor was suspended for 0.2 s by a signal")
+    assert event["fields"] == {"silent_ms": 250}
+    assert watching.supervisor.processes.starved_record() == NOT_STARVED
+    assert watching.supervisor.epoch == 1
+
+
+def test_what_it_was_continued_for_without_a_gap_explains_none(watching: Watching) -> None:
+    watching.supervisor.status.ever = True
+    watching.enabled()
+    watching.pass_time(0)
+    watching.notice("supervisor hangs: 61 ms silent")
+    watching.world.play("continued", lambda: True)
+    watching.pass_time(EXCUSE_NS - 1)
+    assert watching.supervisor.epochs.latch.stop is not None
+    assert watching.supervisor.epochs.latch.stop.cause.kind is not causes.SUPERVISOR_SUSPENDED
+
+
 def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watching) -> None:
     supervisor, gate = watching.supervisor, watching.supervisor.processes[layout.GATE]
     watching.notice("gate died", written_ns=watching.now_ns + 7)
@@ -293,7 +343,7 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(st
         starving.pass_time(0)
     assert missing(supervisor) == ""
     assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
-    assert supervisor.processes.starved_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
+    assert supervisor.processes.starved_record() == shown("port_owner", 800, 4)
 
 
 @pytest.mark.parametrize("name", SPARED)
@@ -348,7 +398,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
     watching.world.play("starved", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
     for _ in range(30):
         watching.pass_time(20 * MS)
-    assert (watching.supervisor.epoch, watching.supervisor.processes.starved_record()) == (1, None)
+    assert (watching.supervisor.epoch, watching.supervisor.processes.starved_record()) == (1, NOT_STARVED)
 
 
 def die_too_often(watching: Watching, name: str) -> None:
@@ -516,7 +566,7 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
     found = watching.supervisor.processes
-    assert found.starved_record() is None
+    assert found.starved_record() == NOT_STARVED
     for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
         found.tell_starved(name, silent_ns, watching.now_ns + round(at_s * 1e9))
     watching.supervisor._events.flush()
@@ -525,7 +575,20 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watch
     assert (first["kind"], first["text"]) == ("starved", text)
     assert first["fields"] == {"process": "gate", "silent_ms": 300, "times": 1}
     assert second["fields"] == {"process": "gate", "silent_ms": 300, "times": 3}
-    assert found.starved_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
+    assert found.starved_record() == shown("stopper", 900, 3)
+
+
+def test_a_machine_that_starved_the_service_once_is_not_told_of_for_ever(watching: Watching) -> None:
+    found = watching.supervisor.processes
+    found.tell_starved("gate", 900 * MS, watching.now_ns)
+    watching.now_ns += STARVED_SHOWN_NS - 1
+    found.tell_starved("stopper", 100 * MS, watching.now_ns)
+    watching.now_ns += 1
+    assert found.starved_record() == shown("gate", 900, 2), "the longest of those that are shown"
+    watching.now_ns += STARVED_SHOWN_NS - 1
+    assert found.starved_record() == {**NOT_STARVED, "starved_times": 2}
+    found.tell_starved("stopper", 50 * MS, watching.now_ns)
+    assert found.starved_record() == shown("stopper", 50, 3), "what is forgotten is no measure any more"
 
 
 def read(watching: Watching, record: str) -> tuple[int, Any]:
@@ -553,7 +616,7 @@ def test_the_process_table_is_written_anew_when_it_changes(watching: Watching) -
     never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None}
     assert table == {
         "waiting_for": "port_owner, stopper, telemetry",
-        "starved": None,
+        **NOT_STARVED,
         "processes": {
             "port_owner": {**never, "restarts": 1, "last_exit": "killed by SIGKILL"},
             "stopper": never,

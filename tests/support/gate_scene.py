@@ -184,6 +184,10 @@ class Scene(GateStage):
         payload = records.SPEED_LIMIT.pack(self.session, percent)
         self._client.latest_writer("speed_limit").write(payload, self.clock())
 
+    def saw(self, epoch: int) -> None:
+        """The client leaves the epoch that its person saw for its request."""
+        self._client.latest_writer("seen").write(records.SEEN.pack(self.session, epoch), self.clock())
+
     def command(self, vx_mps: float) -> None:
         """A person's command, without a ring."""
         payload = records.COMMAND.pack(self.session, vx_mps, 0.0, 0.0, True, "cmd_vel")

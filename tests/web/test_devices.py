@@ -100,6 +100,16 @@ def test_there_is_an_end_to_them() -> None:
         known.add(device("one more"))
 
 
+def test_no_two_devices_have_one_name() -> None:
+    known = Devices()
+    for number in range(4):
+        known.add(Device(str(number), known.free_name("Anna's phone"), str(number), 1.0))
+    assert [each.name for each in known.all()] == ["Anna's phone", "Anna's phone 2", "Anna's phone 3", "Anna's phone 4"]
+    long = "x" * 40
+    known.add(Device("5", known.free_name(long), "5", 1.0))
+    assert known.free_name(long) == "x" * 28 + " 2"
+
+
 @pytest.mark.parametrize("data", [b"", b"{", b"[1]", b"[{}]", b"{}x", b'[{"id": 1}]', b"7"])
 def test_a_damaged_list_lets_nobody_in(data: bytes) -> None:
     with pytest.raises(ValueError, match="no list of devices"):

@@ -16,6 +16,7 @@ from tests.support import states
 from tests.support.states import NOW_S
 
 PORT = Device("/dev/ttyACM0", "open", "alive")
+UNPROVEN = dataclasses.replace(PORT, link="unproven")
 DEAF = dataclasses.replace(PORT, link="deaf")
 DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_radps": (6.0, 6.0, 6.0, 6.0)}
 
@@ -28,6 +29,9 @@ def shown(state: State) -> dict[str, Any]:
     ("state", "word", "why", "step"),
     [
         (states.state(), "STOPPED", "Motion is disabled", "Hold ENABLE"),
+        (states.state(device=UNPROVEN), "STOPPED, UNPROVEN", "The board has never answered. Motion is", "Hold ENABLE"),
+        (states.state(unmet="it is open"), "STOPPED", "Motion is disabled", "the interlock (it is open)."),
+        (states.state(attended_by=()), "STOPPED", "Motion is disabled", "press ATTEND"),
         (states.state(enabled=True, blocked="cmd timeout"), "CAN MOVE", "nobody commands", "Start what is to drive"),
         (states.state(enabled=True, blocked="no scan"), "CAN MOVE", "sensor is silent", "Start the obstacle sensor"),
         (states.state(**DRIVING), "MOVING", "0.20 m/s forward.", ""),
@@ -73,6 +77,9 @@ def test_what_stands_in_the_way() -> None:
     }  # fmt: skip
     assert can(states.state(**DRIVING))["disable"] == ""
     assert can(states.state(waiting_for="the gate"))["enable"] == "wait for the gate"
+    assert can(states.state(attended_by=()))["enable"] == "somebody has to attend: press ATTEND"
+    assert can(states.state(unmet="it is open"))["enable"] == "see to the interlock (it is open)"
+    assert can(states.latched(device=DEAF))["reset"] == ""
 
 
 def test_the_three_levels_of_a_stop() -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.api.errors import FailstopError
 from failstop.web import guard
 from failstop.web.guard import Request
 
@@ -71,6 +72,32 @@ def test_cross_site(origin: str) -> None:
     assert refused(POST, origin=origin) == 403
     assert refused(SOCKET, origin=origin) == 403
     assert refused(OWN, origin=origin) == 403
+
+
+PROXIED = guard.origin_of("https://Robot.Example/")
+
+
+@pytest.mark.parametrize("host", ["robot.example", "127.0.0.1:8477", "robot-7.local"])
+def test_behind_a_proxy_the_origin_is_what_the_browser_sees(host: str) -> None:
+    """Whatever name the proxy gives the robot."""
+    known = guard.names("robot-7", "", PROXIED)
+    for request in (POST, SOCKET):
+        given = dataclasses.replace(request, host=host, origin="https://robot.example")
+        assert guard.refusal(given, known, PROXIED) is None
+        assert guard.refusal(given, known) is not None
+        for origin in ("https://evil.example", "http://robot.example:81", "null", "https://robot.example.evil.example"):
+            assert guard.refusal(dataclasses.replace(given, origin=origin), known, PROXIED) is not None
+
+
+def test_a_socket_that_names_no_origin_is_refused_with_and_without_a_proxy() -> None:
+    for proxied in ("", PROXIED):
+        assert guard.refusal(dataclasses.replace(SOCKET, origin=""), KNOWN, proxied) is not None
+
+
+@pytest.mark.parametrize("setting", ["robot.example", "ftp://robot.example", "https://", "https://a/b", "https://a b"])
+def test_what_is_no_origin_is_said(setting: str) -> None:
+    with pytest.raises(FailstopError, match=r"web\.origin"):
+        guard.origin_of(setting)
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "anything"])

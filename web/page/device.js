@@ -1,9 +1,10 @@
 // Device: what this one may, and how it comes to may more.
-import {post} from "/link.js";
+import {inTurn, post} from "/link.js";
 import {forget, keep} from "/keys.js";
 
 const $ = (id) => document.getElementById(id);
 
+const AGAIN_MS = 2000;
 let asked = 0, shown = 0; // an answer that comes after a later one is old
 
 function show({pairing, device}, number = ++asked) {
@@ -18,9 +19,9 @@ function show({pairing, device}, number = ++asked) {
 async function look() {
   const number = ++asked;
   try {
-    const answer = await fetch("/api/me", {cache: "no-store"});
-    if (answer.ok) show(await answer.json(), number);
-  } catch { /* the link comes back, and then it is asked again */ }
+    const found = await inTurn((signal) => fetch("/api/me", {cache: "no-store", signal}).then((answer) => answer.ok && answer.json()));
+    if (found) show(found, number);
+  } catch { if (number === asked) setTimeout(look, AGAIN_MS); }
 }
 
 document.querySelector("#pair form").addEventListener("submit", async (event) => {
@@ -44,8 +45,8 @@ $("forget").addEventListener("click", async () => {
 });
 
 // A photographed code stands behind the #, which is sent to nobody; it is taken out of the history at once.
-const given = decodeURIComponent(location.hash.slice(1));
-if (given) {
+const given = location.hash.slice(1);
+if (/^[\w-]+$/.test(given)) {
   history.replaceState(null, "", location.pathname);
   $("code").value = given;
   $("pair").open = true;

@@ -1,10 +1,11 @@
-// Hands: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go, or
-// anything unexpected, cancels.
-import {post} from "/link.js";
+// Hands: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go,
+// sliding off, or anything unexpected, cancels. The robot measures the hold: this page says that it begins, again and again
+// that it lasts, and, when the robot says that it was long enough, that it lasts even now.
+import {post, send} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
-const HOLD_MS = 2000;
-let can = {}, limit = 100, holding = null;
+const TICK_MS = 100, LATE_MS = 400, SETTLES_MS = 30;
+let can = {}, limit = 100, epoch = 0, holding = null, asking = "";
 
 function said(text, refused) {
   $("answer").textContent = text;
@@ -21,20 +22,53 @@ async function ask({verb, percent}) {
   }
 }
 
-function cancel() {
+function cancel(why) {
   if (!holding) return;
-  clearTimeout(holding.timer);
-  holding.button.classList.remove("held");
+  const {button, id, timer} = holding;
   holding = null;
+  clearInterval(timer);
+  button.classList.remove("held");
+  send({released: id});
+  if (typeof why === "string") said(why, true);
+}
+
+// A page that was held up has not seen whether the button was let go.
+function late() {
+  const at = performance.now(), gap = at - holding.at;
+  holding.at = at;
+  if (gap > TICK_MS + LATE_MS) cancel("Cancelled: this page was held up meanwhile. Hold again.");
+  return !holding;
 }
 
 function begin(button) {
   cancel();
-  const {verb, percent} = button.dataset;
+  const {verb, percent} = button.dataset, id = Math.random().toString(36).slice(2);
   if (can[verb]) { said(`Not now: ${can[verb]}.`, true); return; }
   if (verb === "disable" || percent <= limit) { ask(button.dataset); return; }
+  if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: no connection to the robot. Try again.", true); return; }
+  said("", false);
   button.classList.add("held");
-  holding = {button, timer: setTimeout(() => { cancel(); if (navigator.vibrate) navigator.vibrate(30); ask(button.dataset); }, HOLD_MS)};
+  const tick = () => { if (!late()) send({held: id}); };
+  holding = {button, id, at: performance.now(), timer: setInterval(tick, TICK_MS)};
+}
+
+// What the finger has done until now is heard first.
+async function enough(id) {
+  const begun = performance.now();
+  await new Promise((go) => requestAnimationFrame(() => setTimeout(go, SETTLES_MS)));
+  if (!holding || holding.id !== id || late() || performance.now() - begun > LATE_MS) { cancel(); return; }
+  if (navigator.vibrate) navigator.vibrate(30);
+  clearInterval(holding.timer);
+  holding.button.classList.remove("held");
+  holding = null;
+  asking = id;
+  said("asking ...", false);
+  send({sure: id});
+}
+
+function isOn(button, {clientX, clientY}) {
+  const {left, right, top, bottom} = button.getBoundingClientRect();
+  return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
 }
 
 for (const button of document.querySelectorAll("#hands button")) {
@@ -43,16 +77,30 @@ for (const button of document.querySelectorAll("#hands button")) {
     button.setPointerCapture(event.pointerId);
     begin(button);
   });
+  button.addEventListener("pointermove", (event) => { if (!isOn(button, event)) cancel(); });
   for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, cancel);
   button.addEventListener("contextmenu", (event) => event.preventDefault());
   button.addEventListener("keydown", (event) => { if (event.key === "Enter" && !event.repeat) begin(button); });
   button.addEventListener("keyup", cancel);
 }
 addEventListener("visibilitychange", cancel);
-addEventListener("stopped", () => { cancel(); said("", false); });
-addEventListener("link-lost", cancel);
+addEventListener("stopping", () => { cancel(); said("", false); });
+addEventListener("link-lost", () => {
+  cancel();
+  if (asking) said("The robot was not heard any more: see above what has become of it.", true);
+  asking = "";
+});
+addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
+  if (long) { enough(hold); return; }
+  if (holding && holding.id === hold) cancel();
+  else if (asking !== hold) return;
+  asking = "";
+  said(text, !done);
+});
 addEventListener("face", (event) => {
   ({can, limit} = event.detail);
+  if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
+  ({epoch} = event.detail);
   for (const button of document.querySelectorAll("#limit button")) {
     button.setAttribute("aria-pressed", Number(button.dataset.percent) === limit);
   }

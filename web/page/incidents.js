@@ -1,6 +1,8 @@
-// Incidents: a card each; its picture and its story are fetched when it is opened.
+// Incidents: a card each; its picture and its story are fetched when it is opened, and asked for again until they are made.
+import {inTurn} from "/link.js";
+
 const $ = (id) => document.getElementById(id);
-const LATER_MS = 4000; // a stop's file is written some seconds after it
+const AGAIN_MS = 1000, LATER_MS = 4000; // a stop's file is written some seconds after it
 const cards = new Map(); // one that is open stays open
 let shown = "", last = 0;
 
@@ -8,23 +10,45 @@ function node(kind, content, more) {
   return Object.assign(document.createElement(kind), {textContent: content}, more);
 }
 
+async function ask(path, signal) {
+  const answer = await fetch(path, {cache: "no-store", signal});
+  if (answer.status === 404) return {story: [], picture: false};
+  return answer.ok ? answer.json() : {};
+}
+
+function draw(picture, src, signal) {
+  return new Promise((done, failed) => {
+    Object.assign(picture, {src, onload: done, onerror: failed});
+    signal.addEventListener("abort", () => { picture.removeAttribute("src"); failed(); });
+  });
+}
+
 async function open(card, identity) {
   if (card.dataset.open) return;
   card.dataset.open = "1";
-  const picture = node("img", "", {src: `/api/incidents/${identity}/picture`, alt: "The seconds around the stop"});
-  const none = "No picture: that needs failstop[plots] on the robot.";
-  picture.onerror = () => picture.replaceWith(node("p", none, {className: "dim"}));
-  const link = node("a", "", {href: picture.src, target: "_blank", rel: "noopener"});
+  const base = `/api/incidents/${identity}`, list = node("ol", ""), wait = node("p", "The picture is being drawn.", {className: "dim"});
+  card.append(wait, list);
+  for (let whole = false; !whole; await new Promise((go) => setTimeout(go, AGAIN_MS))) {
+    if (!card.open) continue; // what nobody looks at is not asked for
+    const {story, picture} = await inTurn((signal) => ask(`${base}/story`, signal)).catch(() => ({}));
+    if (story && !list.childElementCount) list.replaceChildren(...story.map(line));
+    if (picture) whole = await inTurn((signal) => show(wait, `${base}/picture`, signal)).then(() => true, () => false);
+    else if (picture === false) { whole = true; wait.textContent = "No picture: that needs failstop[plots] on the robot."; }
+  }
+}
+
+async function show(place, src, signal) {
+  const picture = node("img", "", {alt: "The seconds around the stop"});
+  await draw(picture, src, signal);
+  const link = node("a", "", {href: src, target: "_blank", rel: "noopener"});
   link.append(picture);
-  const list = node("ol", "");
-  card.append(link, list);
-  const answer = await fetch(`/api/incidents/${identity}/story`);
-  const {story = []} = answer.ok ? await answer.json() : {};
-  list.replaceChildren(...story.map(({ms, what, text}) => {
-    const row = node("li", "", {className: what === "CAUSE" ? "cause" : ""});
-    row.append(node("i", `${ms > 0 ? "+" : ""}${ms.toFixed(1)} ms`), node("span", text));
-    return row;
-  }));
+  place.replaceWith(link);
+}
+
+function line({ms, what, text}) {
+  const row = node("li", "", {className: what === "CAUSE" ? "cause" : ""});
+  row.append(node("i", `${ms > 0 ? "+" : ""}${ms.toFixed(1)} ms`), node("span", text));
+  return row;
 }
 
 function card({id, t, reason, proof}) {
@@ -40,10 +64,9 @@ function card({id, t, reason, proof}) {
 }
 
 async function look() {
-  const answer = await fetch("/api/incidents").catch(() => null);
-  if (!answer || !answer.ok) return;
-  const text = await answer.text();
-  if (text === shown) return;
+  const text = await inTurn((signal) => fetch("/api/incidents", {signal}).then((answer) => answer.ok && answer.text()))
+    .catch(() => { setTimeout(look, LATER_MS); });
+  if (!text || text === shown) return;
   shown = text;
   const {incidents} = JSON.parse(text);
   $("incidents").replaceChildren(...incidents.map((incident) => card(incident)));

@@ -1,6 +1,9 @@
-// The link: a websocket that comes back by itself, and plain requests while it does not.
-const LEAST_MS = 250, MOST_MS = 2000, POLL_MS = 500;
-let socket = null;
+// The link: a websocket that comes back by itself, plain requests while nothing is heard by it, and those of the page that
+// can wait: one at a time, given up when somebody stops. A browser has six requests open at a time, and STOP must find one.
+const LEAST_MS = 250, MOST_MS = 2000, POLL_MS = 500, SILENT_MS = 1500, DEAD_MS = 6000, PATIENT_MS = 10000, QUIET_MS = 1000;
+let socket = null, wait = LEAST_MS, heard = 0, line = Promise.resolve(), current = null, posting = null, stopped = -QUIET_MS;
+
+const rest = (ms) => new Promise((go) => setTimeout(go, ms));
 
 export function connected() {
   return !!socket && socket.readyState === WebSocket.OPEN;
@@ -8,38 +11,78 @@ export function connected() {
 
 export function send(message) {
   if (connected()) socket.send(JSON.stringify(message));
+  return connected();
 }
-
-addEventListener("stopping", (event) => {
-  if (!connected()) return;
-  event.preventDefault(); // it is on its way
-  send({stop: event.detail});
-});
 
 export function reconnect() {
   if (socket) socket.close();
 }
 
-export function connect(news) {
-  let wait = LEAST_MS, polling = 0;
-  const poll = () => fetch("/api/state", {cache: "no-store"}).then((answer) => answer.ok && answer.json())
-    .then((found) => { if (found && !connected()) news(found); }).catch(() => {});
-  const open = () => {
-    socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/live`);
-    socket.onopen = () => { wait = LEAST_MS; clearInterval(polling); polling = 0; dispatchEvent(new Event("link-open")); };
-    socket.onmessage = (event) => news(JSON.parse(event.data));
-    socket.onclose = () => {
-      dispatchEvent(new Event("link-lost"));
-      if (!polling) polling = setInterval(poll, POLL_MS);
-      setTimeout(open, wait);
-      wait = Math.min(2 * wait, MOST_MS);
-    };
+// A websocket that neither opens nor fails, or says nothing any more, is left: to end it may take minutes.
+function open(news) {
+  const made = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/live`);
+  const begun = performance.now();
+  let ended = false;
+  const end = () => {
+    if (ended) return;
+    ended = true;
+    clearInterval(watch);
+    made.close();
+    dispatchEvent(new Event("link-lost"));
+    setTimeout(() => open(news), wait);
+    wait = Math.min(2 * wait, MOST_MS);
   };
-  open();
+  const watch = setInterval(() => { if (performance.now() - Math.max(begun, heard) > DEAD_MS) end(); }, POLL_MS);
+  socket = made;
+  made.onopen = () => { if (!ended) { wait = LEAST_MS; dispatchEvent(new Event("link-open")); } };
+  made.onclose = end;
+  made.onmessage = (event) => {
+    if (ended) return;
+    const message = JSON.parse(event.data);
+    heard = performance.now();
+    if ("hold" in message) dispatchEvent(new CustomEvent("hold", {detail: message})); else news(message);
+  };
 }
 
-export async function post(path, body) {
-  const answer = await fetch(path, {method: "POST", headers: {"X-Failstop": "1"}, body: JSON.stringify(body || {})});
-  const found = await answer.json();
-  return {ok: answer.ok, ...found};
+export async function connect(news) {
+  open(news);
+  for (;;) {
+    await rest(POLL_MS);
+    if (performance.now() - heard < SILENT_MS) continue;
+    const found = await patiently((signal) => fetch("/api/state", {cache: "no-store", signal})
+      .then((answer) => answer.ok && answer.json()), MOST_MS).catch(() => null);
+    if (found && performance.now() - heard >= SILENT_MS) news(found);
+  }
+}
+
+async function patiently(work, most, given = new AbortController()) {
+  const timer = setTimeout(() => given.abort(), most);
+  try { return await work(given.signal); } finally { clearTimeout(timer); }
+}
+
+// What can wait: `work` gets a signal that says when to give up.
+export function inTurn(work) {
+  const done = line.then(async () => {
+    while (performance.now() - stopped < QUIET_MS) await rest(QUIET_MS);
+    current = new AbortController();
+    return patiently(work, PATIENT_MS, current);
+  });
+  line = done.catch(() => {});
+  return done;
+}
+
+addEventListener("stopping", () => {
+  stopped = performance.now();
+  if (current) current.abort();
+});
+
+// A newer one takes the place of one that has no answer yet.
+export function post(path, body) {
+  if (posting) posting.abort();
+  posting = new AbortController();
+  return patiently(async (signal) => {
+    const answer = await fetch(path, {method: "POST", headers: {"X-Failstop": "1"}, body: JSON.stringify(body || {}), signal});
+    const found = await answer.json();
+    return {ok: answer.ok, ...found};
+  }, PATIENT_MS, posting);
 }

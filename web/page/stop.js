@@ -1,62 +1,145 @@
 "use strict";
-// STOP, by itself: it stands in the page, needs nothing else of it, and works before anything is connected.
+// STOP, by itself: it stands in the page, needs nothing else of it, and works before anything is connected. It has a
+// websocket of its own, since the six requests that a browser has open at a time may all be taken; and requests, where
+// there is no websocket. It goes on until a stop is written, for as long as the page is open.
 (() => {
   const EVERY_MS = 300; // an answer comes within that when it is written, or says that it was not
-  const TRIES = 60;
+  const LATER_MS = 2000;
+  const OFTEN = 60; // tries, before it is tried less often
+  const TOLD = 3; // tries, before it is said that it is not written
   const ASIDE_MS = 4;
-  const MOST_OPEN = 4;
+  const MOST_OPEN = 3; // of the six requests that a browser has open at a time
+  const PATIENT_MS = 3000; // for the answer to a request, and for a connection
+  const SILENT_MS = 1000; // of a websocket that owes an answer
+  const CHECK_MS = 5000;
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
-  let newest = "";
+  let socket = null, spare = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
 
   function say(text, phase) {
+    rests = false;
     said.textContent = text;
     button.dataset.phase = phase;
   }
 
-  function ask(open, id) {
-    const given = new AbortController();
-    open.push(given);
-    if (open.length > MOST_OPEN) open.shift().abort();
-    // keepalive: it goes out even if the page is closed at once.
-    const headers = {"X-Failstop": "1"}, body = JSON.stringify({id});
-    return fetch("/api/stop", {method: "POST", headers, body, keepalive: true, signal: given.signal})
-      .then((answer) => answer.json().then((found) => ({...found, status: answer.status})));
+  function rest() {
+    if (refused && !isOpen()) say(`THIS PAGE CAN'T STOP (${refused}): use the POWER SWITCH`, "failed");
+    else say(HINT, "");
+    rests = true;
+  }
+
+  function isOpen() {
+    return socket && socket.readyState === WebSocket.OPEN;
+  }
+
+  // A connection that is not heard any more takes minutes to end: another is opened beside it, and takes its place.
+  function connect() {
+    const made = new WebSocket(`${location.protocol.endsWith("s:") ? "wss" : "ws"}://${location.host}/api/stop/live`);
+    const again = () => {
+      if (socket !== made) return;
+      socket = null;
+      setTimeout(() => { if (!socket) connect(); }, wait);
+      wait = Math.min(2 * wait, LATER_MS);
+    };
+    if (isOpen()) spare = socket;
+    socket = made;
+    given = null;
+    made.onmessage = (event) => { given = null; hear(JSON.parse(event.data)); };
+    made.onopen = () => {
+      wait = EVERY_MS;
+      if (spare) spare.close();
+      spare = null;
+      if (now) send(now.last); else if (rests) rest();
+    };
+    made.onclose = again;
+    setTimeout(() => { if (made.readyState === WebSocket.CONNECTING) { made.close(); again(); } }, PATIENT_MS);
+  }
+
+  function send(id) {
+    if (!isOpen()) return false;
+    socket.send(JSON.stringify({stop: id}));
+    given = given || performance.now();
+    return true;
+  }
+
+  function connectAnew() {
+    if (!socket || socket.readyState !== WebSocket.CONNECTING) connect();
+  }
+
+  // keepalive: it goes out even if the page is closed at once.
+  function ask(path, body, signal) {
+    const headers = {"X-Failstop": "1"};
+    return fetch(path, {method: "POST", headers, body: JSON.stringify(body), keepalive: true, signal})
+      .then((answer) => answer.json().then((found) => ({...found, ok: answer.ok})));
+  }
+
+  function request(own) {
+    const at = performance.now(), each = {since: at, given: new AbortController()};
+    own.open.filter(({since}) => at - since > PATIENT_MS).forEach((old) => old.given.abort());
+    if (own.open.length >= MOST_OPEN) return;
+    own.open.push(each);
+    ask("/api/stop", {id: own.last}, each.given.signal).then((found) => hear({id: own.id, ...found})).catch(() => {})
+      .finally(() => { own.open = own.open.filter((other) => other !== each); });
+  }
+
+  function hear(found) {
+    const stop = now;
+    if (!stop || !String(found.id).startsWith(stop.id)) return;
+    stop.asked ||= found.asked || 0;
+    stop.wrong = found.error || "";
+    stop.latched = !!found.face && found.face.latched;
+    if (found.written) done(stop, {...found, asked: stop.asked});
+  }
+
+  function done(stop, found) {
+    if (now !== stop) return;
+    now = null;
+    stop.open.forEach((each) => each.given.abort());
+    say("written", "written");
+    dispatchEvent(new CustomEvent("stopped", {detail: found}));
   }
 
   async function stop() {
     const id = Math.random().toString(36).slice(2);
-    // Where the websocket is up it is the shorter way, as it needs no new request; by its id the robot knows it for the same.
-    const sent = !dispatchEvent(new CustomEvent("stopping", {detail: id, cancelable: true}));
-    const open = [];
-    newest = id;
+    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: face && face.stop && face.stop.t};
+    const sent = send(id);
     say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
+    dispatchEvent(new Event("stopping")); // what can wait gives up its connection
     // What the browser does for a request would hold up the bytes of the websocket.
     if (sent) await new Promise((go) => setTimeout(go, ASIDE_MS));
-    let asked = 0, done = false, wrong = "no answer";
-    for (let number = 0; number < TRIES && !done; number++) {
-      const wait = new Promise((next) => setTimeout(next, EVERY_MS));
-      const answer = ask(open, number ? `${id}-${number}` : id).then((found) => {
-        asked ||= found.asked || 0;
-        if (found.written && !done) {
-          done = true;
-          if (newest === id) say("written", "written");
-          dispatchEvent(new CustomEvent("stopped", {detail: {...found, asked}}));
-        } else if (found.error) wrong = found.error;
-      }).catch(() => {});
-      await Promise.race([answer, wait]);
-      if (!done) await wait;
-      if (newest !== id && number) break; // touched anew: that one goes on
-      if (!done && number >= 3) say(`NOT WRITTEN (${wrong}). Still trying: use the POWER SWITCH`, "failed");
+    for (let number = 0; now === own; number++) {
+      own.last = number ? `${id}-${number}` : id; // a stop anew, as the one before may be lost; and by both ways the same one
+      if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) connectAnew();
+      request(own);
+      await new Promise((next) => setTimeout(next, number < OFTEN ? EVERY_MS : LATER_MS));
+      if (now === own && number >= TOLD) {
+        const what = own.latched ? "latched, NOT YET AT THE BOARD" : `NOT WRITTEN (${own.wrong || "not yet"})`;
+        say(`${what}. Still trying: use the POWER SWITCH`, "failed");
+      }
     }
-    open.forEach((given) => given.abort());
-    if (!done && newest === id) say(`NOT WRITTEN (${wrong}): use the POWER SWITCH`, "failed");
+    own.open.forEach((each) => each.given.abort());
   }
 
-  addEventListener("unstopped", () => say(HINT, ""));
-  say(HINT, "");
+  // Whether requests are let in at all: who stands before a page that can't stop is to know it before it matters.
+  async function check() {
+    try {
+      const found = await ask("/api/check");
+      refused = found.ok ? "" : found.error || "its requests are refused";
+      if (refused && !isOpen()) document.getElementById("why").textContent = "This page's requests are refused.";
+      if (rests) rest();
+    } catch { setTimeout(check, CHECK_MS); }
+  }
+
+  // What is shown of the robot may tell that a stop is written before any answer does.
+  addEventListener("face", ({detail}) => {
+    face = detail;
+    const newer = now && face.latched && face.stop && face.stop.written && face.stop.t !== now.before;
+    if (newer) done(now, {asked: now.asked || face.stop.t, written: true});
+  });
+  addEventListener("unstopped", () => { if (!now) rest(); });
+  rest();
   // On touch-down, not when the finger is lifted; a click without one is a screen reader's or a keyboard's.
   button.addEventListener("pointerdown", (event) => { event.preventDefault(); stop(); });
   button.addEventListener("click", (event) => { if (!event.detail) stop(); });
@@ -67,4 +150,6 @@
       if (!event.repeat) stop();
     }
   }, true);
+  connect();
+  setTimeout(check, EVERY_MS);
 })();

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
+from argparse import ArgumentParser, ArgumentTypeError
+from math import inf
 
 
 def add_name(parser: ArgumentParser) -> None:
     """The option that chooses the instance."""
     parser.add_argument("--name", default="failstop", help="the service's name (default: failstop)")
+
+
+def seconds(text: str) -> float:
+    """How long something is to last, as an option says it."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = inf
+    if not 0 < found < inf:
+        raise ArgumentTypeError(f"{text} is no time in seconds: give a number above 0, such as 2")
+    return found

@@ -12,9 +12,10 @@ from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState
 from failstop.api.words import span
 from failstop.cli import standard, style
-from failstop.cli.commands import add_name
-from failstop.cli.commands.requests import REPEAT_S, say
+from failstop.cli.commands import add_name, seconds
+from failstop.cli.commands.requests import REPEAT_S
 from failstop.cli.screen import summary
+from failstop.cli.screen.progress import Progress
 
 EXAMPLES = """\
 failstop arm                           # where each joint is, what is wrong
@@ -26,6 +27,7 @@ failstop arm hold                      # stop where it is; torque stays
 failstop arm release                   # torque off: it falls
 """
 
+TORQUES = {True: "on", False: "off", None: "not read"}
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
 
 
@@ -34,8 +36,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("verb", nargs="?", default="status", choices=VERBS, help="default: status")
     add("joints", nargs="*", metavar="JOINT=VALUE", help="rad (move) or rad/s (jog)")
-    add("--over", type=float, default=0.0, metavar="S", help="move: how long it takes")
-    add("--for", dest="seconds", type=float, default=1.0, metavar="S", help="jog: how long (default: 1)")
+    add("--over", type=seconds, default=0.0, metavar="S", help="move: how long it takes")
+    add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="jog: how long (default: 1)")
     add("--json", action="store_true", help="status: the same for programs")
     add_name(parser)
 
@@ -44,20 +46,22 @@ def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused."""
     verb = arguments.verb
     with Robot(arguments.name, client="failstop arm") as robot:
-        arm, values = robot.arm, _values(arguments.joints)
+        arm, values, progress = robot.arm, _values(arguments.joints), Progress()
         if verb in ("move", "jog") and not values:
             raise FailstopError(f"failstop arm {verb}: which joint? One of {', '.join(arm.joints)}, as NAME=VALUE")
         verbs = {
-            "move": lambda: arm.move(values, arguments.over, told=say),
+            "move": lambda: arm.move(values, arguments.over, told=progress),
             "jog": lambda: _jog(robot, values, arguments.seconds),
-            "drive": lambda: arm.pose("drive", told=say),
-            "tuck": lambda: arm.pose("tuck", told=say),
+            "drive": lambda: arm.pose("drive", told=progress),
+            "tuck": lambda: arm.pose("tuck", told=progress),
             "hold": arm.hold,
             "release": arm.release,
         }
         try:
             if verb in verbs:
-                standard.tell(verbs[verb]())
+                with progress:
+                    said = verbs[verb]()
+                standard.tell(said)
                 return 0
             if verb == "read":
                 arm.read()
@@ -70,8 +74,8 @@ def main(arguments: Namespace) -> int:
     return 0
 
 
-def _jog(robot: Robot, rates: dict[str, float], seconds: float) -> str:
-    until_s = time.monotonic() + seconds
+def _jog(robot: Robot, rates: dict[str, float], for_s: float) -> str:
+    until_s = time.monotonic() + for_s
     while (left_s := until_s - time.monotonic()) > 0:
         robot.arm.jog(rates)
         time.sleep(min(REPEAT_S, left_s))
@@ -103,7 +107,7 @@ def _lines(arm: ArmState) -> list[style.Line]:
         commanded = "-" if joint.commanded_rad is None else f"{joint.commanded_rad:+.3f}"
         age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
         heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
-        torque = f"{'on' if joint.torque else 'off'}{heat}"
+        torque = f"{TORQUES[joint.torque]}{heat}"
         rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
     table = style.table([[(cell, style.PLAIN) for cell in cells] for cells in rows])
     return [*(summary.row(label, text) for label, text in head), *table]

@@ -12,7 +12,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Stop
 from failstop.api.state import StateReader
 from failstop.cli import standard
-from failstop.cli.commands import add_name
+from failstop.cli.commands import add_name, seconds
 from failstop.cli.screen.follow import left
 from failstop.cli.style import show, width
 from failstop.incidents import files, report
@@ -49,7 +49,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     for name, action in (("plot", plot), ("export", export)):
         where = f"the file to write (default: ID{SUFFIXES[name]} in this folder)"
         action.add_argument("-o", "--output", metavar="FILE", help=where, default="")
-    plot.add_argument("--seconds", type=float, default=5.0, metavar="S", help="from S before the cause (default: 5)")
+    plot.add_argument("--seconds", type=seconds, default=5.0, metavar="S", help="from S before the cause (default: 5)")
     for action in (listing, told, plot, export):
         add_name(action)
 

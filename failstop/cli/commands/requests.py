@@ -6,12 +6,14 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 
+from failstop.api import steps, verdict
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
-from failstop.api.verdict import next_step
 from failstop.api.words import velocity
 from failstop.cli import standard
-from failstop.cli.commands import add_name
+from failstop.cli.commands import add_name, seconds
+from failstop.cli.screen.progress import Progress
+from failstop.shm.records import CAUSE
 
 EXAMPLES = {
     "enable": """\
@@ -37,7 +39,9 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 """,
 }
 
+ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
+IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
 """A process that died is there again by then, and nobody needs to be told to wait for it."""
 
@@ -46,69 +50,72 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of one of them, whose name ends the parser's."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
-        add("percent", type=float, metavar="PERCENT", help="5 to 100")
+        add("percent", type=float, metavar="PERCENT", help=ALLOWED_PERCENT)
     if command == "drive":
         add("vx", type=float, help="m/s forward")
         add("vy", type=float, help="m/s left")
         add("wz", type=float, help="rad/s counter-clockwise")
-        add("--for", dest="seconds", type=float, default=1.0, metavar="S", help="how long (default: 1)")
+        add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="how long (default: 1)")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
-    """Ask; a refusal is raised as Refused, with what to do first."""
+    """Ask; a refusal is raised as Refused."""
     command = arguments.command
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
-            "enable": lambda: robot.enable(say),
+            "enable": lambda: _enable(robot),
             "disable": robot.disable,
             "reset": robot.reset,
-            "limit": lambda: robot.limit_speed(arguments.percent / 100),
+            "limit": lambda: _limit(robot, arguments.percent),
             "drive": lambda: _drive(robot, (arguments.vx, arguments.vy, arguments.wz), arguments.seconds),
         }
         try:
             standard.tell(verbs[command]())
-        except Refused as refused:
-            state = robot.state
-            if command != "drive" and (state.estop or state.waiting_for):
-                raise Refused(f"{refused.args[0]}; next: {next_step(state)}") from None
-            raise
+            if command == "enable" and (why := verdict.unproven(robot.state)):
+                standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
         except ValueError as error:  # out of bounds, or not finite
             raise FailstopError(str(error)) from None
     return 0
 
 
-def say(text: str) -> None:
-    """How far it is: with an arm, enabling takes its time."""
-    print(text, flush=True)
+def _enable(robot: Robot) -> str:
+    """With an arm it takes seconds."""
+    with Progress() as progress:
+        return robot.enable(progress)
 
 
-def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> str:
+def _limit(robot: Robot, percent: float) -> str:
+    """The gate knows which limits are too low. Raises Refused for what is no limit at all."""
+    if not 0 < percent <= 100:
+        raise Refused(f"a speed limit of {percent:g} %: must be {ALLOWED_PERCENT}")
+    return robot.limit_speed(percent / 100)
+
+
+def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
     """A velocity for a while, then zero. A person types it, so it is a manual command. Raises Refused as soon as
     something blocks the wheels."""
-    until_s = time.monotonic() + seconds
-    if reason := _blocked(robot):
-        raise Refused(reason)
+    until_s = time.monotonic() + for_s
+    if refused := _blocked(robot):
+        raise refused
     if asked[1] and robot.settings["wheels.layout"] == "differential":
         raise Refused(f"a differential base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
     reached = asked
     while time.monotonic() < until_s:
         robot.drive(*asked, manual=True)
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
-        if reason := _blocked(robot):
+        if refused := _blocked(robot):
             time.sleep(RESTARTED_S)
-            raise Refused(_blocked(robot) or reason)
+            raise _blocked(robot) or refused
         reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
-    return f"drove for {seconds:g} s{held}; the wheels stop"
+    return f"drove for {for_s:g} s{held}; the wheels stop"
 
 
-def _blocked(robot: Robot) -> str:
-    """Why driving is pointless, with the command that helps."""
+def _blocked(robot: Robot) -> Refused | None:
+    """Why driving is pointless, with the command that helps; None: it is not."""
     state = robot.state
-    if state.estop:
-        return f"a stop is latched ({state.cause}); next: {next_step(state)}"
-    if not state.enabled:
-        return f"motion is disabled; next: {next_step(state)}"
-    return ""
+    if state.cause:
+        return Refused(IS_LATCHED, state.cause, steps.line(state))
+    return None if state.enabled else Refused("motion is disabled", step=steps.line(state))

@@ -11,7 +11,7 @@ from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, SettingError
 from failstop.procs import rights
 from failstop.shm import instance
-from failstop.supervisor import starter
+from failstop.supervisor import grant, starter
 from failstop.supervisor.port import OwnPort
 
 DEVICE = "device.path"
@@ -71,7 +71,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     rights.take_descriptors()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
-    settings = config.checked({**read, **given}, arguments.config)
+    settings = grant.leased(config.checked({**read, **given}, arguments.config), read)
     instance.check_name(arguments.name)
     if port is None:
         return

@@ -149,7 +149,7 @@ class Live:
         return [*body, *_news(events, unix_s, rows - len(body))]
 
     def _title(self, clock: str, columns: int) -> Line:
-        left, right = f"failstop {self._name}", f"{clock}   q quits"
+        left, right = f"failstop status{words.of(self._name)}", f"{clock}   q quits"
         return [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
 
     def _bars(self, state: State, columns: int) -> list[Line]:

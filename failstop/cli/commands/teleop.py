@@ -10,9 +10,9 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
-from failstop.api import words
+from failstop.api import verdict, words
 from failstop.api.client import Run
-from failstop.api.errors import FailstopError, NoService
+from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState, State
 from failstop.cli.commands import add_name
@@ -24,6 +24,7 @@ from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import blocks
+from failstop.shm.layout import GATE
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves
@@ -38,7 +39,6 @@ LATE_S = 0.25
 """After a turn that took this long - the program was stopped, the terminal or the machine was held up - what was typed
 meanwhile is old."""
 CLIENT = "failstop teleop"
-LATCHED = ("a stop is latched: r resets it, then e enables motion", FAIL)
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
@@ -48,7 +48,7 @@ KEYS = """\
 w s  \u2191 \u2193    forward, backward     space  STOP, latched
 a d  \u2190 \u2192    turn left, right      e      enable motion
 j l         slide left, right     r      reset a latched stop
-+ -         faster, slower        q      stop, disable, leave
++ -         faster, slower        q      leave: stop; disable what e enabled
 """
 JOINTS = "[ ]         turn the chosen joint {digits:<7}choose a joint of the arm"
 HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
@@ -61,10 +61,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
+    """Drive; the wheels stop at the end, and motion that this enabled is disabled. The exit code is 0 after q, else
+    128 and the signal's number."""
     Run(arguments.name).check("source", arguments.source)
     terminal = Terminal()
-    with Robot(arguments.name, client=CLIENT) as robot:
+    with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
         pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps, wz_radps))
@@ -72,7 +73,7 @@ def main(arguments: Namespace) -> int:
             with terminal:
                 _drive(terminal, pilot)
         finally:
-            said = _disable(robot)
+            said = pilot.leave()
     with contextlib.suppress(OSError):  # the terminal may have gone
         print(said, file=sys.stderr if terminal.ended else sys.stdout)
     return 128 + terminal.ended if terminal.ended else 0
@@ -94,12 +95,9 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
             terminal.draw(pilot.lines(state, now_s, terminal.columns))
 
 
-def _disable(robot: Robot) -> str:
-    """Stop and disable; what came of it, in words. A service that can't be told stops by the command timeout."""
-    try:
-        return robot.disable()
-    except FailstopError as error:
-        return f"motion could not be disabled ({error}); the command timeout stops the wheels"
+def _refusal(error: FailstopError) -> str:
+    """An error as a note: of a refusal the reason alone, since the keys that help stand below."""
+    return f"refused: {error.reason}" if isinstance(error, Refused) else str(error)
 
 
 class Pilot:
@@ -112,8 +110,10 @@ class Pilot:
         self.source = source
         self.percent = FIRST_PERCENT
         self.hold = Hold()
-        self.note: Span = ("motion is never enabled by itself: e enables it", PLAIN)
-        """What to tell, and its role."""
+        self.note: Span = ("", PLAIN)
+        """What came of the last key, and its role; told until the state changes."""
+        self.enabled = False
+        """Motion is enabled by this program, or may be soon."""
         self.leaving = False
         self.joint = 0
         """The chosen joint of the arm, by its place in the settings."""
@@ -121,8 +121,12 @@ class Pilot:
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
         self._enabling: threading.Thread | None = None
-        self._latched: str | None = None
-        """The latch as it was seen last."""
+        self._seen: object = None
+        """Of the state, what the lines for people depend on, as it was seen last."""
+        self._told: Span = self.note
+        """The note as it was then."""
+        self._asked = False
+        """An arm was on its way to the drive pose then, to enable motion."""
         self._rival = ""
         """Who else commands as this source."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
@@ -130,13 +134,13 @@ class Pilot:
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
         """Act on keys, and on what is due without any. `late`: they may have waited somewhere; then only what stops
         counts."""
+        self._follow(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
         if SPACE in keys:
             self.hold.let_go()
             with self._noted():
                 self.robot.estop("space key")
-                self.note = LATCHED
             late = True  # what was typed before it, or with it, must not undo it
         if late:
             keys = [key for key in keys if key in LEAVE]
@@ -155,9 +159,32 @@ class Pilot:
             elif self.note[1] in (WARN, FAIL) and state.blocked in (None, blocks.NO_COMMAND):
                 self.note = ("", PLAIN)
         self._send(self.hold.pressed(moving, now_s), now_s)
-        if state.estop != self._latched:
-            self._latched = state.estop
-            self.note = LATCHED if state.estop else self.note
+
+    def _follow(self, state: State) -> None:
+        """A note is of the state that it was made in: it goes with it, but for one that has come since the last look,
+        which tells of the new one. Motion that somebody else enables after it was disabled is theirs."""
+        seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
+        if seen != self._seen and self.note is self._told:
+            self.note = ("", PLAIN)
+        self.enabled &= state.enabled or self._asked
+        self._seen, self._told, self._asked = seen, self.note, self._asking()
+
+    def _asking(self) -> bool:
+        """With an arm, motion is enabled beside the keys."""
+        return bool(self._enabling and self._enabling.is_alive())
+
+    def leave(self) -> str:
+        """The end: the wheels stop. Motion that this program enabled is disabled; what somebody else enabled, others
+        may be driving by. Returns what came of it, in words. A service that can't be told stops by the command
+        timeout."""
+        try:
+            if self.enabled or self._asking():
+                return self.robot.disable()
+            if not self._rival:
+                self._send(self.hold.let_go(), 0.0)
+            return "motion stays enabled, as it was before" if self.robot.state.enabled else "motion is disabled"
+        except FailstopError as error:
+            return f"the service can't be told ({error}); the command timeout stops the wheels"
 
     @contextlib.contextmanager
     def _noted(self) -> Iterator[None]:
@@ -166,7 +193,7 @@ class Pilot:
         except NoService:
             raise
         except FailstopError as error:
-            self.note = (str(error), FAIL)
+            self.note = (_refusal(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
         """A key that is none of motion; one that means nothing lets go of those that are."""
@@ -178,22 +205,34 @@ class Pilot:
             with self._noted():
                 if key == "r":
                     self.note = (self.robot.reset(), WARN)
+                elif key == "e" and state.enabled:
+                    self.note = ("motion is enabled already", PLAIN)
                 elif key == "e" and not state.arm:
-                    self.note = (self.robot.enable(), OK)
-                elif key == "e" and not (self._enabling and self._enabling.is_alive()):
-                    self._enabling = threading.Thread(target=self._enable, daemon=True)
+                    self._enable()
+                elif key == "e" and not self._asking():
+                    self._enabling = threading.Thread(target=self._enable_beside, daemon=True)
                     self._enabling.start()
+                    self._asked = True
 
     def _enable(self) -> None:
-        """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
+        """From when it is asked for, since it may be granted though nobody hears the answer."""
 
         def tell(text: str) -> None:
             self.note = (text, PLAIN)
 
+        self.enabled = True
         try:
             self.note = (self.robot.enable(tell), OK)
+        except Refused:
+            self.enabled = False
+            raise
+
+    def _enable_beside(self) -> None:
+        """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
+        try:
+            self._enable()
         except FailstopError as error:
-            self.note = (str(error), FAIL)
+            self.note = (_refusal(error), FAIL)
 
     def _turn(self, key: str, seen: ArmState) -> bool:
         """True when the key is one of the arm's: acted on."""
@@ -216,12 +255,23 @@ class Pilot:
     def _against(self, state: State) -> Span | None:
         """Why a press can't move the wheels, or would stop everything: a second publisher of a source is a reason to
         latch."""
-        if state.estop:
-            return LATCHED
-        if not state.enabled:
-            return "motion is disabled: e enables it", WARN
+        if holds := self.holds(state):
+            return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
         return (rival, WARN) if self._rival else None
+
+    def holds(self, state: State) -> Span | None:
+        """What holds the wheels, and the keys that help; None: the keys drive."""
+        if any(process.state == "dead" for process in state.processes.values()):
+            return "the service has died, and the wheels are stopped: q leaves", FAIL
+        first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
+        if not first and state.waiting_for and not verdict.down(state):
+            first = f"wait for {state.waiting_for}, then "
+        if state.device.state != "open":
+            first = "plug the board in, then "
+        if state.estop:
+            return f"a stop is latched: {first}r resets it, then e enables motion", FAIL
+        return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
         """Not even a zero goes out beside another publisher of the source: that would latch a stop."""
@@ -239,7 +289,7 @@ class Pilot:
         if state.arm:
             keys.append(JOINTS.format(digits=f"1 - {len(state.arm.joints)}"))
         rows: list[Line] = [
-            [("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)],
+            [(f"failstop teleop{words.of(state.name)}", STRONG), (f"  as {self.source}", DIM)],
             [],
             *([(text, PLAIN)] for text in keys),
             [],
@@ -251,7 +301,7 @@ class Pilot:
             summary.battery(state),
             summary.device(state),
             [],
-            [self.note],
+            [self.note if self.note[0] else self.holds(state) or ("", PLAIN)],
             [(HOW, DIM)],
         ]
         return summary.wrapped(rows, columns)

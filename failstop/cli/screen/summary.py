@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from failstop.api import verdict, words
+from failstop.api import steps, verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, State
 from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
+from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
 
 LABEL = 10
@@ -20,11 +21,7 @@ BATTERY_LOW_V = 10.5
 """Three lithium cells at 3.5 V: little is left."""
 LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
-LINKS = {
-    "alive": ("alive", OK),
-    "unproven": ("unproven", WARN),
-    "deaf": ("deaf: the board may not hear a stop, so use the POWER SWITCH", FAIL),
-}
+LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}
@@ -38,6 +35,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
+    if death := verdict.death(state, events):
+        rows.append([*row("driver", death.text, WARN), (f" ({words.ago(death.t, now_s)})", DIM)])
     rows += _drivers(state, verdict.left_off(events), now_s)
     rows += last_stop(state, now_s)
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
@@ -66,13 +65,15 @@ def headline(state: State) -> Line:
     """What the wheels do, and why."""
     word = verdict.word(state)
     role = WORDS.get(word) or (FAIL if state.cause else WARN)
-    return [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
+    if verdict.unproven(state) and role == OK:
+        role = WARN
+    return [*row("wheels", verdict.proven_word(state), role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
     """The same, and the next command."""
     rows = [headline(state)]
-    if step := verdict.next_step(state):
+    if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
     return rows
 
@@ -102,7 +103,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     line = row("", "")
-    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+    for number, (text, proven) in enumerate(proofs(stop, now_s, state.device.link)):
         unwritten = number == 0 and not proven
         line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
@@ -112,7 +113,8 @@ def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
-    return [*found, (", link ", PLAIN), LINKS.get(link, (link, WARN))] if port == "open" else found
+    told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
+    return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN))] if port == "open" else found
 
 
 def battery(state: State) -> Line:
@@ -158,8 +160,8 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
             found.append([(f"{name} was restarted {times}; it {ends[name]}", WARN)])
     running = [process for process in state.processes.values() if process.pid]
     if not state.starved and not all(process.realtime for process in running):
-        text = "without real-time rights stops come later on a busy machine; `failstop doctor` says more"
-        found.append([(text, DIM)])
+        text = f"without real-time rights stops come later on a busy machine, and {cost(state.lease_s)}"
+        found.append([(f"{text}; `failstop doctor` says more", DIM)])
     return found
 
 
@@ -177,4 +179,14 @@ def arm_headline(arm: ArmState) -> str:
     if arm.released:
         return "released: its torque is off"
     pose = f", in the {arm.pose} pose" if arm.pose else ""
-    return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
+    tucks = f", tucks itself in {arm.auto_tuck_s} s" if arm.auto_tuck_s is not None else ""
+    return f"{_holding(arm)}{pose}{tucks}"
+
+
+def _holding(arm: ArmState) -> str:
+    """Whether it stands by its torque, which every joint tells of itself."""
+    torques = {joint.torque for joint in arm.joints.values()}
+    loose = [name for name, joint in arm.joints.items() if joint.torque is False]
+    if True in torques:
+        return f"holding, but for {', '.join(loose)}" if loose else "holding"
+    return "its torque is off" if loose else "stands; whether its torque is on is not read yet"

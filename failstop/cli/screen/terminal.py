@@ -33,9 +33,12 @@ class Terminal:
     """A context manager. Signals only set fields here; whoever waits acts on them when its wait is over."""
 
     def __init__(self) -> None:
-        """Raises FailstopError when standard output is no terminal."""
+        """Raises FailstopError when standard output is no terminal, or one that obeys no escape sequences."""
         if not os.isatty(OUT):
             raise FailstopError("this needs a terminal; `failstop status --json` is for programs")
+        if not style.lives(os.environ, terminal=True):
+            term = os.environ.get("TERM", "")
+            raise FailstopError(f"this needs a terminal with a screen, and TERM is {term!r}; see `failstop status`")
         self._shown: list[str] | None = None
         """What is on the screen, line by line; None: it may show anything."""
         self._keyboard = os.isatty(IN)

@@ -12,6 +12,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.api.errors import FailstopError
+from failstop.cli import style
 from failstop.lab.commands import check_json, matching
 from failstop.lab.faults import campaign, report
 from failstop.lab.faults.campaign import Row
@@ -123,7 +124,7 @@ def _seed(arguments: Namespace) -> int:
 def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
     seed = _seed(arguments)
     tally = report.Tally(rows, seed)
-    live = sys.stderr.isatty()
+    live = style.lives(os.environ, terminal=sys.stderr.isatty())
     interrupted: list[bool] = []
     signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
     print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)

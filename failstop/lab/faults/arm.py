@@ -194,7 +194,7 @@ def _refuse(trial: ArmTrial, fault: ArmFault) -> Rested:
         trial.drive(0.1)
         wrong.append("enabled")
     except Refused as error:
-        if not str(error.args[0]).startswith(f"arm is not in the drive pose: joint elbow{fault.refused}"):
+        if not error.reason.startswith(f"arm is not in the drive pose: joint elbow{fault.refused}"):
             wrong.append(f"refused: {error}")
     finally:
         trial.board.servo(ELBOW, **{name: HEALTHY.get(name, False) for name, _ in fault.servo})

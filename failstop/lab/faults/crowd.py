@@ -50,8 +50,20 @@ class Helper:
             self.pid = 0
 
 
+class _Ended(BaseException):
+    """The child was told to end."""
+
+
+def _fail(*_: object) -> None:
+    raise ZeroDivisionError
+
+
+def _end(*_: object) -> None:
+    raise _Ended
+
+
 class ChildDriver(Helper):
-    """A client of its own that commands a velocity for as long as it lives."""
+    """A program of its own that commands a velocity for as long as it lives. SIGUSR1: it fails by an exception."""
 
     def __init__(self, name: str, velocity: tuple[float, float, float], megabytes: int = 0) -> None:
         """`megabytes`: memory of its own that the kernel has to take down when it dies."""
@@ -62,13 +74,27 @@ class ChildDriver(Helper):
         super().__init__(self._drive)
 
     def _drive(self) -> None:
+        for number, action in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGUSR1, _fail), (signal.SIGTERM, _end)):
+            signal.signal(number, action)  # whatever the campaign was started with
         _ballast = bytearray(b"x") * (self._megabytes << 20)
         client = Client(self._name, "child")
-        while True:
-            now = time.monotonic_ns().to_bytes(8, "little")
-            client.command(*self._velocity, manual=False, source=DEFAULT)
-            self._shared[:] = now + client.slot.to_bytes(8, "little")
-            time.sleep(COMMAND_EVERY_S)
+        try:
+            while True:
+                now = time.monotonic_ns().to_bytes(8, "little")
+                client.command(*self._velocity, manual=False, source=DEFAULT)
+                self._shared[:] = now + client.slot.to_bytes(8, "little")
+                time.sleep(COMMAND_EVERY_S)
+        except (_Ended, Exception) as error:
+            client.close(in_order=isinstance(error, _Ended))
+
+    def leave(self) -> None:
+        """Have it end in order, hung or not, and collect it; nothing if it has died."""
+        if self.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGTERM)
+                os.kill(self.pid, signal.SIGCONT)
+            os.waitpid(self.pid, 0)
+            self.pid = 0
 
     @property
     def commanded_ns(self) -> int:

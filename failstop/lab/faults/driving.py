@@ -98,7 +98,7 @@ class Driver:
                     self.robot.reset()
                 self.robot.enable(hold)  # an arm's way to its drive pose takes longer than an interlock's time
             except Refused as error:
-                refusal = str(error)
+                refusal = f"refused: {error}"
                 return False
             except FailstopError:
                 self.leave()

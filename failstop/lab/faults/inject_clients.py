@@ -60,18 +60,35 @@ class OtherDrives(Injector):
 
     def heal(self, scene: Scene) -> None:
         if self.child:
-            self.child.end()
+            self.child.leave()
         scene.driver.commands = True
 
 
 class ClientKilled(OtherDrives):
-    """SIGKILL."""
+    """SIGKILL; at once another program commands, as one does that is started again."""
+
+    SIGNAL = signal.SIGKILL
 
     def strike(self, scene: Scene) -> int:
         assert self.child
         now_ns = time.monotonic_ns()
-        self.child.signal(signal.SIGKILL)
+        self.child.signal(self.SIGNAL)
         return now_ns
+
+    def during(self, scene: Scene) -> None:
+        scene.driver.commands = True
+
+
+class ClientHungUp(ClientKilled):
+    """The end of its terminal."""
+
+    SIGNAL = signal.SIGHUP
+
+
+class ClientFails(ClientKilled):
+    """An exception that it does not handle."""
+
+    SIGNAL = signal.SIGUSR1
 
 
 class LargeClientKilled(ClientKilled):
@@ -341,6 +358,8 @@ class ServiceStopped(Injector):
 INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-killed": ClientKilled,
     "client-killed-large": LargeClientKilled,
+    "client-hung-up": ClientHungUp,
+    "client-fails": ClientFails,
     "client-hung": ClientHung,
     "client-nan": ClientNan,
     "client-second": SecondClient,

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 import itertools
 
-from failstop.lab.faults.fault import CONTINUE, CRASH, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
+from failstop.lab.faults.fault import (
+    CONTINUE,
+    CRASH,
+    DEATH,
+    HANG,
+    HANGS,
+    KILL,
+    NEW_RUN,
+    RESET,
+    SEVERAL,
+    SPIN,
+    Fault,
+    Wanted,
+)
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
@@ -21,7 +34,7 @@ DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in BY_NAME.
 TOOL_MS = 200.0
 """The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
 
-NEW_RUN_SAYS = "is ready: wheels stopped"
+NEW_RUN_SAYS = "is ready: the stop is written"
 SPARE_S = 0.12
 """Time for the burst's repeats."""
 
@@ -76,7 +89,12 @@ def _row(
     struck = {process: fates[action] for action, process in steps if action != CONTINUE}
     continued = {process for action, process in steps if action == CONTINUE}
     again = SUPERVISOR in struck and SUPERVISOR not in continued
-    wanted = tuple((kind, process) for process, kinds in struck.items() for kind in kinds)
+    wanted: tuple[Wanted, ...] = tuple((kind, process) for process, kinds in struck.items() for kind in kinds)
+    if SUPERVISOR in continued:  # it knows by itself that it was suspended
+        wanted = (
+            (causes.SUPERVISOR_SUSPENDED,),
+            *((kind, process) for kind, process in wanted if process != SUPERVISOR),
+        )
     return Fault(
         name=name,
         event=event,

@@ -13,6 +13,15 @@ from failstop.lab.faults.campaign import Outcome
 from failstop.lab.faults.fault import EVENTS, Fault, told
 from failstop.lab.faults.table import BEYOND, TABLE
 from failstop.machine import facts
+from failstop.supervisor.grant import LEASE_S, LEASE_WITHOUT_S
+
+USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
+LEASES = (
+    f"A campaign gives its service the lease of one with real-time rights ({USUAL}), whatever rights it has.",
+    f"Without them and without `gate.lease_s` in the settings the lease is {LONGER}, or nine tenths",
+    "of the shortest command timeout, and so is the least deadline: as much longer are the bars of *its lease*,",
+    "and of a port owner that hangs ([safety.md](../safety.md)).",
+)
 
 EVERY: dict[str, Fault | ArmFault] = {**table.BY_NAME, **arm_table.BY_NAME}
 """The rows of both tables."""
@@ -165,6 +174,8 @@ def markdown(result: dict[str, Any]) -> str:
         "motion is disabled. Clearing moves no wheel, but where it comes *by itself*. What is *not here* this",
         "machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
         "([usb.md](usb.md)).",
+        "",
+        *LEASES,
     ]
     for event in EVENTS:
         rows = [fault for fault in TABLE if fault.event == event]

@@ -18,6 +18,7 @@ from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
 from failstop.shm.layout import SUPERVISOR
+from failstop.supervisor import grant
 
 SETTINGS: dict[str, object] = {
     "restart.deaths": 100_000,
@@ -26,8 +27,10 @@ SETTINGS: dict[str, object] = {
     "battery.log_s": 1.0,
     "battery.directory": "",
     f"interlocks.{INTERLOCK}.timeout_s": 0.5,
+    grant.LEASE: grant.LEASE_S,
 }
-"""Of a campaign, over the user's: so many deaths are no crash loop here."""
+"""Of a campaign, over the user's: so many deaths are no crash loop here, and the lease is that of the bars, whatever
+rights the service has."""
 GONE_S = 5.0
 
 

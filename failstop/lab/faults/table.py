@@ -40,6 +40,7 @@ from failstop.policy.causes import (
     REMOVED,
     STARVED,
     STUCK,
+    SUPERVISOR_SUSPENDED,
     SUSPENDED,
     TWO_PUBLISHERS,
 )
@@ -49,6 +50,7 @@ from failstop.shm.layout import GATE, PORT_OWNER, SUPERVISOR
 BACK = "the device's return"
 ASKED = "a stop request meanwhile"
 THAWED = "the thaw"
+DRIVER_DIED = "which had driven, has died"
 
 
 def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
@@ -72,20 +74,27 @@ WOKEN = (
     Fault(
         "hang-supervisor+port_owner-continued", SEVERAL,
         "SIGSTOP of supervisor and port_owner, SIGCONT once the stopper has stopped", "stopper",
-        ((HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER), (DIED, PORT_OWNER)), RESET, "",
+        (
+            (SUPERVISOR_SUSPENDED,), (HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER),
+            (DIED, PORT_OWNER),
+        ), RESET, "",
         processes.STOPPER_MS, "processes",
         steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
     ),
 )  # fmt: skip
 
 CLIENTS = (
-    Fault(
-        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its lifeline)",
-        (), ITSELF, "", 5.0, "client-killed",
-    ),
-    Fault(
-        "client-killed-large", CLIENT, "SIGKILL of a client of 300 MB that drives", "gate (its lifeline)",
-        (), ITSELF, "", 5.0, "client-killed-large", weight=1,
+    *(
+        Fault(
+            name, CLIENT, f"{how} that drives, another commands at once", "gate (its lifeline)",
+            (), ENABLE, DRIVER_DIED, bar_ms, name, weight=weight,
+        )
+        for name, how, bar_ms, weight in (
+            ("client-killed", "SIGKILL of the program", 5.0, 4),
+            ("client-killed-large", "SIGKILL of a program of 300 MB", 5.0, 1),
+            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", 5.0, 2),
+            ("client-fails", "an exception in the program", 20.0, 2),
+        )
     ),
     Fault(
         "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
@@ -110,11 +119,11 @@ CLIENTS = (
     ),
     Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
-        (), ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ENABLE, DRIVER_DIED, 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
-        (), ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ENABLE, DRIVER_DIED, 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
@@ -228,7 +237,8 @@ SURROUNDINGS = (
     ),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,)), RESET, "", 65.0, "frozen", counted_from=THAWED, weight=1,
+        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,), (SUPERVISOR_SUSPENDED,)), RESET, "", 65.0,
+        "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",

@@ -91,6 +91,12 @@ TEXTS = {
         "Next: give the service real-time rights (failstop doctor --name @FAILSTOP_NAME@ has the command), or see\n"
         "what else the machine does",
     ),
+    "suspended": (
+        "The supervisor was suspended",
+        "Somebody suspended it for @FAILSTOP_SILENT_MS@ ms, by a signal, as Ctrl-Z in its terminal does: nobody\n"
+        "watched the other processes. Nothing was stopped for it, since motion was disabled or a stop latched.\n"
+        "Next: leave the service running in its terminal, or end it with Ctrl-C",
+    ),
     "enabled": (
         "Motion was enabled by @FAILSTOP_WHO@",
         "From here on commands move the wheels. The name and the pid are what the client says of itself.\n"
@@ -134,10 +140,10 @@ TEXTS = {
         "Next: does that program still run, and does it repeat its command often enough?",
     ),
     "driver_gone": (
-        "@FAILSTOP_WHO@ has gone while it drove",
-        "It crashed or was killed, or ended without a word, so the wheels were told zero at once.\n"
-        "Nothing is latched: they turn again as soon as somebody commands.\n"
-        "Next: that program's own log; coredumpctl list, where it crashed",
+        "The driver @FAILSTOP_WHO@ has died",
+        "It crashed or was killed, or ended without a word, so the wheels were told zero at once, and motion was\n"
+        'disabled: nothing drives before somebody enables it. With gate.driver_death = "stay" motion stays enabled.\n'
+        "Next: that program's own log; coredumpctl list, where it crashed; failstop enable --name @FAILSTOP_NAME@",
     ),
     "driver_ended": (
         "@FAILSTOP_WHO@ ended its command",

@@ -16,9 +16,8 @@ import time
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.lab.faults import arm_table as table
-from failstop.lab.faults.fault import fits, told
 from failstop.lab.prove import swing
-from failstop.lab.prove.run import WHOLE_S, Result, judge_written
+from failstop.lab.prove.run import WHOLE_S, Result, judge_latch, judge_written
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import Path, Velocity
@@ -54,6 +53,7 @@ class ArmRun:
         """Do it. What can't be done, and what must not happen, is in the result."""
         driver, result = self.stand.driver, self.result
         driver.commands = driver.senses = driver.holds = False
+        begun = self.stand.held.mark()
         try:
             self._begin()
             self._strike()
@@ -62,10 +62,11 @@ class ArmRun:
             self._recover()
             self._read_back()
         except (TrialError, FailstopError, OSError) as error:
-            result.wrong.append(f"{type(error).__name__}: {error}")
+            result.doubt(f"{type(error).__name__}: {error}")
             self._start_over()
         finally:
             self._end_program()
+        result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
     def _begin(self) -> None:
@@ -124,11 +125,7 @@ class ArmRun:
             stand.bury()
             stand.start()
         stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)
-        state = stand.driver.robot.state
-        self.result.latched = state.estop
-        wanted = self.path.latched
-        if not fits(state.cause, wanted) if wanted else state.cause:
-            self.result.wrong.append(f"latched: {state.estop}" + (f", not {told(wanted)}" if wanted else ""))
+        judge_latch(self.result, stand.driver.robot.state, self.path.latched)
         self._reset()
 
     def _reset(self) -> None:
@@ -161,9 +158,9 @@ class ArmRun:
         result.rest_s = (places[0] - result.arm["told"]) * self._way / found.joint.speed
         bar_s = self.path.rest_bar_s(result.velocity)
         if result.rest_s > bar_s:
-            result.wrong.append(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
+            result.doubt(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
         elif result.rest_s < -BEHIND_S:
-            result.wrong.append(f"it stands {-result.rest_s:.2f} s behind its goal: it did not follow before the stop")
+            result.doubt(f"it stands {-result.rest_s:.2f} s behind its goal: it did not follow before the stop")
         if abs(places[1] - places[0]) > STAYS:
             result.wrong.append(f"it stood at {places[0]:g}, and later at {places[1]:g}")
 

@@ -13,14 +13,20 @@ from failstop.lab.prove.table import Velocity
 
 STILL_S = 3.0
 SPIN_S = 2.0
+MOUNTED = "lift the robot less softly, or mount the IMU firmly"
+SIMULATED = "the simulated board was held up, or its wheels were stopped; repeat on a quieter machine"
 
 
 class Unfit(FailstopError):
-    """The robot's rest can't be told from its turning, or it does not stop: nothing can be proved."""
+    """The robot's rest can't be told from its turning: nothing can be proved."""
+
+
+class Runaway(FailstopError):
+    """The wheels do not stop."""
 
 
 def characterize(stand: Stand, velocities: Iterable[Velocity], *, quick: bool) -> Character:
-    """Measure. Raises Unfit, TrialError, FailstopError."""
+    """Measure. Raises Unfit, Runaway, TrialError, FailstopError."""
     configured = stand.settings["still.std_radps"]
     share = 0.6 if quick else 1.0
     still = _noise(_collect(stand, STILL_S * share), "at rest")
@@ -35,12 +41,12 @@ def characterize(stand: Stand, velocities: Iterable[Velocity], *, quick: bool) -
         if limit is None:
             raise Unfit(
                 f"the IMU can't tell rest (up to {still.most:.4f} rad/s) from {velocity.words} "
-                f"(from {spinning[velocity.name].least:.4f} rad/s): lift the robot less softly, or mount the IMU firmly"
+                f"(from {spinning[velocity.name].least:.4f} rad/s): {SIMULATED if stand.board else MOUNTED}"
             )
         stand.watch.forget()
         verdict = Verdict(limit)
         if not stand.run(MOST_S, lambda verdict=verdict: verdict.still(stand.watch.samples)):  # type: ignore[misc]
-            raise Unfit(f"THE WHEELS DID NOT COME TO REST after {velocity.words}: use the POWER SWITCH")
+            raise Runaway(f"THE WHEELS DID NOT COME TO REST after {velocity.words}: use the POWER SWITCH")
     limit = shake.limit(still, list(spinning.values()), configured)
     assert limit is not None
     return Character(still, spinning, limit, configured)

@@ -11,16 +11,18 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from failstop.cli import style
+from failstop.lab.prove.held import repeat
 from failstop.lab.prove.run import Character, Result
 from failstop.lab.prove.shake import Noise
 from failstop.machine import facts
+from failstop.supervisor.grant import cost
 
 CAN_NOT = (
     "Proved is what was done here: this robot, this battery, wheels in the air, each path so many times. Wheels on the "
     "ground take longer to stop. A software stop needs a board that obeys; the power switch needs nobody."
 )
 INTERRUPTED = "interrupted"
-ROLES = {"PASS": style.OK, "FAIL": style.FAIL, "SKIP": style.WARN}
+ROLES = {"PASS": style.OK, "FAIL": style.FAIL, "INVALID": style.WARN, "SKIP": style.WARN}
 NAME = 20
 """Columns for the name of a path; some rows of the fault table are longer."""
 
@@ -36,6 +38,10 @@ class Evidence:
     results: list[Result] = dataclasses.field(default_factory=list)
     ended: str = ""
     """Why it ended before its end; empty: it did not."""
+    spoiled: bool = False
+    """The machine was starved when it ended before its end."""
+    lease_s: float = 0.0
+    """How long the gate or the supervisor may be silent while the wheels turn; 0: not known yet."""
     begun_unix_s: float = dataclasses.field(default_factory=time.time)
     tool: str = "prove"
     """The command."""
@@ -47,13 +53,17 @@ class Evidence:
 
     @property
     def passed(self) -> bool:
-        """Nothing failed, nothing was left out, and something was tried."""
-        return not self.ended and any(r.verdict == "PASS" for r in self.results) and not self.failed
+        """Every row passed or was skipped, one passed, and it came to its end."""
+        words = {result.verdict for result in self.results}
+        return not self.ended and "PASS" in words and words <= {"PASS", "SKIP"}
 
     @property
     def verdict(self) -> str:
-        """PASS or FAIL, of all of it."""
-        return "PASS" if self.passed else "FAIL"
+        """PASS, FAIL or INVALID, of all of it."""
+        if self.passed:
+            return "PASS"
+        doubtful = self.spoiled or (not self.ended and any(r.verdict == "INVALID" for r in self.results))
+        return "INVALID" if doubtful and not self.failed else "FAIL"
 
     @property
     def failed(self) -> list[Result]:
@@ -68,6 +78,8 @@ class Evidence:
             "device": self.device,
             "simulated": self.simulated,
             "realtime": self.realtime,
+            "lease_s": self.lease_s,
+            "verdict": self.verdict,
             "passed": self.passed,
             "ended": self.ended,
             "character": dataclasses.asdict(self.character) if self.character else None,
@@ -90,6 +102,7 @@ def _record(result: Result) -> dict[str, Any]:
         "velocity": result.velocity.name,
         "verdict": result.verdict,
         "wrong": result.wrong,
+        "starved": result.starved,
         "skipped": result.skipped,
         "written_ms": result.written_ms,
         "written_by": result.written_by,
@@ -122,6 +135,8 @@ def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = 
     rest = _cell(result.rest_s, ".2f", f"{result.path.rest_bar_s(result.velocity):.2f}")
     board = _cell(result.board_ms, ".2f", "")
     why = f" {'; '.join(result.wrong) or result.skipped}" if result.wrong or result.skipped else ""
+    if result.verdict == "INVALID":
+        why = f" {repeat(result.starved)};{why}"
     notes = [f"blind for {result.blind_s:.2f} s"] if result.blind_s and result.rest_s is not None else []
     notes += [f"turning again {result.back_s:.1f} s after the return"] if result.back_s is not None else []
     note = f" ({'; '.join(notes)})" if notes else ""
@@ -163,7 +178,7 @@ def head_lines(evidence: Evidence) -> list[str]:
     machine = facts()
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(evidence.begun_unix_s))
     what = "SIMULATED board" if evidence.simulated else "board"
-    rights = "real-time priority" if evidence.realtime else "WITHOUT real-time priority"
+    rights = "real-time priority" if evidence.realtime else f"WITHOUT real-time priority: {cost(evidence.lease_s)}"
     return [
         f"failstop {evidence.tool} {machine['version']}, {when}: {what} at {evidence.device}",
         f"{machine['machine']}, {machine['cores']} cores, kernel {machine['kernel']}, Python {machine['python']}",
@@ -173,8 +188,9 @@ def head_lines(evidence: Evidence) -> list[str]:
 
 def last_lines(evidence: Evidence) -> list[str]:
     """The sum."""
-    count = {word: sum(result.verdict == word for result in evidence.results) for word in ("PASS", "FAIL", "SKIP")}
-    lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped"]
+    count = {word: sum(result.verdict == word for result in evidence.results) for word in ROLES}
+    invalid = f", {count['INVALID']} invalid" if count["INVALID"] else ""
+    lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped{invalid}"]
     if evidence.ended:
         lines.append(f"ENDED EARLY: {evidence.ended}")
     return [*lines, evidence.verdict, CAN_NOT]

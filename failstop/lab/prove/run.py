@@ -9,15 +9,17 @@ import time
 from typing import Any
 
 from failstop.api.errors import FailstopError
-from failstop.lab.faults.fault import fits, told
+from failstop.api.snapshot import State
+from failstop.lab.faults.fault import Wanted, fits, told
 from failstop.lab.faults.steps import Steps
-from failstop.lab.prove import shake, table
+from failstop.lab.prove import held, shake, table
 from failstop.lab.prove.shake import Noise, Sample, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Velocity
 from failstop.lab.prove.watch import Watch
 from failstop.lab.trial import TrialError
+from failstop.policy import causes
 from failstop.shm.layout import SUPERVISOR
 
 NS = 1e9
@@ -30,6 +32,8 @@ STAYS_S = 0.4
 """Rest must last for so long after it was seen."""
 BACK_S = 2.0
 WHOLE_S = 10.0
+SILENCES = (*held.BUSY, causes.HANGS, causes.MUTE)
+"""Causes that a process has which was not run, whatever kept it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +71,11 @@ class Result:
     over: str = ""
     """Why no other run can follow; empty: one can."""
     wrong: list[str] = dataclasses.field(default_factory=list)
+    """What is not as it should be."""
+    doubts: list[str] = dataclasses.field(default_factory=list)
+    """Those of them that a machine which runs nobody in time brings about too: times, and what a stop for it spoils."""
+    starved: str = ""
+    """What shows that the machine did not run everybody in time meanwhile; empty: nothing does."""
     arm: dict[str, Any] | None = None
     """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
     samples: list[Sample] = dataclasses.field(default_factory=list)
@@ -74,8 +83,16 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """PASS, FAIL or SKIP."""
-        return "SKIP" if self.skipped else "FAIL" if self.wrong else "PASS"
+        """PASS, FAIL, SKIP, or INVALID: what is wrong may be the machine's doing, and nothing is proved."""
+        if self.skipped or not self.wrong:
+            return "SKIP" if self.skipped else "PASS"
+        doubtful = self.starved and not self.runaway and set(self.wrong) <= set(self.doubts)
+        return "INVALID" if doubtful else "FAIL"
+
+    def doubt(self, what: str) -> None:
+        """Something is wrong that a starved machine may have brought about."""
+        self.wrong.append(what)
+        self.doubts.append(what)
 
 
 class Run:
@@ -109,8 +126,12 @@ class Run:
         if self.path.kind == table.PAD and not self.ask and not self.stand.board:
             result.skipped = "nobody to press a button (--pad asks for it)"
             return result
+        begun = self.stand.held.mark()
         try:
             self._spin()
+            if before := self.stand.driver.robot.state.cause:
+                result.starved = self.stand.held.starved(begun, before)
+                raise TrialError(f"a stop came before the cause: {before}")
             try:
                 self._cause_ns = self._strike()
                 self._verdict = Verdict(self.character.limit_radps, self._cause_ns)
@@ -124,8 +145,9 @@ class Run:
             if not result.runaway:
                 self._recover()
         except (TrialError, FailstopError, OSError) as error:
-            result.wrong.append(f"{type(error).__name__}: {error}")
+            result.doubt(f"{type(error).__name__}: {error}")
             self._start_over()
+        result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
     def _strike(self) -> int:
@@ -189,7 +211,7 @@ class Run:
         result.samples = [(t_ns - self._cause_ns, x, y) for t_ns, x, y in self.stand.watch.samples]
         before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self._cause_ns < 0]
         if not shake.turning(before, self.character.limit_radps):
-            result.wrong.append("the wheels were not seen turning before the stop")
+            result.doubt("the wheels were not seen turning before the stop")
         judge_written(result, self.stand.watch, self._cause_ns)
         self._judge_rest(before)
         if self.stand.board:
@@ -207,14 +229,14 @@ class Run:
             return
         rest_ns = shake.rest_ns(before + after, character.still, character.spinning[self.velocity.name])
         if rest_ns is None:
-            result.wrong.append("no moment of rest in the IMU's samples")
+            result.doubt("no moment of rest in the IMU's samples")
             return
         rest_ns = max(rest_ns, self._cause_ns)
         result.rest_s = (rest_ns - self._cause_ns) / NS
         result.blind_s = shake.blind_ns(before + after, self._cause_ns, rest_ns) / NS
         bar_s = self.path.rest_bar_s(self.velocity)
         if result.rest_s - result.blind_s > bar_s:
-            result.wrong.append(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
+            result.doubt(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
 
     def _judge_board(self) -> None:
         assert self.stand.board is not None
@@ -229,17 +251,14 @@ class Run:
         held_ns = shake.longest_silence_ns(self.stand.watch.samples, self._cause_ns, stop.arrival_ns)
         bar_ms = self.path.reaction_bar_ms(simulated=True) + held_ns / 1e6
         if result.board_ms > bar_ms:
-            result.wrong.append(f"at the board after {result.board_ms:.1f} ms, the bar is {bar_ms:.0f}")
+            result.doubt(f"at the board after {result.board_ms:.1f} ms, the bar is {bar_ms:.0f}")
         if motion := sum(event.is_motion for event in after if event.index > stop.index):
             result.wrong.append(f"{motion} motion frames after the stop")
 
     def _judge_latch(self) -> None:
         """With whatever the commands went on meanwhile."""
         result, wanted = self.result, self.path.latched
-        state = self.stand.driver.robot.state
-        result.latched = state.estop
-        if not fits(state.cause, wanted) if wanted else state.cause:
-            result.wrong.append(f"latched: {result.latched}" + (f", not {told(wanted)}" if wanted else ""))
+        judge_latch(result, self.stand.driver.robot.state, wanted)
 
     def _sense_again(self) -> None:
         """The commands have gone on: the wheels turn again by themselves."""
@@ -255,7 +274,7 @@ class Run:
         if self.stand.run(BACK_S + speed_up_s(self.stand, self.velocity), turns):
             self.result.back_s = (time.monotonic_ns() - begun_ns) / NS
         else:
-            self.result.wrong.append("the sensor is back, and the wheels do not turn again")
+            self.result.doubt("the sensor is back, and the wheels do not turn again")
 
     def _recover(self) -> None:
         """To wheels at rest, nothing enabled, every process running."""
@@ -299,6 +318,19 @@ def acknowledged_ns(watch: Watch, cause_ns: int, *, by_gate: bool) -> int | None
     return written and min((t_ns for asked_ns, t_ns in watch.answers if asked_ns >= written[0]), default=None)
 
 
+def judge_latch(result: Result, state: State, wanted: tuple[Wanted, ...]) -> None:
+    """The cause that is latched is one of those wanted; none is where none is wanted."""
+    result.latched = state.estop
+    if fits(state.cause, wanted) if wanted else state.cause is None:
+        return
+    wrong = f"latched: {state.estop}" + (f", not {told(wanted)}" if wanted else "")
+    if state.cause and state.cause.kind in SILENCES:
+        result.doubt(wrong)
+        result.starved = str(state.cause) if state.cause.kind in held.BUSY else result.starved
+    else:
+        result.wrong.append(wrong)
+
+
 def judge_written(result: Result, watch: Watch, cause_ns: int) -> None:
     """The stop and its acknowledgement."""
     path = result.path
@@ -309,11 +341,11 @@ def judge_written(result: Result, watch: Watch, cause_ns: int) -> None:
     result.written_ms, result.written_by = (written[0] - cause_ns) / 1e6, written[1]
     bar_ms = path.reaction_bar_ms(simulated=result.simulated)
     if result.written_ms > bar_ms:
-        result.wrong.append(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
+        result.doubt(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
     answer_ns = acknowledged_ns(watch, cause_ns, by_gate=path.by_gate)
     if answer_ns is None:
         result.wrong.append("not acknowledged by the board")
         return
     result.acknowledged_ms = (answer_ns - cause_ns) / 1e6
     if result.acknowledged_ms - result.written_ms > table.ACKNOWLEDGED_MS:
-        result.wrong.append(f"acknowledged after {result.acknowledged_ms:.0f} ms")
+        result.doubt(f"acknowledged after {result.acknowledged_ms:.0f} ms")

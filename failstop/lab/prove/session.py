@@ -18,7 +18,8 @@ from failstop.doctor.system import System
 from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.character import Unfit, characterize
+from failstop.lab.prove.character import Runaway, characterize
+from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Character, Result, Run
 from failstop.lab.prove.stand import Stand
@@ -26,6 +27,7 @@ from failstop.lab.prove.strike import Ask
 from failstop.lab.prove.table import Path, Velocity
 from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
+from failstop.supervisor.grant import LEASE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
@@ -49,19 +51,23 @@ def session(
     """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
     the first wheel that turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples
     of the runs that passed, too; `width`: of the paths' names."""
+    begun = stand.held.mark()
     evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
     try:
         with stand:
             with Robot(stand.name) as robot:
                 evidence.realtime = all(process.realtime for process in robot.state.processes.values())
+                evidence.lease_s = robot.state.lease_s
             say("\n".join(report.head_lines(evidence)) + "\n")
             character: list[str] = []
             if velocities:
                 evidence.character = _characterize(stand, velocities, quick=quick)
                 character = [*report.character_lines(evidence.character), ""]
             say("\n".join([*character, report.head(width)]))
+            # The settings give a lease, or the service's rights do: a bar is never of another one.
+            lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
             for path, velocity, chance in runs:
-                result = _take(stand, evidence.character, path, velocity, ask, chance)
+                result = _take(stand, evidence.character, path.leased(lease_s), velocity, ask, chance)
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)
@@ -76,8 +82,11 @@ def session(
     except KeyboardInterrupt:
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
-        evidence.ended = str(error)
+        starved = stand.held.starved(begun)
+        evidence.spoiled = bool(starved) and not isinstance(error, Runaway)
+        evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
     if stand.unsafe and not stand.board:
+        evidence.spoiled = False
         evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")
     return evidence
 
@@ -94,7 +103,7 @@ def _take(
 def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) -> Character:
     try:
         return characterize(stand, velocities, quick=quick)
-    except Unfit as error:
+    except Runaway as error:
         _alarm(str(error))
         raise
 

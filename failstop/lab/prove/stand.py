@@ -17,6 +17,7 @@ from failstop.board.port import PortError
 from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
 from failstop.lab.prove.child import end_with_parent
+from failstop.lab.prove.held import Held
 from failstop.lab.prove.table import VELOCITIES
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
@@ -87,12 +88,14 @@ class Stand:
         self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
         self.watch = Watch(device)
         self.driver.each = self.look
+        self.held = Held()
         self.unsafe = ""
         self.swing: Swing | None = None
         """How the arm is moved; chosen by its first run."""
         self._pids: dict[str, int] = {}
 
     def __enter__(self) -> Stand:
+        self.held.__enter__()
         try:
             self.start()
         except BaseException:
@@ -186,6 +189,7 @@ class Stand:
                 self.unsafe = self.safe()
             self.service.close()
         finally:
+            self.held.end()
             for number, handler in held.items():
                 signal.signal(number, handler)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.lab.faults import arm_table
+from failstop.lab.faults import arm_table, processes
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
 from failstop.lab.faults.table import BY_NAME
@@ -55,6 +55,8 @@ FAULT = "fault"
 ARM = "arm"
 """A row of the arm's faults."""
 DISABLE_MS = STOP_MS = 5.0
+LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
+"""The bars of the fault table that are a lease, or a deadline that is never shorter than one."""
 
 KILLED_S = (0.55, 0.55, 0.55)
 MEASURED_S: dict[str, tuple[float, float, float]] = {
@@ -100,6 +102,14 @@ class Path:
     arm: ArmFault | None = None
     """The row of the arm's faults; None: the wheels turn."""
 
+    by_lease: bool = False
+    """Whoever it strikes is stopped for when a lease ends, or a deadline that is never shorter than one."""
+
+    def leased(self, lease_s: float) -> Path:
+        """The same for a service that has this lease, though its settings give none."""
+        lease_ms = lease_s * 1000 + processes.SLACK_MS
+        return dataclasses.replace(self, reaction_ms=max(self.reaction_ms, lease_ms)) if self.by_lease else self
+
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
         return self.reaction_ms + SLACK_MS[simulated]
@@ -107,7 +117,7 @@ class Path:
     def rest_bar_s(self, velocity: Velocity) -> float:
         """From the cause to wheels, or a joint, at rest."""
         if self.arm:
-            return (self.arm.bar_ms or 0.0) / 1000 + ARM_RESOLUTION_S
+            return (self.reaction_ms - STOP_MS + arm_table.BY_ITSELF_MS) / 1000 + ARM_RESOLUTION_S
         if measured := MEASURED_S.get(self.kind):
             return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
         return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
@@ -116,7 +126,8 @@ class Path:
 def of_fault(row: Fault) -> Path:
     """The path of a row that the service survives, and in which only processes are struck."""
     assert row.bar_ms is not None
-    return Path(row.name, FAULT, row.cause, row.bar_ms, latched=row.latched, fault=row)
+    leased = row.bar_ms in LEASED_MS
+    return Path(row.name, FAULT, row.cause, row.bar_ms, latched=row.latched, fault=row, by_lease=leased)
 
 
 def _bar(row: str) -> float:
@@ -130,7 +141,8 @@ def _struck(kind: str, process: str) -> Path:
     words = f"{process} killed (SIGKILL)" if kind == KILL else f"{process} hangs (SIGSTOP)"
     ends = kind == KILL and process == SUPERVISOR
     latched = row.latched if row.survives else ()
-    return Path(row.name, kind, words, _bar(row.name), process, latched, ends=ends, fault=row)
+    bar_ms = _bar(row.name)
+    return Path(row.name, kind, words, bar_ms, process, latched, ends=ends, fault=row, by_lease=bar_ms in LEASED_MS)
 
 
 PATHS = (
@@ -150,7 +162,8 @@ def _moving(row: ArmFault) -> Path:
     assert row.bar_ms is not None
     latched = BY_PATH["stop-request"].latched if row.what == arm_table.REQUEST else row.latched
     reaction_ms = row.bar_ms - arm_table.BY_ITSELF_MS + STOP_MS
-    return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row)
+    leased = row.what == arm_table.HANG and row.process in (SUPERVISOR, PORT_OWNER)
+    return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row, by_lease=leased)
 
 
 QUICK = (TIMEOUT, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")

@@ -28,6 +28,8 @@ MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
 TORQUE_APART_NS = 4_000_000
 """Between two frames that switch a torque on or off."""
+STEPS_APART_NS = 1_000_000
+"""Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 1.0
 """Pulses from its end at which a journey is there."""
 LATE_S = 2.0
@@ -84,7 +86,10 @@ class ArmCore:
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
         self._schedule: list[tuple[int, list[Joint]]] = []
         """When the joints of each frame are due, the next first; empty: no servo is on its way."""
-        self._load_ns = self._let_go_ns = self._apart_ns = 0
+        self._torque_ns = self._apart_ns = 0
+        """When the servos' bus is free of the last torque; of the last move."""
+        self.due_ns = now_ns
+        """When to step again, without any news. Set by each step alone, and later than it."""
         self.letting_go: list[Joint] = []
         """Whose torque is still to be switched off."""
         self.active_ns = 0
@@ -186,7 +191,6 @@ class ArmCore:
         if way := self.way:
             way.finish(why, dropped=True)
         self._goal = None
-        self._load_ns = 0
         self._end_stream()
         return was
 
@@ -218,7 +222,7 @@ class ArmCore:
         for joint in self.joints:
             joint.loaded = False
         self.active_ns, self.released = 0, True
-        self.letting_go, self._let_go_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
+        self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     # Time.
 
@@ -232,13 +236,18 @@ class ArmCore:
     def step(self, now_ns: int) -> tuple[bytes, bool]:
         """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
         renewed. One frame a step: what a stop would have to wait for is bounded."""
+        found = self._go_on(now_ns)
+        self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
+        return found
+
+    def _go_on(self, now_ns: int) -> tuple[bytes, bool]:
         if self.letting_go:
             return self._let_go(now_ns), False
         hold = self._end_stale(now_ns)
         wanted = self._follow_journey(now_ns)
         joints = self._to_stream()
         if joints and not self._schedule:
-            if unknown := [joint for joint in self._space.wanted(joints) if not joint.known]:
+            if unknown := self._unknown(joints):
                 wanted = wanted or unknown
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
@@ -254,9 +263,13 @@ class ArmCore:
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
         return BOARD.servo_read(question[0].servo, question[1]) if question else b"", hold
 
+    def _unknown(self, joints: list[Joint]) -> list[Joint]:
+        """The joints whose position must be read before these may move."""
+        return [joint for joint in self._space.wanted(joints) if not joint.known]
+
     def _free_ns(self) -> int:
         """When the servos' bus is free of the last question and the last torque."""
-        return max(self._load_ns, self._reader.free_ns())
+        return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
@@ -264,13 +277,14 @@ class ArmCore:
             return []
         return list(self.followed.ends) if self.followed else []
 
-    def due_ns(self) -> int:
-        """When to step again."""
+    def _next_ns(self) -> int:
+        """When there is something to do next, by what the arm waits for now; in the past: at once."""
         if self.letting_go:
-            return self._let_go_ns
+            return self._torque_ns
         if self._schedule:
             return max(self._schedule[0][0], self._apart_ns)
-        return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
+        joints = self._to_stream()
+        return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
         """A goal that was not renewed is forgotten; True when the arm was moved by it."""
@@ -341,18 +355,17 @@ class ArmCore:
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
         """Switch on a torque that is not known to be on, one after the other."""
-        joint = next((joint for joint in joints if not joint.loaded), None)
-        if joint is None or now_ns < self._free_ns():
-            self._load_ns = self._free_ns()
+        if now_ns < self._free_ns():
             return b""
+        joint = next(joint for joint in joints if not joint.loaded)
         joint.loaded = True
-        self._load_ns = now_ns + TORQUE_APART_NS
+        self._torque_ns = now_ns + TORQUE_APART_NS
         return BOARD.servo_torque(joint.servo, True)
 
     def _let_go(self, now_ns: int) -> bytes:
-        if now_ns < self._let_go_ns:
+        if now_ns < self._torque_ns:
             return b""
-        self._let_go_ns = now_ns + TORQUE_APART_NS
+        self._torque_ns = now_ns + TORQUE_APART_NS
         return BOARD.servo_torque(self.letting_go.pop(0).servo, False)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
@@ -362,7 +375,6 @@ class ArmCore:
                 journey.finish(fault)
                 return
             journey.phase = goals.UNDER_WAY
-        self._load_ns = 0
         self._space.hit(begins=True)
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]

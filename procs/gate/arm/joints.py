@@ -32,8 +32,8 @@ class Joint:
         self.velocity = 0.0
         self.known = False
         """Where it is has been read, and nothing but its own stream has moved it since."""
-        self.loaded = False
-        """Its torque was switched on, and nothing since says that it is off."""
+        self.loaded: bool | None = None
+        """Its torque was switched on, and nothing since says that it is off; None: neither switched nor read yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
@@ -61,7 +61,7 @@ class Joint:
         low, high = sorted((self.rad(self.low), self.rad(self.high)))
         return low, high
 
-    def state(self) -> tuple[str, int, float | None, int | None, int, bool, int, int]:
+    def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
         """What people and programs are told of it."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)

@@ -91,7 +91,7 @@ class Arm:
         self._follow_tuck(now_ns)
         self._tell_joints()
         self._keep(now_ns)
-        self._due.set(now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1))
+        self._due.set(now_ns + TELL_NS if gate.enabled else core.due_ns)
 
     def _keep(self, now_ns: int) -> None:
         """For the black box: what it is to do, at each change of mode and mover, and ten times a second meanwhile."""

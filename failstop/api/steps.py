@@ -1,0 +1,123 @@
+"""Steps: what a person does, in order, for the wheels to move. One table, for a terminal and for the page. Pure."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from failstop.api import host, verdict, words
+from failstop.api.snapshot import Block, State
+from failstop.shm.layout import GATE
+
+
+class Purpose(Enum):
+    """What a step is for."""
+
+    HEED = "see to the cause of the stop"
+    POWER = "make sure that the wheels stand"
+    MEND = "bring back what hears a request"
+    ALLOW = "bring about what an enable asks for"
+    RESET = "clear the latch"
+    ENABLE = "allow motion"
+    COMMAND = "command a velocity that counts"
+
+
+REFUSED_WITHOUT = {
+    Purpose.RESET: (Purpose.MEND,),
+    Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET),
+}
+"""Of a request: the steps without which the service refuses it."""
+POWER = "Turn the robot's POWER SWITCH off"
+"""The beginning of a sentence for the page."""
+DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
+GATE_DOWN = "Wait: the gate died too often and is tried again within a minute."
+SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
+
+
+class Step(NamedTuple):
+    """One step in words."""
+
+    purpose: Purpose
+    typed: str
+    """For a terminal, commands in backquotes."""
+    pressed: str | None = None
+    """A sentence for the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
+
+
+def _table(state: State, told: str) -> list[list[tuple[object, Step]]]:
+    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: what the
+    reader has just been told."""
+    named = {process.state: process.pid for process in state.processes.values()}
+    dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
+    doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
+    remedy = state.cause.kind.remedy if state.cause else ""
+    heed = "" if dead else words.sentence(f"{remedy}; then hold RESET")
+    start = host.start(state.name, path) if dead else ""
+    go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
+    lost = f"{POWER} if the wheels turn; then plug the board in."
+    attend, press = "have somebody attend (`failstop attend`, or the page)", "Somebody has to attend: press ATTEND."
+    complains = ", ".join(client.name for client in state.clients if client.wrong)
+    off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
+    return [
+        [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
+        [
+            (dead, Step(Purpose.MEND, start, "Start the service again.")),
+            (suspended, Step(Purpose.MEND, go_on)),
+            (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
+            (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again.")),
+            (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
+            (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
+        ],
+        [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", "Hold RESET."))],
+        [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
+        [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
+        [
+            (
+                state.block is Block.NO_COMMAND and complains,
+                Step(Purpose.COMMAND, f"see to what {complains} says is wrong"),
+            )
+        ],
+        [
+            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", "Hold ENABLE when nobody is in its way.")),
+            (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
+            (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "Start what is to drive.")),
+            (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
+        ],
+    ]
+
+
+def todo(state: State, told: str = "") -> list[Step]:
+    """Every step, in order; none while the wheels move. `told`: what the reader has just been told."""
+    if state.block is None and state.moving:
+        return []
+    found = [next((step for needed, step in group if needed), None) for group in _table(state, told)]
+    return [
+        Step(purpose, words.named(typed, state.name), words.sentence(typed) if pressed is None else pressed)
+        for purpose, typed, pressed in filter(None, found)
+    ]
+
+
+def typed(state: State, told: str = "") -> list[str]:
+    """The steps for a terminal, short: without what the cause of a stop asks for."""
+    return [step.typed for step in todo(state, told) if step.purpose is not Purpose.HEED]
+
+
+def line(state: State) -> str:
+    """The short steps in one line."""
+    return ", then ".join(typed(state))
+
+
+def pressed(state: State) -> str:
+    """The first step on the page; empty where there is none."""
+    return next((step.pressed for step in todo(state) if step.pressed), "")
+
+
+def before(state: State, goal: Purpose) -> list[Step]:
+    """The steps without which the service refuses a reset or an enable."""
+    return [step for step in todo(state) if step.purpose in REFUSED_WITHOUT[goal]]
+
+
+def after_refusal(state: State, goal: Purpose, reason: str) -> str:
+    """What to do when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
+    from being done, so that nobody is sent to ask for the same again."""
+    return ", then ".join(typed(state, reason)) if before(state, goal) else ""

@@ -1,0 +1,33 @@
+"""Progress: how far a request is, in one line of a terminal that is written over, and is gone at the end. A pipe is
+told the result alone."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from failstop.cli import style
+
+
+class Progress:
+    """A context manager; call it with each word of how far it is."""
+
+    def __init__(self) -> None:
+        self._live = style.lives(os.environ, terminal=sys.stdout.isatty())
+        self._shown = 0
+        """Columns of the line that is there now."""
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            self("")
+            sys.stdout.write("\r")
+
+    def __call__(self, text: str) -> None:
+        if self._live:
+            text = style.cut(text, style.width() - 1)
+            sys.stdout.write(f"\r{text}{' ' * (self._shown - style.cells(text))}")
+            sys.stdout.flush()
+            self._shown = style.cells(text)

@@ -1,0 +1,90 @@
+"""Held: when the machine did not run this process in time. It drives the robot and takes the times, so a row that was
+taken meanwhile may be wrong by the machine's doing, and says nothing of the robot."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+
+EVERY_S = 0.01
+LATE_NS = 50_000_000
+"""Woken later than this, a process was held up: a quiet machine wakes it within a millisecond, and one that is busy and
+has a core to spare within ten."""
+WAITED_SHARE = 0.2
+"""Of the time, waiting for a processor. The test sleeps for a millisecond at a time: on a quiet machine it waits for
+some percent, on one with four programs to a core for half of it."""
+Mark = tuple[int, int]
+"""A moment (ns), and for how long this process had waited for a processor until then (ns)."""
+BUSY = (causes.STARVED, causes.HELD_UP)
+"""The service's own word that the machine did not run it."""
+
+
+class Held:
+    """A context manager: within it a thread sleeps and notes how late it is woken."""
+
+    def __init__(self) -> None:
+        self._late: list[tuple[int, int]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._sleep, name="held", daemon=True)
+
+    def __enter__(self) -> Held:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Note nothing more."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _sleep(self) -> None:
+        due_ns = time.monotonic_ns()
+        while not self._ended.wait(EVERY_S):
+            now_ns = time.monotonic_ns()
+            self.woken(due_ns + round(EVERY_S * 1e9), now_ns)
+            due_ns = now_ns
+
+    def woken(self, due_ns: int, now_ns: int) -> None:
+        """The thread runs again."""
+        if now_ns - due_ns >= LATE_NS:
+            self._late.append((now_ns, now_ns - due_ns))
+
+    def mark(self) -> Mark:
+        """Now."""
+        return time.monotonic_ns(), waited_ns()
+
+    def longest_ns(self, since_ns: int) -> int:
+        """How late it was woken at worst since then; 0: never by LATE_NS."""
+        return max((late_ns for woken_ns, late_ns in self._late if woken_ns >= since_ns), default=0)
+
+    def starved(self, since: Mark, cause: Cause | None = None) -> str:
+        """What shows that the machine starved the test since then; empty: nothing does. `cause`: of the stop that is
+        latched."""
+        if cause and cause.kind in BUSY:
+            return str(cause)
+        if late_ns := self.longest_ns(since[0]):
+            return f"this test was not run for {late_ns / 1e6:.0f} ms"
+        now_ns, waited = self.mark()
+        share = (waited - since[1]) / max(1, now_ns - since[0])
+        return f"this test waited for a processor for {share:.0%} of the time" if share >= WAITED_SHARE else ""
+
+
+def waited_ns() -> int:
+    """For how long this process's main thread has waited for a processor; 0 where the kernel does not count it."""
+    try:
+        with open("/proc/self/schedstat", encoding="ascii") as file:
+            return int(file.read().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+def repeat(starved: str) -> str:
+    """What people are told to do where the machine starved the test."""
+    return f"the machine was starved ({starved}): repeat on a quieter one"

@@ -1,0 +1,162 @@
+"""The death of a driver: a client that has given a command and ends without a goodbye."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.policy import causes
+from failstop.procs.gate.core import REST, STILL
+from failstop.procs.gate.sources import Command
+
+from .client_side import Service
+from .gate_bench import MS, Gate, stands
+
+VELOCITY = (0.2, 0.0, 0.0)
+TOLD = "motion disabled: client 1, which had driven, has died"
+
+
+def gate(driver_death: str, **changed: float | str) -> Gate:
+    """Enabled, at full speed forward."""
+    made = Gate(gate__driver_death=driver_death, **changed)
+    made.enable()
+    made.drive(VELOCITY, 40)
+    return made
+
+
+@pytest.mark.parametrize("silent_ns", [0, 299 * MS, 301 * MS, 3_600_000 * MS])
+def test_it_disables_motion_however_long_ago_it_commanded(silent_ns: int) -> None:
+    """What starts a program again that hung and was killed for it must not drive on either."""
+    dying = gate("disable")
+    dying.step(silent_ns)
+    dying.core.notes.clear()
+    assert dying.core.client_gone(1, dying.now) is None
+    assert (dying.blocked, dying.core.latch) == ("disabled", None)
+    assert stands(dying)
+    assert dying.step() is None
+    (note,) = dying.core.notes
+    assert (note.kind, note.text, note.fields) == ("driver_gone", TOLD, {"who": "client 1", "source": "cmd_vel"})
+    assert dying.take(VELOCITY, session=2) == ""
+    assert dying.step() is None, "nothing drives before an enable"
+    dying.enable()
+    dying.take(VELOCITY, session=2)
+    assert dying.step() != STILL
+
+
+@pytest.mark.parametrize("dies", [1, 2])
+def test_one_that_waits_is_a_driver_as_well(dies: int) -> None:
+    dying = Gate(sources__teleop__priority=10)
+    dying.enable()
+    dying.take(VELOCITY)
+    dying.core.take(Command(2, "client 2", dying.now, REST, manual=True, source="teleop"), dying.now)
+    dying.step()
+    dying.core.client_gone(dies, dying.now)
+    assert dying.blocked == "disabled"
+
+
+def test_one_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
+    dying = Gate()
+    dying.take(VELOCITY)
+    dying.enable()
+    dying.core.client_gone(1, dying.now)
+    assert dying.blocked == "disabled"
+
+
+def test_one_that_has_commanded_nothing_is_none() -> None:
+    dying = gate("disable")
+    dying.core.client_gone(2, dying.now)
+    assert dying.blocked == ""
+    assert dying.core.take(Command(3, "client 3", dying.now, VELOCITY, source="stranger"), dying.now) is None
+    dying.core.client_gone(3, dying.now)
+    assert dying.blocked == "", "its commands were of no source"
+
+
+def test_it_is_told_each_time_however_often() -> None:
+    dying = gate("disable")
+    for _ in range(50):
+        dying.core.client_gone(1, dying.now)
+        dying.enable()
+        dying.drive(VELOCITY, 3)
+    assert [note.text for note in dying.core.notes] == [TOLD] * 50
+
+
+def test_it_latches_where_the_settings_say_so() -> None:
+    dying = gate("latch")
+    assert dying.core.client_gone(1, dying.now) == causes.DRIVER_DIED("client 1")
+    assert dying.core.client_gone(1, dying.now) is None, "once"
+
+
+def test_it_stays_enabled_where_the_settings_say_so() -> None:
+    dying = gate("stay")
+    assert dying.core.client_gone(1, dying.now) is None
+    assert dying.step(0) == STILL
+    assert dying.blocked == "cmd timeout"
+    assert [note.kind for note in dying.core.notes] == ["driver_gone"]
+
+
+@pytest.mark.parametrize("driver_death", ["disable", "latch", "stay"])
+def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
+    ending = gate(driver_death)
+    assert ending.core.client_gone(1, ending.now, parted=True) is None
+    assert ending.step(0) == STILL
+    assert ending.blocked == "cmd timeout"
+    assert [note.kind for note in ending.core.notes] == ["driver_ended"]
+
+
+@pytest.mark.parametrize("driver_death", ["disable", "latch"])
+def test_while_motion_is_disabled_it_is_no_news(driver_death: str) -> None:
+    dying = gate(driver_death)
+    dying.core.disable()
+    dying.core.notes.clear()
+    assert dying.core.client_gone(1, dying.now) is None
+    assert not dying.core.notes
+
+
+# What the gate hears of the slots.
+
+
+def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
+    first = service.join(session=21)
+    service.look()
+    first.goodbye()
+    first.segment.wipe()
+    first.leave()
+    heir = service.join(session=22)
+    heir.segment.wipe()
+    heir.hello(22, "heir", 0)
+    assert service.look() == [("gone", 21)]
+    assert service.parted is True
+    assert service.sessions() == [22]
+
+
+def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> None:
+    first = service.join(session=21)
+    service.look()
+    first.goodbye()
+    first.segment.wipe()
+    first.leave()
+    service.look()
+    service.join(session=22).leave()
+    service.join(session=23)
+    assert service.look() == []
+    service.clients[-1].leave()
+    assert service.look() == [("gone", 23)]
+    assert service.parted is False
+
+
+def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
+    """Its slot is another one, and its ring hints at that alone."""
+    dying = service.join(index=3, session=21)
+    service.look()
+    dying.leave()
+    again = service.join(index=1, session=22)
+    again.command()
+    assert service.look(bytes([1])) == [("gone", 21), ("command", 22, 0.1)]
+
+
+def test_a_goodbye_that_is_damaged_is_none(service: Service) -> None:
+    dying = service.join(session=21)
+    service.look()
+    dying.segment.latest_writer("left").write(b"21")
+    dying.leave()
+    assert service.look() == [("gone", 21)]
+    assert service.parted is False

@@ -1,0 +1,305 @@
+"""A machine that does not run the stand test in time: what it spoils is INVALID, and what it cannot excuse fails."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from failstop.api.client import send_stop
+from failstop.cli import style
+from failstop.lab.faults import processes
+from failstop.lab.prove import character, report, session, shake
+from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
+from failstop.lab.prove.held import LATE_NS, Held, waited_ns
+from failstop.lab.prove.report import Evidence
+from failstop.lab.prove.run import Result, Run, judge_latch
+from failstop.lab.prove.shake import Noise
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_VELOCITY, PATHS, SWINGING
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import wait_for
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.supervisor import grant
+from tests.prove.judged import MS, run, wrong
+from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
+from tests.support.board_events import FAULT_NS, TURNING, event
+from tests.support.board_events import STILL as REST
+
+NOISE = Noise(0.002, 0.002, 0.002, 0.002, 0.0, 0.0, 110.0)
+
+
+def result(**changed: object) -> Result:
+    return Result(BY_PATH["stop-request"], BY_VELOCITY["0.2"], simulated=True, **changed)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "doubts", "starved", "runaway", "verdict"),
+    [
+        ([], [], "", False, "PASS"),
+        ([], [], "held", False, "PASS"),
+        (["late"], ["late"], "", False, "FAIL"),
+        (["late"], ["late"], "held", False, "INVALID"),
+        (["late", "NO STOP"], ["late"], "held", False, "FAIL"),
+        (["late"], ["late"], "held", True, "FAIL"),
+    ],
+)
+def test_only_what_a_starved_machine_can_bring_about_is_invalid(
+    wrong: list[str], doubts: list[str], starved: str, runaway: bool, verdict: str
+) -> None:
+    assert result(wrong=wrong, doubts=doubts, starved=starved, runaway=runaway).verdict == verdict
+    assert verdict in report.ROLES
+
+
+LATE_MS = BY_PATH["stop-request"].reaction_bar_ms(simulated=True) + 0.1
+EXCUSABLE: dict[str, Callable[[Run], object]] = {
+    "late at the board": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
+    "written late": lambda made: late_and_answered(made),
+    "never seen turning": lambda made: setattr(
+        made.stand.watch, "samples", gyro((3.0, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
+    ),
+    "at rest late": lambda made: setattr(
+        made.stand.watch, "samples", gyro((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL), start_ns=FAULT_NS - 1_000 * MS)
+    ),
+}
+
+
+def late_and_answered(made: Run) -> None:
+    written_ns = FAULT_NS + round(LATE_MS * MS)
+    made.stand.watch.written = [(written_ns, "stopper")]
+    made.stand.watch.answers = [(written_ns + MS, written_ns + 5 * MS)]
+
+
+FIRM: dict[str, Callable[[Run], object]] = {
+    "no stop": lambda made: setattr(made.stand.watch, "written", []),
+    "no answer": lambda made: setattr(made.stand.watch, "answers", []),
+    "motion after the stop": lambda made: setattr(
+        made.stand.board, "events", lambda: [event(0, 1.0, REST), event(1, 2.0, TURNING), event(2, 3.0, REST)]
+    ),
+    "no stop at the board": lambda made: setattr(made.stand.board, "events", list),
+    "another latch": lambda made: setattr(made.stand.driver.robot, "state", latched(causes.KEY(1))),
+    "no rest": lambda made: setattr(
+        made.stand.watch, "samples", gyro((5.0, DRIVE), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
+    ),
+}
+
+
+def latched(cause: Cause | None) -> SimpleNamespace:
+    return SimpleNamespace(cause=cause, estop=cause and str(cause))
+
+
+@pytest.mark.parametrize("what", EXCUSABLE)
+def test_a_time_that_is_late_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(what: str) -> None:
+    made = run()
+    EXCUSABLE[what](made)
+    assert wrong(made)
+    assert made.result.verdict == "FAIL"
+    made.result.starved = "held"
+    assert made.result.verdict == "INVALID", made.result.wrong
+
+
+@pytest.mark.parametrize("what", FIRM)
+def test_no_starving_excuses_a_stop_that_is_not_there(what: str) -> None:
+    made = run()
+    FIRM[what](made)
+    assert wrong(made)
+    made.result.starved = "held"
+    assert made.result.verdict == "FAIL"
+
+
+@pytest.mark.parametrize(
+    ("cause", "starved", "verdict"),
+    [
+        (causes.HANGS("supervisor", 60), "", "FAIL"),
+        (causes.HANGS("supervisor", 60), "held", "INVALID"),
+        (causes.STARVED("gate", 260), "", "INVALID"),
+        (causes.HELD_UP(300), "", "INVALID"),
+        (causes.DIED("gate"), "held", "FAIL"),
+        (None, "held", "FAIL"),
+    ],
+)
+def test_a_stop_for_somebody_who_was_not_run_spoils_the_row(cause: Cause | None, starved: str, verdict: str) -> None:
+    found = result(starved=starved)
+    judge_latch(found, latched(cause), BY_PATH["stop-request"].latched)  # type: ignore[arg-type]
+    assert found.verdict == verdict
+
+
+def test_an_invalid_row_says_what_to_do() -> None:
+    found = result(starved="this test was not run for 210 ms")
+    found.doubt("written after 190.0 ms, the bar is 102")
+    line = report.row(found)
+    assert "INVALID the machine was starved (this test was not run for 210 ms): repeat on a quieter one" in line
+    assert "written after 190.0 ms" in line
+
+
+def evidence(*verdicts: str, ended: str = "", spoiled: bool = False) -> Evidence:
+    found = Evidence("/dev/any", simulated=True, realtime=True, ended=ended, spoiled=spoiled)
+    for verdict in verdicts:
+        row = result(starved="held" if verdict == "INVALID" else "", skipped="nobody" if verdict == "SKIP" else "")
+        if verdict in ("INVALID", "FAIL"):
+            row.doubt("late")
+        assert row.verdict == verdict
+        found.results.append(row)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict", "code"),
+    [
+        (evidence("PASS", "SKIP"), "PASS", 0),
+        (evidence("PASS", "INVALID"), "INVALID", 1),
+        (evidence("PASS", "INVALID", "FAIL"), "FAIL", 1),
+        (evidence("SKIP"), "FAIL", 1),
+        (evidence("PASS", ended="the IMU can't tell"), "FAIL", 1),
+        (evidence(ended="the IMU can't tell", spoiled=True), "INVALID", 1),
+        (evidence("PASS", "FAIL", ended="no service", spoiled=True), "FAIL", 1),
+        (evidence("PASS", "INVALID", ended=session.RUNAWAY), "FAIL", 1),
+        (evidence("PASS", "INVALID", ended=report.INTERRUPTED), "FAIL", 130),
+    ],
+)
+def test_the_sum_is_invalid_when_nothing_failed_and_something_was_spoiled(
+    found: Evidence, verdict: str, code: int
+) -> None:
+    assert (found.verdict, found.exit_code) == (verdict, code)
+    assert found.as_dict()["verdict"] == verdict
+    assert report.last_lines(found)[-2] == verdict
+    assert ("1 invalid" in report.last_lines(found)[0]) == any(row.verdict == "INVALID" for row in found.results)
+
+
+def test_lateness_is_counted_since_a_moment() -> None:
+    held, now_ns = Held(), time.monotonic_ns()
+    held.woken(0, LATE_NS - 1)
+    assert held.starved((0, now_ns)) == ""
+    held.woken(0, 80 * MS)
+    held.woken(1_000 * MS, 1_060 * MS)
+    assert held.longest_ns(0) == 80 * MS
+    assert held.starved((81 * MS, now_ns)) == "this test was not run for 60 ms"
+    assert held.starved((2_000 * MS, now_ns)) == ""
+    assert held.starved((2_000 * MS, now_ns), causes.HELD_UP(300)) == str(causes.HELD_UP(300))
+    assert held.starved((2_000 * MS, now_ns), causes.KEY(1)) == ""
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.19, ""), (0.3, "this test waited for a processor for 30% of the time")])
+def test_waiting_for_a_processor_counts(share: float, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Held, "mark", lambda _: (5_000 * MS, 700 * MS))
+    assert Held().starved((4_000 * MS, round((700 - 1_000 * share) * MS))) == told
+
+
+def test_the_kernel_counts_the_waiting() -> None:
+    before_ns = waited_ns()
+    assert waited_ns() >= before_ns > 0
+
+
+STOPPED = """
+import os, signal, time
+from failstop.lab.prove.held import Held
+with Held() as held:
+    os.kill(os.getpid(), signal.SIGSTOP)
+    while not held.longest_ns(0):
+        time.sleep(0.001)
+print(held.longest_ns(0))
+"""
+
+
+def test_a_process_that_was_not_run_knows_it() -> None:
+    with subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True) as process:
+        stat = Path(f"/proc/{process.pid}/stat")
+        wait_for("it to be stopped", lambda: stat.read_text().rpartition(") ")[2][0] == "T")
+        stopped_ns = time.monotonic_ns()
+        wait_for("some time to pass", lambda: time.monotonic_ns() - stopped_ns > 2 * LATE_NS)
+        os.kill(process.pid, signal.SIGCONT)
+        said, _ = process.communicate(timeout=30)
+    assert int(said) >= LATE_NS
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_advice_fits_the_board(simulated: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = SimpleNamespace(robot=SimpleNamespace(disable=str), enable=str)
+    settings = {"still.std_radps": 0.0035, "limits.acceleration_mps2": 0.5, "limits.acceleration_radps2": 2.0}
+    stand = SimpleNamespace(settings=settings, driver=driver, board=simulated or None, run=lambda *_: True)
+    monkeypatch.setattr(character, "_collect", lambda *_: [])
+    monkeypatch.setattr(shake, "noise", lambda _: NOISE)
+    monkeypatch.setattr(shake, "limit", lambda *_: None)
+    with pytest.raises(Unfit) as error:
+        character.characterize(stand, [BY_VELOCITY["0.2"]], quick=True)  # type: ignore[arg-type]
+    assert (MOUNTED in str(error.value)) is not simulated
+    assert ("quieter machine" in str(error.value)) is simulated
+
+
+@contextlib.contextmanager
+def on_stand(tmp_path: Path) -> Iterator[Stand]:
+    with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path), board) as stand:
+        yield stand
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Runaway("THE WHEELS DID NOT COME TO REST"), "FAIL")]
+)
+def test_a_session_that_the_machine_spoils_ends_as_invalid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, verdict: str
+) -> None:
+    def characterize(stand: Stand, *_: object, **__: object) -> None:
+        stand.held.woken(time.monotonic_ns() - 2 * LATE_NS, time.monotonic_ns())
+        raise error
+
+    monkeypatch.setattr(session, "characterize", characterize)
+    monkeypatch.setattr(style, "paint", lambda text, _: text)
+    with SimBoard(tmp_path / "board") as board:
+        stand = Stand(board.link, {}, str(tmp_path), board)
+        found = session.session([], [BY_VELOCITY["0.2"]], stand, say=lambda _: None)
+    assert found.verdict == verdict
+    assert str(error) in found.ended
+    assert ("the machine was starved" in found.ended) is (verdict == "INVALID")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("late_ns", "verdict"), [(0, "FAIL"), (2 * LATE_NS, "INVALID")])
+def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, verdict: str) -> None:
+    with on_stand(tmp_path) as stand:
+        asked: list[int] = []
+
+        def each() -> None:
+            stand.look()
+            if not asked and stand.board and max(map(abs, stand.board.wheels())) > 0.7:
+                asked.append(time.monotonic_ns())
+                stand.held.woken(asked[0] - late_ns, asked[0])
+                send_stop(stand.name, "somebody")
+
+        stand.driver.each = each
+        stand.held.longest_ns = lambda since_ns: late_ns  # type: ignore[method-assign]
+        stand.held.mark = lambda: (0, 0)  # type: ignore[method-assign]
+        found = Run(stand, SIMULATED, BY_PATH["disable"], BY_VELOCITY["0.2"], None, random.Random()).take()
+        assert [text for text in found.wrong if "a stop came before the cause: stop request: somebody" in text]
+        assert found.verdict == verdict, found.wrong
+        assert stand.whole(), "the next row finds a service"
+
+
+def test_bars_of_a_lease_are_those_of_the_lease_in_force() -> None:
+    longer = {path.name for path in (*PATHS, *ARM_PATHS) if path.leased(grant.LEASE_WITHOUT_S) != path}
+    struck = {"hang-gate", "hang-supervisor", "hang-port_owner"}
+    assert longer == struck | {"arm-hang-supervisor", "arm-hang-port_owner"}
+    for name in struck:
+        before, after = BY_PATH[name], BY_PATH[name].leased(grant.LEASE_WITHOUT_S)
+        assert after.reaction_ms == 1e3 * grant.LEASE_WITHOUT_S + processes.SLACK_MS
+        for velocity in BY_VELOCITY.values():
+            later_s = (after.reaction_ms - before.reaction_ms) / 1e3
+            assert after.rest_bar_s(velocity) - before.rest_bar_s(velocity) == pytest.approx(later_s)
+    assert all(path.leased(0.0) == path for path in (*PATHS, *ARM_PATHS))
+
+
+def test_the_arm_s_bar_of_rest_is_that_of_its_row() -> None:
+    for path in ARM_PATHS:
+        assert path.arm is not None
+        assert path.arm.bar_ms is not None
+        assert path.rest_bar_s(SWINGING) == pytest.approx(path.arm.bar_ms / 1e3 + 0.03)

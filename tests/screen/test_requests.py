@@ -1,0 +1,77 @@
+"""`failstop enable`, `limit`, `drive` and `arm`: what is refused before it is asked for, and how far a request is."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from failstop.cli import main as cli
+from failstop.cli.commands.requests import ALLOWED_PERCENT
+from failstop.cli.screen.progress import Progress
+from failstop.lab.faults.arm import ArmTrial
+from failstop.lab.trial import Trial
+from failstop.procs.gate.core import LEAST_LIMIT
+from tests.support.commands import FAILSTOP, failstop
+from tests.support.typist import Typist
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "drive 0.1 0 0 --for",
+        "arm jog base=0.1 --for",
+        "arm move base=0.1 --over",
+        "incident plot last --seconds",
+    ],
+)
+@pytest.mark.parametrize("time", ["-1", "0", "nan", "inf", "soon"])
+def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*words.split(), time]) == 1
+    sentence = f"{time} is no time in seconds: give a number above 0, such as 2"
+    assert sentence in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("percent", ["0", "-5", "3", "101", "nan"])
+def test_a_limit_that_is_none_is_refused_in_percent(trial: Trial, percent: str) -> None:
+    done = failstop("limit", percent, "--name", trial.name)
+    assert done.returncode == 2
+    assert done.stderr == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
+
+
+def test_the_limits_of_the_limit_are_the_gate_s() -> None:
+    assert f"{LEAST_LIMIT} to 100" == ALLOWED_PERCENT
+
+
+@pytest.mark.parametrize(("term", "tty"), [("xterm", False), ("dumb", True)])
+def test_progress_is_for_a_terminal_alone(
+    term: str, tty: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", term)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: tty)
+    with Progress() as progress:
+        progress("on its way, 1.0 s left")
+    assert capsys.readouterr().out == ""
+
+
+def test_progress_is_one_line_that_is_gone_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    with Progress() as progress:
+        progress("on its way, 10 s left")
+        progress("settling")
+    assert capsys.readouterr().out.split("\r") == ["", "on its way, 10 s left", "settling" + 13 * " ", 8 * " ", ""]
+
+
+def test_enabling_with_an_arm_is_one_line() -> None:
+    with ArmTrial(f"requests-{os.getpid()}-arm") as trial:
+        done = failstop("enable", "--name", trial.name)
+        assert (done.returncode, done.stdout) == (0, "motion enabled\n"), done.stderr
+        trial.robot.disable()
+        with Typist([*FAILSTOP, "arm", "tuck", "--name", trial.name]) as typist:
+            assert typist.end() == 0
+            assert "s left" in typist.raw, "how far it is"
+            assert "s left" not in typist.raw.rstrip().rpartition("\r")[2], "gone at the end"
+            assert typist.raw.count("\n") == 1

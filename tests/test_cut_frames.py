@@ -1,0 +1,115 @@
+"""What the zeros of a stop burst make of a frame that was cut: nothing, for every frame that is written, at every cut.
+
+Where a frame is cut decides by its CRC so far: at 0 the zeros go on with it and are its end. That is looked for here
+with the CRC alone, so that many frames can be tried; test_burst.py, test_servos.py and test_cut_aux.py feed the burst
+to the board's receiver.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from itertools import permutations, product
+from random import Random
+from struct import pack
+
+import pytest
+
+from failstop.board import codec, servos
+from failstop.board.framing import BUZZER, FrameError, crc8, seal
+from failstop.board.interface import BOARD
+from failstop.lab.sim.receiver import Receiver
+from failstop.procs.telemetry import pad
+from tests.support.amounts import amount
+
+FRAMES = amount(20_000, 2_000_000)
+PINGS = list(BOARD.pings)
+READS = [servos.bus_servo_read(servo, what) for servo in range(1, servos.HIGHEST_ID + 1) for what in servos.READS]
+TORQUES = [servos.bus_servo_torque(servo, on) for servo in range(1, servos.HIGHEST_ID + 1) for on in (True, False)]
+SOUNDS = [pad.LATCH, pad.TUCK, *pad.MODES]
+U16 = (1, 2, 255, 256, 0xAA55, 0x55AA, 65_534, 65_535)
+
+
+def completed(frame: bytes) -> list[bytes]:
+    """The data of each frame that zeros make of a cut of this one, where it is another."""
+    size = frame[3]
+    found = [frame[4:cut].ljust(size, b"\0") for cut in range(4, 4 + size) if not crc8(frame[2:cut])]
+    return [data for data in found if data != frame[4:-1]]
+
+
+def test_it_is_what_the_board_s_receiver_makes_of_it() -> None:
+    for tone in range(20, 20_000):
+        frame = seal(BUZZER, pack("<4H", tone, 500, 100, 3))
+        if made := completed(frame):
+            break
+    streams = [frame[:end] + bytes(32) for end in range(4, len(frame) - 1)]
+    assert [data for stream in streams for _, func, data in Receiver().feed(stream) if func == BUZZER] == made
+    assert codec.check_aux(frame).startswith("another sound if cut after ")
+    assert codec.buzzer(tone, 500, 100, 3) == seal(BUZZER, pack("<4H", tone - 1, 500, 100, 3))
+
+
+def sounds() -> Iterator[bytes]:
+    random = Random("sounds")
+
+    def u16() -> int:
+        return random.randint(1, 65_535)
+
+    values = [*product((20, 21, 0x55AA % 20_000, 19_999, 20_000), U16, U16, U16)]
+    values += [(random.randint(20, 20_000), u16(), u16(), u16()) for _ in range(FRAMES)]
+    for freq_hz, on_ms, off_ms, repeat in values:
+        with contextlib.suppress(FrameError):  # what would put the start of a motor frame on the wire
+            yield codec.buzzer(freq_hz, on_ms, off_ms, repeat)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_no_sound_goes_on_for_ever() -> None:
+    tuned = 0
+    for frame in sounds():
+        assert completed(frame) == [], frame.hex()
+        assert codec.check_aux(frame) == ""
+        tuned += 1
+    assert tuned > FRAMES
+
+
+@pytest.mark.parametrize("frame", [*PINGS, *SOUNDS], ids=bytes.hex)
+def test_pings_and_the_sounds_that_are_made(frame: bytes) -> None:
+    assert completed(frame) == []
+
+
+def test_questions_and_torques_of_every_servo() -> None:
+    assert not [frame.hex() for frame in (*READS, *TORQUES) if completed(frame)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("duration_ms", [1, 40, 60])
+def test_no_move_of_one_servo_is_another_move(duration_ms: int) -> None:
+    for servo, position in product(range(1, 11), range(servos.HIGHEST_POSITION + 1)):
+        moves(servos.bus_servo_move([(servo, position)], duration_ms))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_no_move_of_two_servos_is_another_move_or_one_of_a_servo_0() -> None:
+    random = Random("moves")
+    for _ in range(FRAMES):
+        pair = [(servo, random.randint(0, 1000)) for servo in random.sample(range(1, 254), 2)]
+        with contextlib.suppress(FrameError):  # as above: of a servo 170
+            moves(servos.bus_servo_move(pair, random.randint(1, 60)))
+
+
+def moves(frame: bytes) -> None:
+    """Cut before its first servo it may be a move of none."""
+    assert not [data.hex() for data in completed(frame) if data[3]], frame.hex()
+
+
+def test_a_cut_stop_stops_some_of_its_servos_and_a_servo_0() -> None:
+    """No encoder can mend that, as a stop has nothing to vary. Nothing moves by it, and the next burst stops all."""
+    found = 0
+    for ids in permutations(range(1, 11), 3):
+        frame = servos.bus_servo_stop(ids)
+        for data in completed(frame):
+            assert data[0] == servos.STOP
+            assert set(data[2:]) <= {*ids, 0}
+            found += 1
+    assert found

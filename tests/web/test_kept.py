@@ -1,0 +1,106 @@
+"""What the page keeps: who was revoked stays so, on a full disk too, and the command says what is wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.web.parts import Web
+from failstop.api.errors import FailstopError
+from failstop.shm import durable
+from failstop.web.devices import Device, Devices
+from failstop.web.kept import DEVICES, Kept
+
+PAIRING = '[web]\npairing = "on"\n'
+
+
+def device(number: int) -> Device:
+    return Device(str(number), f"phone {number}", f"{number:064}", 1.0)
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Kept:
+    """The folder of a page with three devices."""
+    found = Kept(str(tmp_path))
+    found.keep(Devices(tuple(device(number) for number in range(3))))
+    return found
+
+
+@pytest.fixture
+def full(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No new file finds room there."""
+
+    def write_draft(draft: str, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), draft)
+
+    monkeypatch.setattr(durable, "write_draft", write_draft)
+
+
+@pytest.mark.usefixtures("full")
+def test_fewer_devices_are_kept_on_a_full_disk(kept: Kept) -> None:
+    for left in (2, 1, 0):
+        kept.keep_fewer(Devices(tuple(device(number) for number in range(left))))
+        assert kept.devices().all() == [device(number) for number in range(left)]
+
+
+@pytest.mark.usefixtures("full")
+def test_where_nothing_can_be_written_the_cause_is_told(kept: Kept) -> None:
+    os.unlink(kept.path(DEVICES))
+    with pytest.raises(FailstopError, match="No space left on device"):
+        kept.keep_fewer(Devices())
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own for what the page keeps."""
+    place = tmp_path / "tiny"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=32k", "none", str(place)]
+    if os.geteuid() or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("mounting is not allowed here")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def fill(place: Path) -> None:
+    """Until nothing fits any more."""
+    with (place / "fill").open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(b"x" * 512)
+    assert os.statvfs(place).f_bavail == 0
+
+
+def test_a_revoked_device_stays_so_after_a_restart_with_a_full_disk(tmp_path: Path, tiny: Path) -> None:
+    config = tmp_path / "web.toml"
+    config.write_text(PAIRING)
+    with Web("kept-nobody", "--config", str(config), state=str(tiny)) as web:
+        headers = web.pair("Anna"), web.pair("Bert")
+        identity = web.command("devices").stdout.split()[0]
+        fill(tiny)
+        said = web.command("revoke", identity)
+        assert (said.returncode, said.stdout) == (0, "Anna may see and stop, and nothing else any more\n")
+    with Web("kept-nobody", "--config", str(config), state=str(tiny)) as web:
+        assert [web.post("/api/disable", headers=each)[0] for each in headers] == [401, 409]
+
+
+def test_a_device_that_can_only_be_revoked_until_a_restart_is_told_so(tmp_path: Path) -> None:
+    """The file is gone, and nothing new can be written: the command names that, and not a page that does not run."""
+    config = tmp_path / "web.toml"
+    config.write_text(PAIRING)
+    folder = tmp_path / "state"
+    with Web("kept-gone", "--config", str(config), state=str(folder)) as web:
+        headers = web.pair("Anna")
+        identity = web.command("devices").stdout.split()[0]
+        (folder / DEVICES).unlink()
+        (folder / DEVICES).mkdir()
+        said = web.command("revoke", identity)
+        assert said.returncode == 1
+        assert "Anna is revoked, and back after a restart of the page: " in said.stderr
+        assert "devices.json: Is a directory" in said.stderr
+        assert web.post("/api/disable", headers=headers)[0] == 401, "at once all the same"

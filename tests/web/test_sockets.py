@@ -1,0 +1,253 @@
+"""The two websockets: STOP by one of its own, and holds that the robot measures."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from bench.web.parts import Web
+from bench.web.viewer import Viewer
+from failstop.lab.trial import Trial, wait_for
+from failstop.web import door, hold, sockets
+from failstop.web.handlers import Guarded
+from failstop.web.limits import Limit
+
+IDLE = door.MOST + 5
+STOPS = "/api/stop/live"
+DEEP = "[" * 4000
+TOO_LARGE = "1" + "0" * 3000
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
+    """A page that devices may be paired with."""
+    config = tmp_path_factory.mktemp("sockets") / "web.toml"
+    config.write_text('[web]\npairing = "on"\n')
+    with Web(trial.name, "--config", str(config), state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def anna(web: Web) -> dict[str, str]:
+    return web.pair()
+
+
+@pytest.fixture
+def latched(trial: Trial) -> Trial:
+    trial.robot.estop("a test")
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    return trial
+
+
+def said(viewer: Viewer, text: str) -> None:
+    """A message as it stands."""
+
+    async def say() -> None:
+        await viewer.connection.write_message(text)
+
+    viewer.loop.run_until_complete(say())
+
+
+def test_a_stop_is_answered_by_the_way_that_it_came(trial: Trial, web: Web) -> None:
+    before = trial.robot.state.epoch
+    with Viewer(web, path=STOPS) as stopping:
+        stopping.send(stop="a")
+        found = stopping.next()
+        assert (found["id"], found["written"], found["face"]["latched"]) == ("a", True, True)
+        assert trial.robot.state.epoch == before + 1
+        stopping.send(stop="a")
+        assert stopping.next()["written"], "the same stop, asked for again"
+        assert trial.robot.state.epoch == before + 1
+
+
+def test_stops_do_not_wait_for_each_other(trial: Trial, web: Web) -> None:
+    """While the board is away each is answered after 0.3 s: all of them are, and the last was asked for at once."""
+    with Trial(f"sockets-gone-{os.getpid()}") as lost, Web(lost.name) as page, Viewer(page, path=STOPS) as stopping:
+        lost.board.unplug()
+        wait_for("the loss", lambda: "is gone" in lost.service.said())
+        since_s = time.monotonic()
+        for number in range(6):
+            stopping.send(stop=str(number))
+        found = [stopping.next() for _ in range(6)]
+        assert [each["written"] for each in found] == [False] * 6
+        assert found[-1]["face"]["latched"]
+        assert time.monotonic() - since_s < 1.5, "one after the other would take 1.8 s"
+
+
+def test_without_a_service_the_stop_is_answered_too() -> None:
+    with Web("sockets-nobody") as alone, Viewer(alone, path=STOPS) as stopping:
+        stopping.send(stop="a")
+        assert "no service" in stopping.next()["error"]
+
+
+def test_idle_connections_of_one_address_close_no_websocket(trial: Trial, web: Web) -> None:
+    with ExitStack() as stack:
+        viewer = stack.enter_context(Viewer(web))
+        stopping = stack.enter_context(Viewer(web, path=STOPS))
+        for _ in range(IDLE):
+            stack.enter_context(socket.create_connection(("127.0.0.1", web.port), timeout=5))
+        assert web.post("/api/stop")[1]["written"], "the newest connection is let in"
+        for _ in range(20):
+            viewer.next()
+        stopping.send(stop="b")
+        assert stopping.next()["written"]
+
+
+def test_there_is_an_end_to_the_connections_for_stop_and_the_newest_has_one(trial: Trial, web: Web) -> None:
+    with ExitStack() as stack:
+        first = stack.enter_context(Viewer(web, path=STOPS))
+        for _ in range(sockets.MOST_STOPS):
+            newest = stack.enter_context(Viewer(web, path=STOPS))
+        with pytest.raises(ConnectionError):
+            first.next()
+        newest.send(stop="c")
+        assert newest.next()["written"]
+
+
+def test_a_hold_resets_and_another_enables(latched: Trial, web: Web, anna: dict[str, str]) -> None:
+    with Viewer(web, anna) as viewer:
+        since_s = time.monotonic()
+        found = viewer.hold("reset")
+        assert found["done"], found
+        assert time.monotonic() - since_s >= hold.HOLD_S
+        assert latched.robot.state.estop is None
+        assert viewer.hold("enable")["said"] == "motion enabled"
+        assert latched.robot.state.enabled
+        latched.robot.disable()
+
+
+def test_a_hold_that_is_let_go_does_nothing(latched: Trial, web: Web, anna: dict[str, str]) -> None:
+    with Viewer(web, anna) as viewer:
+        assert viewer.hold("reset", hold.HOLD_S - 0.3) == {}
+        until_s = time.monotonic() + 1.0
+        while time.monotonic() < until_s:
+            assert "hold" not in viewer.next()
+        assert latched.robot.state.estop
+
+
+@pytest.mark.parametrize("verb", ["reset", "enable", "limit"])
+def test_no_page_can_ask_by_itself(latched: Trial, web: Web, anna: dict[str, str], verb: str) -> None:
+    """Neither by a request, nor by saying at once all that it says during a hold, nor by saying nothing in between."""
+    if verb != "limit":
+        assert web.ask("POST", f"/api/{verb}", {}, {"X-Failstop": "1", **anna})[0] in (404, 405)
+    with Viewer(web, anna) as viewer:
+        epoch = latched.robot.state.epoch
+        viewer.send(hold=verb, id="a", epoch=epoch, percent=50)
+        for _ in range(40):
+            viewer.send(held="a")
+        viewer.send(sure="a")
+        while "hold" not in (found := viewer.next()):
+            pass
+        assert found["said"] == hold.LATE
+        viewer.send(hold=verb, id="b", epoch=epoch, percent=50)
+        until_s = time.monotonic() + hold.HOLD_S + 0.1
+        while time.monotonic() < until_s:
+            viewer.next()
+        viewer.send(held="b")
+        while viewer.seen[-1].get("hold") != "b":
+            viewer.next()
+        assert viewer.seen[-1]["said"] == hold.LATE
+        assert latched.robot.state.estop
+        assert not latched.robot.state.enabled
+
+
+def test_a_reset_that_is_held_while_another_stop_comes_clears_nothing(
+    latched: Trial, web: Web, anna: dict[str, str]
+) -> None:
+    with Viewer(web, anna) as viewer:
+        while not (epoch := viewer.epoch()):
+            viewer.next()
+        latched.robot.estop("another")
+        wait_for("the stop", lambda: latched.robot.state.epoch > epoch)
+        assert viewer.hold("reset", epoch=epoch) | {"t": 0, "hold": ""} == {
+            "t": 0,
+            "hold": "",
+            "done": False,
+            "said": hold.NEWER_STOP,
+        }
+        assert latched.robot.state.estop
+        assert viewer.hold("reset", epoch=latched.robot.state.epoch)["done"]
+
+
+def test_strangers_hold_nothing(latched: Trial, web: Web) -> None:
+    with Viewer(web) as viewer:
+        assert viewer.hold("reset")["said"] == "this device is not paired"
+        assert latched.robot.state.estop
+
+
+def test_a_limit_is_lowered_by_a_touch_and_raised_by_a_hold(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    assert web.post("/api/limit", {"percent": 25}, anna)[0] == 200
+    assert web.post("/api/limit", {"percent": 50}, anna) == (409, {"error": "a higher limit is held for, on the page"})
+    assert trial.robot.state.speed_limit == 0.25
+    with Viewer(web, anna) as viewer:
+        assert viewer.hold("limit", percent=100)["done"]
+    assert trial.robot.state.speed_limit == 1.0
+
+
+def test_nonsense_fills_no_journal(trial: Trial, anna: dict[str, str], tmp_path: Path) -> None:
+    """Nested too deeply, and numbers of no end."""
+    config, journal = tmp_path / "web.toml", tmp_path / "journal"
+    config.write_text('[web]\npairing = "on"\n')
+    with journal.open("wb") as file, Web(trial.name, "--config", str(config), state=str(tmp_path), says=file) as page:
+        bert = page.pair("Bert")
+        for text in (DEEP, f'{{"percent": {TOO_LARGE}}}', '{"percent": 1e400}', '{"id": "\\ud800"}'):
+            for path in ("/api/stop", "/api/limit", "/api/pair", "/api/disable"):
+                status = page.ask("POST", path, None, {"X-Failstop": "1", **bert}, raw=text.encode())[0]
+                assert status in (200, 403, 409, 429), (path, text[:20])
+        with Viewer(page, bert) as viewer, Viewer(page, path=STOPS) as stopping:
+            for each in (viewer, stopping):
+                for text in (DEEP, f'{{"hold": "limit", "id": 1, "epoch": {TOO_LARGE}}}', '{"stop": {"a": []}}'):
+                    said(each, text)
+            assert viewer.next()
+            stopping.send(stop="d")
+            while stopping.next()["id"] != "d":
+                pass
+    assert journal.read_bytes() == b""
+
+
+def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> None:
+    """Whoever asks hears at once what there is, however many ask."""
+    wait_for("a card", lambda: web.get("/api/incidents")["incidents"], 30)
+    identity = web.get("/api/incidents")["incidents"][0]["id"]
+    since_s = time.monotonic()
+    found = [web.ask("GET", f"/api/incidents/{identity}/{what}") for what in ("story", "picture") for _ in range(8)]
+    assert time.monotonic() - since_s < 2.0, "to draw one takes longer"
+    assert found[0][0] == 202
+    assert json.loads(found[0][2]) == {"story": None, "picture": None}
+    assert web.post("/api/stop")[1]["written"]
+
+    def whole() -> bool:
+        told = json.loads(web.ask("GET", f"/api/incidents/{identity}/story")[2])
+        return bool(told.get("story")) and told["picture"] is True
+
+    wait_for("the story and the picture", whole, 60)
+    drawn: list[tuple[int, dict[str, str], bytes]] = []
+
+    def there() -> bool:
+        drawn.append(web.ask("GET", f"/api/incidents/{identity}/picture"))
+        return drawn[-1][0] != 429
+
+    wait_for("another look to be let in", there)
+    status, headers, content = drawn[-1]
+    assert (status, headers["content-type"], content[:4]) == (200, "image/png", b"\x89PNG")
+
+
+def test_a_defect_is_told_in_a_line_and_seldom(caplog: pytest.LogCaptureFixture) -> None:
+    handler = Guarded.__new__(Guarded)
+    handler.page = SimpleNamespace(defect_limit=Limit(0.001, 2))  # type: ignore[assignment]
+    try:
+        raise RuntimeError("a defect")
+    except RuntimeError as error:
+        for _ in range(100):
+            handler.log_exception(type(error), error, error.__traceback__)
+    assert len(caplog.messages) == 2
+    assert "RuntimeError: a defect" in caplog.messages[0]
+    assert "\n" not in caplog.messages[0]

@@ -1,0 +1,236 @@
+"""STOP always leaves the page, in a real browser: with every connection taken, without a network, behind a proxy."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.web.browser import CHROMIUM, Browser, Tab
+from bench.web.front import Front
+from bench.web.parts import Web
+from failstop.lab.trial import Trial, wait_for
+from failstop.web.kept import Kept
+
+pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
+
+WORD = "document.getElementById('word').textContent"
+SAID = "document.getElementById('stop-said').textContent"
+SEEN = f"{WORD} !== 'CONNECTING' && {WORD} !== 'NO CONTACT'"
+TAKEN = "/taken/"
+CONNECTIONS = 6
+TAKE = f"for (let at = 0; at < {CONNECTIONS + 4}; at++) fetch('{TAKEN}' + at).catch(() => {{}}); 0"
+SOON_S = 2.0
+TWENTY_TIMES = """
+(() => { const real = setTimeout, wide = fetch;
+  window.setTimeout = (run, ms, ...more) => real(run, ms / 20, ...more);
+  window.asked = 0;
+  window.fetch = (path, ...more) => { if (path === "/api/stop") window.asked++; return wide(path, ...more); };
+})()"""
+"""A page whose timers are twenty times as fast, and that counts its requests to stop."""
+FIRST = 65
+"""Tries; after 60 it is tried less often."""
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial) -> Iterator[Web]:
+    """The page, which finds the trial's incidents."""
+    with Web(trial.name, state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as running:
+        yield running
+
+
+@pytest.fixture
+def front(web: Web) -> Iterator[Front]:
+    """What the browser talks to."""
+    with Front(web.port, holds=(TAKEN,)) as running:
+        yield running
+
+
+@pytest.fixture
+def tab(browser: Browser, front: Front) -> Iterator[Tab]:
+    """A page that sees the robot through it."""
+    found = browser.tab(front.url)
+    found.until(SEEN)
+    yield found
+    assert found.errors == []
+    found.open("about:blank")
+
+
+def driving(trial: Trial) -> int:
+    """The wheels turn; returns the epoch."""
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    return trial.robot.state.epoch
+
+
+def stops_soon(trial: Trial, tab: Tab, before: int) -> None:
+    """A tap stops the robot, and the page says so and never that it did not."""
+    since_s = time.monotonic()
+    tab.run(
+        "window.told = []; new MutationObserver(() => told.push(document.getElementById('stop-said').textContent))"
+        ".observe(document.getElementById('stop-said'), {childList: true, characterData: true, subtree: true})"
+    )
+    tab.tap("#stop")
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+    assert time.monotonic() - since_s < SOON_S
+    tab.until(f"{SAID}.includes('written')")
+    assert not [text for text in tab.run("told") if "NOT" in text]
+
+
+def test_a_stop_leaves_while_every_connection_is_taken(trial: Trial, front: Front, tab: Tab) -> None:
+    before = driving(trial)
+    tab.run(TAKE)
+    wait_for("the connections", lambda: len(front.held) >= CONNECTIONS)
+    stops_soon(trial, tab, before)
+    assert len(front.held) >= CONNECTIONS
+
+
+def test_a_stop_leaves_while_every_connection_is_taken_and_the_websockets_come_back(
+    trial: Trial, front: Front, tab: Tab
+) -> None:
+    before = driving(trial)
+    tab.run(TAKE)
+    wait_for("the connections", lambda: len(front.held) >= CONNECTIONS)
+    front.cut("/api/live", "/api/stop/live")
+    stops_soon(trial, tab, before)
+    assert len(front.held) >= CONNECTIONS
+
+
+def test_a_stop_leaves_while_every_connection_is_taken_and_the_websocket_delivers_nothing(
+    trial: Trial, front: Front, tab: Tab
+) -> None:
+    before = driving(trial)
+    tab.run(TAKE)
+    wait_for("the connections", lambda: len(front.held) >= CONNECTIONS)
+    front.lose("/api/stop/live")
+    tab.tap("#stop")
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+    tab.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
+    assert len(front.held) >= CONNECTIONS
+
+
+def test_a_stop_leaves_while_another_page_of_the_browser_takes_every_connection(
+    trial: Trial, browser: Browser, front: Front, tab: Tab
+) -> None:
+    other = browser.tab(front.url)
+    other.until(SEEN)
+    other.run(TAKE)
+    tab.call("Page.bringToFront")
+    wait_for("the connections", lambda: len(front.held) >= CONNECTIONS)
+    stops_soon(trial, tab, driving(trial))
+    other.open("about:blank")
+
+
+def test_opened_cards_take_one_connection_and_give_it_up_for_a_stop(trial: Trial, front: Front, tab: Tab) -> None:
+    for number in range(4):
+        trial.robot.estop(f"card {number}")
+        wait_for("the latch", lambda: trial.robot.state.estop)
+        trial.robot.reset()
+    tab.until("document.querySelectorAll('.card').length >= 4", "four cards", 30)
+    front.holds = (TAKEN, "/api/incidents/")
+    before = driving(trial)
+    tab.run("for (const card of document.querySelectorAll('.card summary')) card.click()")
+    wait_for("a story that is waited for", lambda: front.held)
+    assert len(front.held) == 1
+    stops_soon(trial, tab, before)
+    wait_for("the connection to be given up", lambda: not front.held)
+
+
+def test_stop_is_tried_until_it_is_written_however_long(trial: Trial, front: Front, browser: Browser) -> None:
+    """A network that delivers nothing, and then does."""
+    tab = browser.tab()
+    tab.call("Page.addScriptToEvaluateOnNewDocument", source=TWENTY_TIMES)
+    tab.open(front.url)
+    tab.until(SEEN)
+    before = driving(trial)
+    front.to, to = 9, front.to
+    front.cut()
+    lift = tab.press("#stop")
+    tab.until(f"{SAID}.includes('NOT WRITTEN') && {SAID}.includes('POWER SWITCH')")
+    lift()
+    tab.until(f"window.asked >= {FIRST}", timeout_s=30)
+    tab.until(f"{WORD} === 'NO CONTACT'")
+    assert trial.robot.state.epoch == before
+    front.to = to
+    wait_for("the stop", lambda: trial.robot.state.epoch > before, 10)
+    tab.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
+    tab.open("about:blank")
+
+
+def test_a_websocket_that_neither_opens_nor_fails_leaves_the_page_its_state_and_its_stop(
+    trial: Trial, front: Front, browser: Browser
+) -> None:
+    front.holds = ("/api/live", "/api/stop/live")
+    tab = browser.tab(front.url)
+    tab.until(SEEN, timeout_s=5)
+    stops_soon(trial, tab, driving(trial))
+    tab.until(f"{WORD} === 'STOPPED'")
+    tab.open("about:blank")
+
+
+@pytest.mark.parametrize("rest", ["%", "%zz", "%E0%A4%A", "?", "<b>"])
+def test_what_follows_the_address_does_the_page_no_harm(browser: Browser, web: Web, rest: str) -> None:
+    tab = browser.tab(f"{web.url}#{rest}")
+    tab.until(SEEN)
+    assert tab.errors == []
+    assert tab.run("document.getElementById('code').value") == ""
+    tab.open("about:blank")
+
+
+def test_while_the_board_is_away_the_page_says_what_is_known(browser: Browser) -> None:
+    """It is latched, and not at the board: the power switch is what is left."""
+    with Trial(f"stop-gone-{os.getpid()}") as lost, Web(lost.name) as page:
+        tab = browser.tab(page.url)
+        tab.until(SEEN)
+        lost.board.unplug()
+        wait_for("the loss", lambda: "is gone" in lost.service.said())
+        tab.tap("#stop")
+        tab.until(f"{SAID}.includes('latched') && {SAID}.includes('POWER SWITCH')")
+        lost.board.replug()
+        tab.until(f"{SAID}.includes('written')")
+        tab.open("about:blank")
+
+
+@pytest.fixture
+def proxy(tmp_path: Path) -> Iterator[Front]:
+    """One that ends TLS."""
+    with Front(tls=Kept(str(tmp_path / "proxy")).tls(["localhost"])) as running:
+        yield running
+
+
+def test_behind_a_proxy_that_ends_tls_a_page_that_cannot_stop_says_so_when_it_opens(
+    web: Web, browser: Browser, proxy: Front
+) -> None:
+    proxy.to = web.port
+    tab = browser.tab(proxy.url)
+    tab.until(f"{SAID}.includes(\"CAN'T STOP\") && {SAID}.includes('web.origin')")
+    tab.open("about:blank")
+
+
+def test_behind_a_proxy_that_ends_tls_a_setting_makes_it_work(
+    trial: Trial, browser: Browser, proxy: Front, tmp_path: Path
+) -> None:
+    config = tmp_path / "web.toml"
+    config.write_text(f'[web]\npairing = "on"\norigin = "{proxy.url}"\n')
+    with Web(trial.name, "--config", str(config), state=str(tmp_path)) as page:
+        proxy.to = page.port
+        assert f"page  {proxy.url}" in page.command("pair").stdout
+        tab = browser.tab(f"{proxy.url}#{page.code()}")
+        tab.until(SEEN)
+        tab.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+        tab.run("document.querySelector('#pair form').requestSubmit()")
+        tab.until("!document.getElementById('hands').hidden")
+        stops_soon(trial, tab, driving(trial))
+        tab.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
+        assert tab.run("document.cookie") == ""
+        tab.open("about:blank")

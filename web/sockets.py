@@ -1,0 +1,214 @@
+"""Sockets: the two websockets of a page. One shows the state and takes what a paired device asks for; the other is for
+STOP alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from typing import Any
+
+from tornado.iostream import StreamClosedError
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from failstop.api.errors import FailstopError
+from failstop.web import hold, lease, messages, stopping
+from failstop.web.handlers import Guarded
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.web.server import Page
+
+MOST_VIEWERS = 64
+MOST_STOPS = 64
+"""Connections for STOP alone. A page that has none stops by a request."""
+MOST_ASKED = 8
+STUCK_S = 10.0
+"""A viewer that takes nothing for this long is let go."""
+MOST_EPOCH = 1 << 62
+HELD_VERBS = ("reset", "enable", "limit")
+
+
+class Socket(Guarded, WebSocketHandler):
+    """What both have in common."""
+
+    def check_origin(self, origin: str) -> bool:
+        """The guard has seen to it."""
+        return True
+
+    def open(self, *_: str, **__: str) -> None:
+        """It is a websocket now."""
+        if self.ws_connection and self.ws_connection.stream:
+            self.page.let_in(self.ws_connection.stream)
+
+    def later(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
+        """Hand a message over; None: it was gone."""
+        try:
+            return asyncio.ensure_future(_quiet(self.write_message(message)))
+        except WebSocketClosedError:
+            return None
+
+
+class StopSocket(Socket):
+    """STOP, for everyone who can open the page, by a connection on which nothing else waits."""
+
+    def open(self, *_: str, **__: str) -> None:
+        """It waits for a STOP."""
+        super().open()
+        self.page.stops.take(self, str(self.request.remote_ip))
+
+    def on_close(self) -> None:
+        """It is gone."""
+        self.page.stops.leave(self)
+
+    def initialize(self, page: Page) -> None:
+        """`page`: what serves it."""
+        super().initialize(page)
+        self._asked: set[asyncio.Task[None]] = set()
+
+    def on_message(self, message: str | bytes) -> None:
+        """A STOP by its id. It waits for no other, and who sends them without end is not answered each."""
+        if identity := messages.read(message).get("stop"):
+            if len(self._asked) >= MOST_ASKED:
+                with contextlib.suppress(FailstopError):
+                    self.page.asked.ask(self.page.name, self.who(), identity)
+                return
+            asked = asyncio.ensure_future(self._stop(identity))
+            self._asked.add(asked)
+            asked.add_done_callback(self._asked.discard)
+
+    async def _stop(self, identity: object) -> None:
+        _, found = await stopping.stop(self.page, self.who(), identity)
+        self.later({"id": identity, **found})
+
+
+class Live(Socket):
+    """The state, ten times a second, to one viewer."""
+
+    def initialize(self, page: Page) -> None:
+        """`page`: what serves it."""
+        super().initialize(page)
+        self._number = -1
+        self._sending: asyncio.Future[None] | None = None
+        self._sent_s = 0.0
+        self._hold: hold.Hold | None = None
+        self._asked: set[asyncio.Task[None]] = set()
+
+    def prepare(self) -> None:
+        """The guard, and room for one more: a paired device takes somebody else's place."""
+        super().prepare()
+        if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
+            strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
+            if self.device() is None or not strangers:
+                self.refuse(503, "too many viewers")
+            else:
+                strangers[0].close(1013, "a paired device takes this place")
+                self.page.leave(strangers[0])
+
+    def open(self, *_: str, **__: str) -> None:
+        """A viewer comes."""
+        super().open()
+        self.page.join(self)
+
+    def on_close(self) -> None:
+        """A viewer goes."""
+        self._hold = None
+        self.page.leave(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """A viewer attends, answers, attends no more, or holds a button; anything else means nothing."""
+        found = messages.read(message)
+        if found.get("attend") is True:
+            self._attend()
+        elif found.get("attend") is False:
+            self.page.attending.end(self)
+        elif verb := found.get("hold"):
+            self._begin(str(verb), found)
+        elif self._hold and any(found.get(word) == self._hold.identity for word in ("held", "sure", "released")):
+            self._go_on(self._hold, found)
+        elif (held := self.page.attending.of(self)) and held.take(str(found.get("nonce")), str(found.get("answer"))):
+            if self.device() is None:  # revoked since
+                self.page.attending.end(self)
+            elif wrong := self.page.attending.proven(self):
+                self.send({"attend": wrong})
+
+    def _attend(self) -> None:
+        device = self.device()
+        if device is None:
+            self.send({"attend": "this device is not paired"})
+        else:
+            self.page.attending.begin(self, device.name, lease.key_of(self.token()))
+
+    def _begin(self, verb: str, found: dict[str, Any]) -> None:
+        now_s, identity = time.monotonic(), str(found.get("id"))[: stopping.MOST_OF_AN_ID]
+        epoch, percent = messages.whole(found.get("epoch"), MOST_EPOCH), messages.whole(found.get("percent"), 100)
+        self._hold = None
+        if self.device() is None:
+            self._end(identity, "this device is not paired")
+        elif verb not in HELD_VERBS or epoch is None:
+            self._end(identity, "this page is of another version: load it again")
+        elif not self.page.verb_limit.take(verb, now_s):
+            self._end(identity, "too many requests: wait a second")
+        else:
+            self._hold = hold.Hold(verb, identity, epoch, percent, now_s, now_s)
+
+    def _go_on(self, held: hold.Hold, found: dict[str, Any]) -> None:
+        now_s = time.monotonic()
+        if "released" in found:
+            self._hold = None
+        elif "sure" in found:
+            self._hold = None
+            if held.sure(now_s):
+                asked = asyncio.ensure_future(self._ask(held))
+                self._asked.add(asked)
+                asked.add_done_callback(self._asked.discard)
+            else:
+                self._end(held.identity, hold.LATE)
+        elif not held.held(now_s):
+            self._hold = None
+            self._end(held.identity, hold.LATE)
+        elif held.enough(now_s):
+            self.send({"hold": held.identity, "enough": True})
+
+    async def _ask(self, held: hold.Hold) -> None:
+        """What was held for is asked for, unless the person could not know of the newest stop."""
+        if self.device() is None:  # revoked since
+            done, said = False, "this device is not paired"
+        elif self.page.newest_stop() != held.epoch:
+            done, said = False, hold.NEWER_STOP
+        else:
+            done, said = await self.page.hands.ask(held.verb, self.who(), held.percent, held.epoch)
+        self._end(held.identity, said, done=done)
+
+    def _end(self, identity: str, said: str, *, done: bool = False) -> None:
+        self.send({"hold": identity, "done": done, "said": said})
+
+    def show(self, now_s: float, unix_s: float) -> None:
+        """Send what is new. Nothing waits: a viewer that has not taken the last message misses this one."""
+        if self._sending is not None and not self._sending.done():
+            connection = self.ws_connection
+            if now_s - self._sent_s > STUCK_S and connection and connection.stream:
+                connection.stream.close()
+            return
+        watcher = self.page.watcher
+        message: dict[str, Any] = {"t": unix_s, "live": watcher.values}
+        if held := self.page.attending.of(self):
+            message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
+        if self._number != watcher.number:
+            self._number = watcher.number
+            message["face"] = watcher.shown
+        self._sending = self.send(message)
+        self._sent_s = now_s
+
+    def send(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
+        """Hand a message over; a viewer that has just gone gets none."""
+        sending = self.later(message if "t" in message else {"t": time.time(), **message})
+        if sending is None:
+            self.page.leave(self)
+        return sending
+
+
+async def _quiet(sent: asyncio.Future[None]) -> None:
+    with contextlib.suppress(WebSocketClosedError, StreamClosedError):
+        await sent
