@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site screens fleet web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -102,6 +102,20 @@ fleet: $(VENV)/.dev
 	$(BIN)/pytest --numprocesses 0 tests/fleet
 	$(BIN)/python -m bench.fleet
 	$(BIN)/python -m bench.fleet_flood
+
+# The bridge against a real ROS 2 (CONTRIBUTING.md says what is needed), and the stand-in beside it, which the same tests judge.
+# ROS: another setup.sh than the newest; ROS_PYTHON: that ROS's own Python.
+ROS ?= $(lastword $(sort $(wildcard /opt/ros/*/setup.sh)))
+ROS_PYTHON ?= /usr/bin/python3
+ros2: $(VENV)/ros2/.installed
+	FAILSTOP_ROS=$(ROS) $(VENV)/ros2/bin/pytest --numprocesses 0 tests/ros2
+
+$(VENV)/ros2/.installed: pyproject.toml
+	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
+	@echo "installing failstop with its tests' tools for $(ROS_PYTHON) into $(VENV)/ros2 ..."
+	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2
+	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' 'numpy<2'
+	@touch $@
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
 web: $(VENV)/.dev

@@ -21,6 +21,8 @@ ROOM = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
+NOT_KNOWN = "not known yet"
+"""Who asks for a stop writes this for what it will know soon, and completes its cause by asking once more."""
 RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
@@ -148,6 +150,15 @@ def requested(line: bytes) -> Cause:
             return FLEET(printable(words), printable(who.removeprefix(records.FLEET)))
         return REQUESTED(printable(words), printable(who), int(pid))
     return PIPED(printable(text))
+
+
+def completed(latched: Cause, later: Cause) -> bool:
+    """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
+    said at first that something is not known yet. It happens once, as nothing is lacking then."""
+    if not latched.kind is later.kind is REQUESTED:
+        return False
+    (words, *who), (more, *same) = latched.arguments, later.arguments
+    return who == same and NOT_KNOWN in str(words) and NOT_KNOWN not in str(more)
 
 
 DIED = Kind(

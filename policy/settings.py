@@ -151,6 +151,9 @@ DECLARED = (
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
     Setting("arm.period_s", 0.04, "s", 0.02, 0.055, "a joint that moves is sent one move of this length after another"),
     Setting("arm.goal_timeout_s", 0.5, "s", 0.1, 5.0, "a goal that is not renewed for this long holds the arm"),
+    Setting(
+        "arm.unwatched_s", 3.0, "s", 0.1, 30.0, "longest goal of ROS's topic arm/goal, whose sender can die unseen"
+    ),
     Setting("arm.pose_speed", 0.5, "", 0.05, 1.0, "this share of each joint's speed is used for poses"),
     Setting("arm.drive_tolerance", 30, "", 1, 200, "pulses that a joint may be off the drive pose to enable motion"),
     Setting("arm.drive_pan", -1, "", -1, 1000, "where the base joint is for driving; -1: wherever it is"),

@@ -14,14 +14,15 @@ from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
-from failstop.policy import causes
 from failstop.ros2 import report, words
-from failstop.ros2.commanders import FRESH_NS
+from failstop.ros2.alive import Unwatched
+from failstop.ros2.commanders import FRESH_NS, Asking, names, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
-from failstop.ros2.graph import latch
+from failstop.ros2.graph import latch, publishers
 from failstop.ros2.link import Link
 from failstop.ros2.shared import Shared
+from failstop.ros2.stamps import Stamps
 from failstop.ros2.trajectory import TrajectoryFace, Way, way
 from failstop.ros2.turn import Turn
 
@@ -61,13 +62,14 @@ class ArmFace:
     """Its subscription, publisher and services."""
 
     def __init__(
-        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, waited_ns: Callable[[], int]
+        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, stamps: Stamps, waited_ns: Callable[[], int]
     ) -> None:
         """`link`: of the executor's thread, for what is done at once; `waited_ns`: how long the message at hand has
         waited for its callback."""
         self._node = node
         self._link = link
         self._shared = shared
+        self._stamps = stamps
         self._asking = Link(link.name)
         """Of the jobs: one client moves the arm, however many of its jobs have ended."""
         self._newest = 0
@@ -75,17 +77,21 @@ class ArmFace:
         self._holds: list[Job] = []
         """For the action, whose end they are to be."""
         self._goal_job: Job | None = None
+        self._sender: Unwatched | None = None
+        """Whoever has sent the goal of the topic that the arm is on its way to; None: it is held already."""
         self._way_job: Job | None = None
         """Of the action's goal."""
         self._waited_ns = waited_ns
         self.goal_timeout_s = 0.5
         """A goal older than this starts nothing (arm.goal_timeout_s)."""
+        self.unwatched_s = 3.0
+        """A goal of the topic takes this long at most (arm.unwatched_s)."""
         self._turned_ns = monotonic_ns()
         self._since_ns = 0
         """Goals that came before this may have lain in the kernel while this node did not run, for `_away_ns`."""
         self._away_ns = 0
         self._busy_ns = 0
-        self._latched = False
+        self._asking_stop = Asking()
         kind = type_of(ARM_BUSY.type)
         self._busy, self._message = node.create_publisher(kind, ARM_BUSY.name, qos(ARM_BUSY.qos)), kind()
         self._topic = ""
@@ -127,8 +133,8 @@ class ArmFace:
         """The action's goal, which two are not at once. Raises Refused."""
         if old := self._old():
             raise Refused(old)
-        if self._rivals():
-            raise Refused("more than one node sends goals")
+        if cause := self.rivals():
+            raise Refused(cause)
         if self._under_way():
             raise Refused("the arm is on its way to another goal: cancel that first")
         self._way_job = self.begin(lambda robot: robot.arm.move(path, told=told))
@@ -140,7 +146,10 @@ class ArmFace:
     def hold_way(self) -> None:
         """Hold the arm, if the action moves it still."""
         if self._way_job and not self._way_job():
-            self._holds.append(self.begin(_hold))
+            self._hold_now()
+
+    def _hold_now(self) -> None:
+        self._holds.append(self.begin(_hold))
 
     def _answerer(self, act: Callable[[Robot], Any]) -> Any:
         async def answer(_request: Any, response: Any) -> Any:
@@ -161,7 +170,8 @@ class ArmFace:
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
             self._busy.publish(fill(self._message, {"data": report.busy(self._shared.state)}))
-        self._rivals()
+        self.rivals()
+        self._watch_sender(now_ns)
         for job in [job for job in self._holds if job()]:
             self._holds.remove(job)
             try:
@@ -190,32 +200,52 @@ class ArmFace:
             waited_ns = self._away_ns
         return words.waited(waited_ns / 1e9) if waited_ns > self.goal_timeout_s * 1e9 else ""
 
-    def _rivals(self) -> bool:
-        """True, and latched once, while more than one node publishes goals."""
-        many = bool(self._topic) and self._node.count_publishers(self._topic) > 1
-        if many and not self._latched:
-            names = sorted({found.node_name for found in self._node.get_publishers_info_by_topic(self._topic)})
-            first, second = [*names, *names][:2]
-            latch(self._node, self._link, str(causes.TWO_MOVE_THE_ARM(first, second)))
-        self._latched = many
-        return many
+    def _watch_sender(self, now_ns: int) -> None:
+        """Hold the arm for a goal of the topic whose sender can't be seen to live."""
+        if self._sender is None or self._goal_job is None or self._goal_job():
+            self._sender = None
+        elif gone := self._sender.look(self._node.count_publishers(self._topic), now_ns):
+            self._sender = None
+            self._node.get_logger().warning(f"{ARM_GOAL.name}: {gone}: held")
+            self._hold_now()
+
+    def rivals(self) -> str:
+        """The cause of the stop while more than one node publishes goals, which is asked for here; empty: there is one
+        at most."""
+        cause = ""
+        if self._topic and self._node.count_publishers(self._topic) > 1:
+            cause = rivals(ARM_GOAL.name, sorted(publishers(self._node, self._topic)))
+        state = self._shared.state
+        if self._asking_stop.due(cause, state is not None and state.estop is not None, monotonic_ns()):
+            latch(self._node, self._link, cause)
+        return cause
 
     def _goal(self, message: Any) -> None:
-        if self._rivals():
-            return
+        try:
+            if cause := self.rivals():
+                raise Refused(cause)
+            self._take_goal(message)
+        except FailstopError as error:
+            self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
+
+    def _late(self, stamp: Any) -> str:
+        """Why a goal is refused for its stamp; empty: it is not."""
+        who = names(publishers(self._node, self._topic))
+        return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
+
+    def _take_goal(self, message: Any) -> None:
+        """Raises FailstopError."""
         if not message.points:
             self._goal_job = self.begin(_hold)
             return
-        now_ns = self._node.get_clock().now().nanoseconds
-        try:
-            if old := self._old(self._waited_ns()) or words.late(message.header.stamp, now_ns, self.goal_timeout_s):
-                raise Refused(old)
-            path = way(message)
-            if self._way_job and not self._way_job():
-                raise Refused(f"{ARM_ACTION.name} moves the arm")
-        except FailstopError as error:
-            self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
-            return
+        if old := self._old(self._waited_ns()) or self._late(message.header.stamp):
+            raise Refused(old)
+        path = way(message)
+        if (takes_s := path[-1][0]) > self.unwatched_s:
+            raise Refused(words.unwatched(takes_s, self.unwatched_s))
+        if self._way_job and not self._way_job():
+            raise Refused(f"{ARM_ACTION.name} moves the arm")
+        self._sender = Unwatched(monotonic_ns(), self.unwatched_s)
         self._goal_job = self.begin(lambda robot: robot.arm.move(path))
 
     def close(self) -> None:

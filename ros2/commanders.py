@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from failstop.policy.causes import NOT_KNOWN
+
 FRESH_NS = 100_000_000
 """How long a look at the graph, or a sensor's word, is good for."""
 GONE_NS = 300_000_000
@@ -23,7 +25,7 @@ NAMELESS_NS = 2_000_000_000
 STOP_AGAIN_NS = 500_000_000
 """A stop that was asked for and is not latched is asked for again."""
 WINDOW_NS = 5_000_000_000
-NAMELESS = "a node without a name yet"
+NAMELESS = f"a node whose name is {NOT_KNOWN}"
 DEAD_ONE = "one of them may be a dead process, which DDS counts for up to 20 s"
 LONGEST_NAMES = 150
 
@@ -65,6 +67,41 @@ class Lag:
         return lag_ns - min(self._before_ns, self._least_ns)
 
 
+class Asking:
+    """When a stop is asked for: at once, again while it is not latched, and once more when the names are known that its
+    cause lacked, which completes the cause."""
+
+    def __init__(self) -> None:
+        self._asked_ns = 0
+        self._cause = ""
+
+    def due(self, cause: str, latched: bool, now_ns: int) -> bool:
+        """True when a stop with that cause is to be asked for now; empty: there is no reason for one."""
+        if not cause:
+            self._asked_ns, self._cause = 0, ""
+            return False
+        completed = NOT_KNOWN in self._cause and NOT_KNOWN not in cause
+        if self._asked_ns and not completed and (latched or now_ns - self._asked_ns < STOP_AGAIN_NS):
+            return False
+        self._asked_ns, self._cause = now_ns, cause
+        return True
+
+
+def rivals(topic: str, publishers: Sequence[Publisher]) -> str:
+    """The cause of a stop for several publishers of a topic."""
+    return f"multiple {topic} publishers: {names(publishers)} ({DEAD_ONE})"
+
+
+def names(publishers: Sequence[Publisher]) -> str:
+    """The nodes that publish."""
+    nodes = [publisher.node or NAMELESS for publisher in publishers]
+    counts = {node: nodes.count(node) for node in nodes}
+    text = ", ".join(f"{node} ({count} times)" if count > 1 else node for node, count in counts.items())
+    if len(text) > LONGEST_NAMES:
+        text = f"{text[:LONGEST_NAMES].rpartition(',')[0] or text[:LONGEST_NAMES]} and more"
+    return text or "nodes that are not known yet"
+
+
 class Commanders:
     """The publishers of cmd_vel as last seen."""
 
@@ -80,7 +117,7 @@ class Commanders:
         last one did not."""
         self._looked_ns = 0
         self._nameless_ns: int | None = None
-        self._asked_ns = 0
+        self._asking = Asking()
 
     def wants_look(self, count: int, now_ns: int) -> bool:
         """Whether who publishes is to be looked up now, the number being `count`."""
@@ -110,20 +147,14 @@ class Commanders:
     def cause(self, now_ns: int) -> str:
         """Why a stop is to be latched now; empty: there is no reason."""
         if self.count > 1:
-            return f"multiple cmd_vel publishers: {self.names()} ({DEAD_ONE})"
+            return rivals("cmd_vel", self.publishers)
         if strangers := self._strangers(now_ns):
             return f"stranger on cmd_vel: {', '.join(strangers)} (allowed: {', '.join(sorted(self._allowed))})"
         return ""
 
     def due(self, cause: str, latched: bool, now_ns: int) -> bool:
-        """True when that stop is to be asked for now: at once, and again while it is not latched."""
-        if not cause:
-            self._asked_ns = 0
-            return False
-        if self._asked_ns and (latched or now_ns - self._asked_ns < STOP_AGAIN_NS):
-            return False
-        self._asked_ns = now_ns
-        return True
+        """As Asking.due()."""
+        return self._asking.due(cause, latched, now_ns)
 
     def _strangers(self, now_ns: int) -> list[str]:
         if not self._allowed:
@@ -147,12 +178,7 @@ class Commanders:
 
     def names(self) -> str:
         """The nodes that publish."""
-        nodes = [publisher.node or NAMELESS for publisher in self.publishers]
-        counts = {node: nodes.count(node) for node in nodes}
-        text = ", ".join(f"{node} ({count} times)" if count > 1 else node for node, count in counts.items())
-        if len(text) > LONGEST_NAMES:
-            text = f"{text[:LONGEST_NAMES].rpartition(',')[0] or text[:LONGEST_NAMES]} and more"
-        return text or "nodes that are not known yet"
+        return names(self.publishers)
 
     def wanted_type(self, now: str) -> str:
         """What to subscribe to: what is offered, if it is taken; with nobody there, or with both, what it is now."""

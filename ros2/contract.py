@@ -27,6 +27,7 @@ class Qos(NamedTuple):
 
 PLAIN = Qos(10)
 SENSOR = Qos(5, reliable=False)
+LOSSY = Qos(10, reliable=False)
 LASTING = Qos(10, transient_local=True)
 
 
@@ -60,8 +61,8 @@ CMD_VEL = Topic(
     0,
     "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
     "than the command timeout is refused, a zero stamp counts as now. So is a command that comes so much later than "
-    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite "
-    "latches a stop",
+    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite, "
+    "in any of the six fields, latches a stop",
 )
 SCAN = Topic(
     "scan",
@@ -70,7 +71,16 @@ SCAN = Topic(
     0,
     "the obstacle sensor: each arrival counts, whatever it holds; without one for 0.5 s nothing moves (`no scan`)",
 )
-ESTOP = Topic("estop", "std_msgs/msg/Bool", PLAIN, 0, "true latches a stop (`estop topic`); false does nothing")
+ESTOP = Topic(
+    "estop",
+    "std_msgs/msg/Bool",
+    PLAIN,
+    0,
+    "true latches a stop (`estop topic`); false does nothing. A best-effort publisher is heard too",
+)
+ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
+"""A second subscription: a reliable one hears no best-effort publisher, and a best-effort one alone may lose what a
+reliable publisher sends."""
 INWARD = (CMD_VEL, SCAN, ESTOP)
 
 IMU = Topic(
@@ -134,7 +144,8 @@ ARM_GOAL = Topic(
     PLAIN,
     0,
     "where the arm goes: joints by the names of the settings, rad; without points it is held. A second publisher "
-    "latches a stop. A goal that is older than arm.goal_timeout_s, by its stamp or since it had to wait, is refused",
+    "latches a stop. A goal that is older than arm.goal_timeout_s, by its stamp or since it had to wait, is refused; "
+    "so is one that takes longer than arm.unwatched_s. The end of its publisher holds the arm",
 )
 ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves, or is about to")
 ARM_TOPICS = (ARM_GOAL, ARM_BUSY)

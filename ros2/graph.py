@@ -30,7 +30,7 @@ class Graph:
 
     def publishers(self, topic: str) -> list[Publisher]:
         """Who publishes a topic."""
-        return [_publisher(found) for found in self._node.get_publishers_info_by_topic(topic)]
+        return publishers(self._node, topic)
 
     def ask(self, link: Link, now_ns: int) -> None:
         """Who publishes cmd_vel now; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
@@ -45,6 +45,11 @@ class Graph:
             due = commanders.due(cause, state is not None and state.estop is not None, now_ns)
         if due:
             latch(self._node, link, cause)
+
+
+def publishers(node: Any, topic: str) -> list[Publisher]:
+    """Who publishes a topic, as a node sees it."""
+    return [_publisher(found) for found in node.get_publishers_info_by_topic(topic)]
 
 
 def latch(node: Any, link: Link, cause: str) -> None:

@@ -12,13 +12,24 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
-from failstop.ros2.commanders import FRESH_NS, Commanders, Lag, waited_ns, wrong_ends
-from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
+from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, waited_ns, wrong_ends
+from failstop.ros2.contract import (
+    CLIENT,
+    CMD_VEL,
+    COMMAND_TYPES,
+    ESTOP,
+    ESTOP_LOSSY,
+    SCAN,
+    SERVICES,
+    STAMPED,
+    Topic,
+)
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
 from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
+from failstop.ros2.stamps import Stamps
 from failstop.ros2.turn import Turn
 
 WATCH_NS = 50_000_000
@@ -48,6 +59,7 @@ class Inward:
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
         self._lag = Lag()
+        self._stamps = Stamps(lambda: int(node.get_clock().now().nanoseconds))
         self._received_ns = self._sent_ns = 0
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
@@ -57,6 +69,8 @@ class Inward:
         self._moving_ns = -STOP_NS
         """When a command that is not zero came last."""
         self._velocity = (0.0, 0.0, 0.0)
+        self._unnamed_ns = 0
+        """When a command that is not finite was stopped for whose publisher had no name yet; 0: none was."""
         self._said_ns = self._looked_ns = now_ns - SAY_NS
         self._said: tuple[str, str] = ("", "")
         self._wrong_estop: list[str] = []
@@ -64,6 +78,9 @@ class Inward:
         self._type = self._accepted[0]
         # The first is looked at first.
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
+        self._subscribe(ESTOP_LOSSY, self._estop)
+        self._stopped_ns = 0
+        """When the message was sent that was answered last: both subscriptions hear a reliable publisher."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
@@ -116,8 +133,12 @@ class Inward:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)
-            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=True)
+            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=False)
         self._follow_type()
+        if self._unnamed_ns and now_ns - self._unnamed_ns > NAMELESS_NS:
+            self._unnamed_ns = 0
+        elif self._unnamed_ns and self._commanders.count and causes.NOT_KNOWN not in self._commanders.names():
+            self._latch_not_finite(now_ns)
         if self.arm:
             self.arm.follow(now_ns)
         try:
@@ -147,9 +168,11 @@ class Inward:
         self._timeout_s = mirrors.command_timeout_s(settings)
         self._scan.timeout_s = float(settings["scan.timeout_s"])
         if self.arm is None and any(key.startswith("joints.") for key in settings):
-            self.arm = ArmFace(self._node, self._qos, self._group, self._link, self._shared, self._waited_ns)
+            common = (self._node, self._qos, self._group, self._link, self._shared)
+            self.arm = ArmFace(*common, self._stamps, self._waited_ns)
         if self.arm:
             self.arm.goal_timeout_s = float(settings["arm.goal_timeout_s"])
+            self.arm.unwatched_s = float(settings["arm.unwatched_s"])
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
@@ -157,7 +180,7 @@ class Inward:
         scan, wrong = self._scan.says(now_ns)
         commanders = self._commanders
         names = commanders.names() if commanders.count else ""
-        wrong = [*commanders.wrong(), *wrong, *self._wrong_estop]
+        wrong = [*commanders.wrong(), *self._stamps.wrong(now_ns), *wrong, *self._wrong_estop]
         said = (report.says(names, scan), "; ".join(wrong))
         if said == self._said and now_ns - self._said_ns < SAY_NS:
             return
@@ -172,9 +195,10 @@ class Inward:
         now_ns, waited_ns = monotonic_ns(), self._waited_ns()
         self.graph.ask(self._link, now_ns)
         twist = message.twist if self._type == STAMPED else message
-        velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
-        if not all(map(isfinite, velocity)):
-            self._latch(str(causes.NOT_FINITE(self._commanders.names())))
+        (vx, vy, vz), (wx, wy, wz) = _axes(twist.linear), _axes(twist.angular)
+        velocity = (vx, vy, wz)
+        if not all(map(isfinite, (*velocity, vz, wx, wy))):
+            self._latch_not_finite(now_ns)
             return
         late = self._late(message)
         if any(velocity):
@@ -193,6 +217,12 @@ class Inward:
         except FailstopError as error:
             self._complain("service", f"cmd_vel moves nothing: {error}")
 
+    def _latch_not_finite(self, now_ns: int) -> None:
+        """Now, and once more when the name is known that the cause lacks."""
+        who = self._commanders.names()
+        self._unnamed_ns = now_ns if causes.NOT_KNOWN in who else 0
+        self._latch(str(causes.NOT_FINITE(who)))
+
     def _late(self, message: Any) -> str:
         """Why a command is refused for its age; empty: it is not."""
         late_ns = self._lag.late_ns(self._commanders.publishers, self._sent_ns, self._received_ns or time_ns())
@@ -200,7 +230,8 @@ class Inward:
             return words.repaired(late_ns / 1e9)
         if self._type != STAMPED:
             return ""
-        return words.late(message.header.stamp, self._node.get_clock().now().nanoseconds, self._timeout_s)
+        who = self._commanders.names()
+        return self._stamps.late(CMD_VEL.name, who, message.header.stamp, self._timeout_s, monotonic_ns())
 
     def _scanned(self, _message: bytes) -> None:
         if self._waited_ns() > FRESH_NS:
@@ -212,7 +243,8 @@ class Inward:
             self._complain("service", f"scans are not passed on: {error}")
 
     def _estop(self, message: Any) -> None:
-        if message.data:
+        if message.data and not (self._sent_ns and self._sent_ns == self._stopped_ns):
+            self._stopped_ns = self._sent_ns
             self._latch(words.TOPIC_CAUSE)
 
     # Services.
@@ -237,6 +269,8 @@ class Inward:
         now_ns = monotonic_ns()
         self.graph.ask(self._link, now_ns)
         if cause := self._commanders.cause(now_ns):
+            raise Refused(cause)
+        if self.arm and (cause := self.arm.rivals()):
             raise Refused(cause)
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
             who = self._commanders.names()
@@ -269,6 +303,10 @@ class Inward:
             await Turn()
         response.success, response.message = known
         return response
+
+
+def _axes(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def _reset(robot: Robot) -> Cause | None:

@@ -9,7 +9,7 @@ import json
 import os
 import threading
 from collections.abc import Sequence
-from time import CLOCK_BOOTTIME, clock_gettime, monotonic_ns, sleep
+from time import CLOCK_BOOTTIME, clock_gettime, monotonic_ns, sleep, time_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError
@@ -123,7 +123,8 @@ class Outward:
         """One wake-up."""
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
-            self._offset_ns = self._node.get_clock().now().nanoseconds - monotonic_ns()
+            # A simulator's time has not begun before /clock is heard; stamps are of this machine's until then.
+            self._offset_ns = (self._node.get_clock().now().nanoseconds or time_ns()) - monotonic_ns()
         if now_ns - self._heard_ns >= HEARD_NS:
             self._heard_ns = now_ns
             self._heard = {name: bool(ends.get_subscription_count()) for name, ends in self._publishers.items()}

@@ -13,23 +13,28 @@ from math import nan
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Any
 
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, Refused
 from failstop.ros2 import words
+from failstop.ros2.alive import Alive
 from failstop.ros2.contract import ARM_ACTION
 from failstop.ros2.fill import fill, type_of
+from failstop.ros2.graph import BEST_EFFORT
 from failstop.ros2.turn import Turn
 
 if TYPE_CHECKING:
-    from failstop.api.snapshot import ArmState
+    from failstop.api.snapshot import ArmState, State
     from failstop.ros2.arm import ArmFace, Job
     from failstop.ros2.shared import Shared
 
 FEEDBACK_NS = 100_000_000
 """The state is as new as this."""
+LOOK_NS = 20_000_000
+"""How often it is asked whether the feedback was acknowledged."""
+SETTLED_NS = 500_000_000
+"""What was sent to the client of the goal before is acknowledged by then, if that client lives."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
-"""Every client of the action hears it, so that the end of the last one is seen."""
-DISCOVERY_NS = 1_000_000_000
-"""By then a client that has sent a goal is known to hear of it."""
+"""Every client of the action hears it."""
+UNSETTLED = "a node that heard of the goal before is dead or stopped, and DDS counts it for up to 20 s: try again then"
 Way = list[tuple[float, dict[str, float]]]
 
 
@@ -60,6 +65,46 @@ def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], 
     )
 
 
+class Feedback:
+    """The publisher of the action's feedback, in the place of the one in rclpy's server: it can tell whether everybody
+    who hears it has acknowledged it. One message is kept, so that DDS asks for its acknowledgement at once."""
+
+    def __init__(self, node: Any, kind: Any) -> None:
+        """Raises FailstopError where this ROS's DDS does not tell what was acknowledged."""
+        from rclpy.duration import Duration
+        from rclpy.qos import QoSProfile
+
+        self._node = node
+        self._kind = kind
+        self._publisher = node.create_publisher(kind.Impl.FeedbackMessage, FEEDBACK, QoSProfile(depth=1))
+        self._at_once = Duration(seconds=0)
+        try:
+            self.acknowledged()
+        except Exception as error:
+            raise FailstopError(f"whether its client lives can't be seen with this RMW ({error})") from None
+
+    def heard(self) -> int:
+        """How many nodes hear it reliably; the others acknowledge nothing."""
+        ends = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        return sum(int(end.qos_profile.reliability) != BEST_EFFORT for end in ends)
+
+    def acknowledged(self) -> bool:
+        """Everybody has acknowledged what was sent last."""
+        return bool(self._publisher.wait_for_all_acked(self._at_once))
+
+    def send(self, handle: Any, names: list[str], state: State | None) -> None:
+        """Where the joints of a goal are to be, and where they are."""
+        desired, actual = positions(names, state.arm if state else None)
+        error = [wanted - there for wanted, there in zip(desired, actual, strict=True)]
+        places = {"desired": desired, "actual": actual, "error": error}
+        fields = {name: {"positions": values} for name, values in places.items()}
+        message = self._kind.Impl.FeedbackMessage()
+        message.goal_id = handle.goal_id
+        fill(message.feedback, {"joint_names": names, **fields})
+        message.feedback.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
 class TrajectoryFace:
     """The action's server. One goal at a time: a second one is rejected while the first is under way."""
 
@@ -75,6 +120,7 @@ class TrajectoryFace:
         self._shared = shared
         self._jobs: dict[int, Job] = {}
         """Of goals that were accepted and are not carried out yet, by the identity of the message."""
+        self._feedback = Feedback(node, self._kind)
         self._server = ActionServer(
             node,
             self._kind,
@@ -89,6 +135,7 @@ class TrajectoryFace:
         """A goal: it is asked of the gate, whose answer decides."""
         taken = threading.Event()
         try:
+            await self._settle()
             job = self._arm.go(way(goal.trajectory), lambda _: taken.set())
             while not (ended := job()) and not taken.is_set():
                 await Turn()
@@ -105,20 +152,30 @@ class TrajectoryFace:
         self._arm.hold_way()
         return self._cancelling
 
+    async def _settle(self) -> None:
+        """Raises Refused while a client that is dead or stopped still counts: the goal could not be watched."""
+        until_ns = monotonic_ns() + SETTLED_NS
+        while not self._feedback.acknowledged():
+            if monotonic_ns() > until_ns:
+                raise Refused(UNSETTLED)
+            await Turn()
+
     async def _execute(self, handle: Any) -> Any:
         job = self._jobs.pop(id(handle.request))
         names = list(handle.request.trajectory.joint_names)
-        told_ns, gone_ns = 0, monotonic_ns() + DISCOVERY_NS
+        told_ns = looked_ns = 0
+        client: Alive | None = Alive(monotonic_ns(), self._arm.goal_timeout_s)
         while not job():
-            if (now_ns := monotonic_ns()) - told_ns >= FEEDBACK_NS:
-                told_ns = now_ns
-                handle.publish_feedback(self._feedback(names))
-                if self._node.count_subscribers(FEEDBACK) > 0:
-                    gone_ns = 0
-                elif now_ns >= gone_ns:
-                    self._node.get_logger().warning(f"{ARM_ACTION.name}: nobody hears of the goal: held")
+            now_ns = monotonic_ns()
+            if client and now_ns - looked_ns >= LOOK_NS:
+                looked_ns = now_ns
+                if gone := client.look(self._feedback.heard(), self._feedback.acknowledged(), now_ns):
+                    client = None
+                    self._node.get_logger().warning(f"{ARM_ACTION.name}: {gone}: held")
                     self._arm.hold_way()
-                    gone_ns = now_ns + DISCOVERY_NS
+            if now_ns - told_ns >= FEEDBACK_NS:
+                told_ns = now_ns
+                self._feedback.send(handle, names, self._shared.state)
             await Turn()
         result = self._kind.Result()
         try:
@@ -134,16 +191,6 @@ class TrajectoryFace:
             ended = handle.canceled
         ended()
         return result
-
-    def _feedback(self, names: list[str]) -> Any:
-        state = self._shared.state
-        desired, actual = positions(names, state.arm if state else None)
-        error = [wanted - there for wanted, there in zip(desired, actual, strict=True)]
-        places = {"desired": desired, "actual": actual, "error": error}
-        fields = {name: {"positions": values} for name, values in places.items()}
-        message = fill(self._kind.Feedback(), {"joint_names": names, **fields})
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        return message
 
     def close(self) -> None:
         """Offer it no more."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.ros2.contract import CLIENT
+from failstop.ros2.contract import ARM_ACTION, CLIENT
 from failstop.shm.records import CAUSE
 
 LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
@@ -49,14 +47,12 @@ def repaired(late_s: float) -> str:
     return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"
 
 
-def late(stamp: Any, now_ns: int, most_s: float) -> str:
-    """Why a message is refused for its stamp (builtin_interfaces/Time; 0 counts as now, of ROS's clock like `now_ns`);
-    empty: it is not."""
-    stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-    age_s = (now_ns - stamp_ns) / 1e9
-    if stamp_ns == 0 or age_s <= most_s:
-        return ""
-    return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); do the clocks agree?"
+def unwatched(takes_s: float, most_s: float) -> str:
+    """Why a goal of the topic arm/goal is refused for its length."""
+    return (
+        f"it takes {takes_s:g} s, and nobody can see whether its sender lives: {most_s:g} s at most "
+        f"(arm.unwatched_s), or send it to {ARM_ACTION.name}"
+    )
 
 
 def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:

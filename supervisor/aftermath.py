@@ -101,6 +101,10 @@ class Aftermath:
             self._run.events.tell("stop", text, fields, level=level)
         elif self._news_of(stop.cause):
             text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            if stop.behind.cause == stop.cause:
+                text = f"the cause of what is latched is known better: {stop.cause}"
+                if self._last:
+                    self._publish(self._last)
             self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _follow_next(self, stop: Stop) -> None:

@@ -6,6 +6,7 @@ new epoch, with its bell or without, finds the cause of it and a service that is
 
 from __future__ import annotations
 
+from failstop.policy import causes
 from failstop.policy.reply import Reply, asked_before
 from failstop.shm import layout, records
 from failstop.shm.records import CAUSE
@@ -33,6 +34,8 @@ class Latch:
         self._raised_ns = now_ns
         if self.stop is None:
             self.stop, self.since = self.newest, epoch
+        elif better := next((stop for stop in stops if causes.completed(self.stop.cause, stop.cause)), None):
+            self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
         """Clear it and nothing else."""

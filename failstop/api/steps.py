@@ -67,6 +67,7 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
     go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
     lost = f"{POWER} if the wheels turn; then plug the board in."
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"Somebody has to attend: {how['attend']}."
+    complains = ", ".join(client.name for client in state.clients if client.wrong)
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -81,6 +82,12 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", words.sentence(how["reset"])))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
         [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
+        [
+            (
+                state.block is Block.NO_COMMAND and complains,
+                Step(Purpose.COMMAND, f"see to what {complains} says is wrong"),
+            )
+        ],
         [
             (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way.")),
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),

@@ -90,6 +90,15 @@ def left_cause(segments: Segments) -> tuple[int, int, Cause]:
     return last_ns, raised, causes.ALL_DIED()
 
 
+def known_better(segments: Segments, latched: Cause) -> Cause:
+    """The cause of a latched stop as the service knows it now: it may have been completed since it was latched."""
+    try:
+        now = causes.read(records.LATCH.unpack(segments[layout.SUPERVISOR]["latest"]["latch"][2])[-1])
+    except (KeyError, ValueError):
+        return latched
+    return now if causes.completed(latched, now) else latched
+
+
 def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     """`written_by` and `written_us` of the stop for this cause, by what the rings hold; empty: nobody wrote one."""
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
@@ -119,8 +128,9 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
         fields = event.get("fields", {})
         if not isinstance(fields, dict) or fields.get("cause") != cause.kind.name or fields.get("epoch", 0) < epoch:
             continue
-        # It may have been cut.
-        if not str(cause).startswith(str(fields.get("reason", ""))):
+        # It may have been cut, or completed since.
+        reason = str(fields.get("reason", ""))
+        if not str(cause).startswith(reason) and causes.NOT_KNOWN not in reason:
             continue
         if event.get("kind") == "stop":
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}

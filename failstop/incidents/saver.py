@@ -75,7 +75,8 @@ def save(words: dict[str, str]) -> dict[str, Any]:
         _wait_for_port(words, fds[layout.PORT_OWNER])
     run, segments = memory.copy(fds, name)
     if live:
-        cause = int(words["cause_ns"]), int(words["epoch"]), causes.read(bytes.fromhex(words["cause"]))
+        latched = causes.read(bytes.fromhex(words["cause"]))
+        cause = int(words["cause_ns"]), int(words["epoch"]), memory.known_better(segments, latched)
     elif segments[layout.SUPERVISOR]["words"]["beat_state"] == STARTING:
         # It never was ready: why is in the journal, and a service that can't start must not fill the folder.
         return {}

@@ -217,6 +217,23 @@ def test_the_record_of_this_stop() -> None:
     assert proof(found) == "written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s"
 
 
+LACKING = causes.REQUESTED(f"two drive: /nav, a node whose name is {causes.NOT_KNOWN}", "ros2", 77)
+WHOLE = causes.REQUESTED("two drive: /nav, /joy", "ros2", 77)
+
+
+@pytest.mark.parametrize(
+    ("now", "found"), [(WHOLE, WHOLE), (LACKING, LACKING), (GATE_DIED, LACKING), (None, LACKING)], ids=str
+)
+def test_a_cause_that_was_completed_since_is_saved_whole(now: Cause | None, found: Cause) -> None:
+    latest = {} if now is None else {"latch": [1, 1, records.LATCH.pack(2, 100, 160, now.pack())]}
+    assert memory.known_better({"supervisor": {"latest": latest}}, LACKING) == found
+
+
+def test_the_proofs_of_a_stop_whose_cause_was_completed() -> None:
+    first = event("stop", reason=str(LACKING), cause="requested", epoch=7, written_by="port_owner", latency_us=80.0)
+    assert "written after 80 us" in proof(known(None, [first], 7, WHOLE))
+
+
 def test_a_stop_that_nobody_told_of() -> None:
     assert proof(None) == f"whether a stop was written: not known, {UNKNOWN}, standstill: not known"
 

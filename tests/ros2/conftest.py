@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-import os
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from tests.ros2.scene import Ros, Scene
-
-_numbers = itertools.count()
+from tests.ros2.scene import Ros, Scene, new_name
 
 
 @pytest.fixture(scope="module", params=["stand-in", "real"])
@@ -18,13 +15,9 @@ def ros(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return Ros(request.param, tmp_path_factory.mktemp("ros"))
 
 
-def _name() -> str:
-    return f"ros2-{os.getpid()}-{next(_numbers)}"
-
-
 @pytest.fixture
 def name() -> str:
-    return _name()
+    return new_name()
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +25,7 @@ def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[Scene]:
     """A service and a bridge for all cases of a module, which may name options of the one (BRIDGE) and settings of the
     other (SETTINGS)."""
     words = getattr(request.module, "BRIDGE", ())
-    with Scene(ros, _name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
+    with Scene(ros, new_name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
         yield made
 
 
@@ -41,3 +34,10 @@ def scene(stage: Scene) -> Scene:
     """The module's, as at its start."""
     stage.fresh()
     return stage
+
+
+@pytest.fixture
+def offers(ros: Ros) -> bool:
+    """Whether this ROS has the action; the stand-in has none."""
+    done = ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
+    return done.returncode == 0

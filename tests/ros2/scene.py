@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -32,9 +32,17 @@ BOOL = "std_msgs/msg/Bool"
 FORWARD = {"linear": {"x": 0.2}}
 SENSOR = {"reliable": False, "depth": 5}
 DEADLINE_S = 20.0
+REQUIRED = "FAILSTOP_ROS"
+"""The setup file of a ROS that must be there: `make ros2` sets it. Without it the newest is taken, or none."""
 OVERLAY = "FAILSTOP_ROS_OVERLAY"
 """A setup file of further ROS packages, to source after ROS's own."""
+_numbers = itertools.count()
 _domains = itertools.count(os.getpid() % 40 + 1)
+
+
+def new_name() -> str:
+    """Of a service that no other test has."""
+    return f"ros2-{os.getpid()}-{next(_numbers)}"
 
 
 class Ros:
@@ -60,10 +68,11 @@ def _stand_in(folder: Path) -> dict[str, str]:
 
 
 def _real(folder: Path) -> dict[str, str]:
-    """The environment of the newest ROS; skips where there is none for this Python."""
-    setups = sorted(glob.glob("/opt/ros/*/setup.sh"))
+    """The environment of a real ROS."""
+    required = os.environ.get(REQUIRED)
+    setups = [required] if required else sorted(glob.glob("/opt/ros/*/setup.sh"))
     if not setups:
-        pytest.skip("there is no ROS 2 on this machine (no /opt/ros/*/setup.sh)")
+        lacks("there is no ROS 2 on this machine (no /opt/ros/*/setup.sh)")
     overlay = os.environ.get(OVERLAY, "/dev/null")
     script = f'. "{setups[-1]}" && . "{overlay}" && env -0'
     done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, timeout=30, check=False)
@@ -74,8 +83,13 @@ def _real(folder: Path) -> dict[str, str]:
         [sys.executable, "-c", "import rclpy, sensor_msgs.msg"], env=environment, capture_output=True, check=False
     )
     if probe.returncode:
-        pytest.skip(f"{setups[-1]} has no rclpy for this Python")
+        lacks(f"{setups[-1]} has no rclpy for this Python: {probe.stderr.decode(errors='replace')[-300:]}")
     return environment
+
+
+def lacks(what: str) -> NoReturn:
+    """A real ROS that can't be used: a failure where one is required, and a skip elsewhere."""
+    (pytest.fail if os.environ.get(REQUIRED) else pytest.skip)(what)
 
 
 class Node:

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 
 import pytest
 
 from failstop.lab.trial import wait_for
+from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, goal, point, publish_once, send
 from tests.ros2.scene import NODE, Node, Scene
-from tests.support.arm_settings import ARM, DRIVE, SERVOS
+from tests.support.arm_settings import DRIVE, SERVOS
 
-SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
-GOAL = "trajectory_msgs/msg/JointTrajectory"
-ACTION = f"{NODE}/arm/follow_joint_trajectory"
-ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
-
-
-def point(seconds: int, *positions: float) -> dict[str, object]:
-    return {"positions": list(positions), "time_from_start": {"sec": seconds}}
+SETTINGS = ARM_SETTINGS
 
 
 def test_drive_pose_hold_and_state(scene: Scene) -> None:
@@ -61,38 +54,11 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
 
 
 @pytest.fixture
-def offers(scene: Scene) -> bool:
-    """Whether this ROS has the action; the stand-in has none."""
-    done = scene.ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
-    return done.returncode == 0
-
-
-def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, offers: bool) -> None:
-    if offers:
-        pytest.skip("this ROS has control_msgs")
-    said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
-    assert scene.bridge.said().count(said) == 1
-    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-    rows = scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
-    assert [row["level"] for row in rows if said in row["message"]] == [0]
-
-
-def goal(*points: dict[str, object], joint: str = "base") -> dict[str, object]:
-    return {"trajectory": {"joint_names": [joint], "points": list(points)}}
-
-
-@pytest.fixture
 def planner(scene: Scene, offers: bool) -> Node:
     """A client of the action."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
     return scene.node("planner")
-
-
-def send(planner: Node, fields: dict[str, object]) -> bool:
-    found = planner.ask("send_goal", action=ACTION, type=ACTION_TYPE, fields=fields)
-    assert "error" not in found, found
-    return bool(found["accepted"])
 
 
 def test_a_trajectory_by_the_action(scene: Scene, planner: Node) -> None:
@@ -137,6 +103,51 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
     assert "nobody hears of the goal any more: held" in scene.bridge.said()
+
+
+def test_a_listener_of_the_feedback_is_no_hindrance(scene: Scene, planner: Node) -> None:
+    assert send(planner, goal(point(0, 0.0), point(2, 0.1)))
+    assert not send(scene.node("ear"), goal(point(1, 0.0))), "it hears the feedback from now on"
+    assert planner.ask("outcome")["status"] == 4
+
+
+def test_a_goal_of_the_topic_ends_with_its_publisher(scene: Scene) -> None:
+    sender = scene.node("sender")
+    start = scene.trial.board.joints()[1]
+    wait_for("the arm to be seen", lambda: scene.state()["arm_enabled"])
+    publish_once(sender, {"joint_names": ["base"], "points": [point(3, 0.9)]})
+    scene.state(lambda state: state["arm_moving"])
+    scene.leave(sender)
+    wait_for("the line", lambda: "arm/goal: its publisher has gone: held" in scene.bridge.said())
+    scene.state(lambda state: not state["arm_moving"])
+    assert abs(scene.trial.board.joints()[1] - start) < 180, "0.9 rad are 215 pulses"
+
+
+def test_a_long_goal_of_the_topic_is_refused(scene: Scene) -> None:
+    sender = scene.node("sender")
+    publish_once(sender, {"joint_names": ["base"], "points": [point(1, 0.1), point(8, 0.2)]})
+    said = "arm/goal: refused: it takes 8 s, and nobody can see whether its sender lives: 3 s at most (arm.unwatched_s)"
+    wait_for("the refusal", lambda: said in scene.bridge.said())
+    assert not scene.state()["arm_moving"]
+
+
+def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: Scene) -> None:
+    first, second = scene.node("first"), scene.node("second")
+    for node in (first, second):
+        node.ask("advertise", topic="arm/goal", type=GOAL)
+    scene.state(lambda state: (state["estop"] or "").startswith("multiple arm/goal publishers: /first, /second ("))
+    wait_for("the bridge to hear it", lambda: second.ask("matched", topic="arm/goal")["count"] > 0)
+    second.ask("publish", topic="arm/goal", fields={"joint_names": ["base"], "points": [point(1, 0.1)]})
+    wait_for("the refusal", lambda: "arm/goal: refused: multiple arm/goal publishers: " in scene.bridge.said())
+    done, text = scene.eyes.call("reset_estop")
+    assert not done
+    assert text.startswith("refused: multiple arm/goal publishers: /first, /second")
+    scene.leave(second)
+
+    def reset() -> bool:
+        return bool(scene.eyes.call("reset_estop")[0])
+
+    wait_for("a reset", reset)
 
 
 def test_a_goal_that_is_old_moves_nothing(scene: Scene) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import FORWARD, NODE, TWIST, Ros, Scene
+from tests.ros2.scene import FORWARD, NODE, TWIST, Ros, Scene, lacks
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
     found = Ros("real", tmp_path_factory.mktemp("ros"))
     # Its daemon would outlive the tests; without it each call looks for itself.
     if found.run("ros2", "topic", "list", "--no-daemon").returncode:
-        pytest.skip("there is no working ros2 command")
+        lacks("there is no working ros2 command")
     return found
 
 

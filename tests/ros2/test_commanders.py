@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from failstop.policy import causes
 from failstop.ros2.commanders import (
     AGAIN_NS,
     FRESH_NS,
@@ -14,9 +15,11 @@ from failstop.ros2.commanders import (
     NAMELESS_NS,
     STOP_AGAIN_NS,
     WINDOW_NS,
+    Asking,
     Commanders,
     Lag,
     Publisher,
+    rivals,
     waited_ns,
 )
 from failstop.ros2.contract import COMMAND_TYPES, STAMPED, TWIST
@@ -95,7 +98,7 @@ def test_how_long_a_message_waited() -> None:
 def test_names_of_many_and_of_one_that_is_there_twice() -> None:
     assert seen(Commanders(BOTH), S, NAV, JOY).names() == "/nav, /joy"
     assert seen(Commanders(BOTH), S, NAV, NAV).names() == "/nav (2 times)"
-    assert seen(Commanders(BOTH), S, NAV, Publisher("", TWIST)).names() == "/nav, a node without a name yet"
+    assert seen(Commanders(BOTH), S, NAV, Publisher("", TWIST)).names() == "/nav, a node whose name is not known yet"
     many = [Publisher(f"/a_node_with_a_long_name_{number}", TWIST) for number in range(40)]
     text = seen(Commanders(BOTH), S, *many).names()
     assert len(text) < 170
@@ -145,7 +148,7 @@ def test_a_nameless_one_waits_for_its_name() -> None:
     seen(commanders, S + NAMELESS_NS - 1, nameless)
     assert commanders.cause(S + NAMELESS_NS - 1) == ""
     seen(commanders, S + NAMELESS_NS, nameless)
-    assert commanders.cause(S + NAMELESS_NS).startswith("stranger on cmd_vel: a node without a name yet")
+    assert commanders.cause(S + NAMELESS_NS).startswith("stranger on cmd_vel: a node whose name is not known yet")
     seen(commanders, S + NAMELESS_NS + 1, NAV)
     assert not commanders.passes(S + NAMELESS_NS + 1 + GONE_NS)
     assert commanders.passes(S + NAMELESS_NS + 2 + GONE_NS)
@@ -255,3 +258,23 @@ def test_clocks_that_drift_apart_refuse_nothing() -> None:
     for n in range(200_000):
         sent_ns = 100_000 * S + n * 50 * MS
         assert lag.late_ns((JOY,), sent_ns, sent_ns + n * 5000) < MS  # 100 ppm, for three hours
+
+
+def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
+    asking = Asking()
+    nameless = rivals("arm/goal", [NAV, Publisher("", TWIST)])
+    known = rivals("arm/goal", [NAV, JOY])
+    assert asking.due(nameless, False, S)
+    assert not asking.due(nameless, True, S + STOP_AGAIN_NS)
+    assert asking.due(known, True, S + STOP_AGAIN_NS + 1)
+    assert not asking.due(known, True, 2 * S)
+    assert not asking.due(nameless, True, 2 * S), "a third is not named anew"
+    assert not asking.due("", False, 3 * S)
+    assert asking.due(nameless, False, 3 * S + 1)
+    latched, later = causes.REQUESTED(nameless, "ros2", 77), causes.REQUESTED(known, "ros2", 77)
+    assert causes.completed(latched, later)
+    assert not causes.completed(later, latched)
+    assert not causes.completed(later, later), "once"
+    assert not causes.completed(latched, causes.REQUESTED(known, "ros2", 78)), "another program's"
+    assert not causes.completed(latched, causes.PIPED(known))
+    assert not causes.completed(causes.PIPED(nameless), later)

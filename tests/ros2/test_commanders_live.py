@@ -28,7 +28,7 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: Scene, kind: str, r
     second = scene.node("joystick")
     fields = {"twist": BACKWARD} if kind == STAMPED else BACKWARD
     second.publish("cmd_vel", kind, fields, hz=100.0, match=False, qos={"reliable": reliable})
-    estop = scene.state(lambda state: state["estop"])["estop"]
+    estop = scene.state(lambda state: "/joystick" in (state["estop"] or ""))["estop"]
     assert estop.startswith("multiple cmd_vel publishers: ")
     assert "/nav" in estop
     assert "up to 20 s" in estop
@@ -43,6 +43,26 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: Scene, kind: str, r
     scene.state(lambda state: state["publishers"] == ["/nav"])
 
 
+def test_the_second_publisher_is_named_wherever_the_cause_is_told(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its process is new: the graph knows its publisher before its name."""
+    scene.drive()
+    scene.node("joystick").ask("advertise", topic="cmd_vel", type=TWIST)
+    scene.state(lambda state: "/joystick" in (state["estop"] or ""))
+    names = ("multiple cmd_vel publishers: /nav, /joystick", "multiple cmd_vel publishers: /joystick, /nav")
+    cause = scene.trial.robot.state.cause
+    assert cause is not None
+    assert str(cause.named()["words"]).startswith(names)
+    found = " ".join(failstop("why", "--name", scene.trial.name).stdout.split())
+    assert any(name in found for name in names), found
+    assert "written by the port owner after" in found, "the proofs of the first stop stay"
+    if "not known yet" in scene.bridge.said():
+        told(scene, "the cause of what is latched is known better: ", "events")
+    monkeypatch.setenv("STATE_DIRECTORY", scene.trial.service._environment["STATE_DIRECTORY"])
+    told(scene, "/joystick", "incident", "list")
+
+
 def test_a_silent_second_publisher_latches_too(scene: Scene) -> None:
     scene.drive()
     second = scene.node("joystick")
@@ -53,7 +73,7 @@ def test_a_silent_second_publisher_latches_too(scene: Scene) -> None:
 def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
     driver = scene.drive()
     scene.trial.robot.estop("hand near wheel")
-    scene.state(lambda state: state["estop"])
+    scene.state(lambda state: state["estop"] and state["publishers"] == ["/nav"])
     done, text = scene.eyes.call("reset_estop")
     assert (done, text.partition(":")[0]) == (False, "refused")
     assert "/nav commands 0.2 m/s forward" in text

@@ -8,6 +8,7 @@ import pytest
 
 from failstop.lab.trial import wait_for
 from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, Scene
+from tests.support.commands import failstop
 
 
 def latched(scene: Scene) -> str:
@@ -45,15 +46,47 @@ def test_an_old_stamp_is_refused(scene: Scene) -> None:
     assert not scene.trial.moving()
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_finite_latches(scene: Scene, value: float) -> None:
+def test_whose_clock_disagrees_is_told_everywhere(scene: Scene) -> None:
+    scene.scan()
+    driver = scene.node("nav")
+    stamp = {"sec": 1_600_000_000}
+    driver.publish("cmd_vel", STAMPED, {"twist": FORWARD, "header": {"stamp": stamp}}, hz=20.0)
+    scene.enable()
+    state = scene.state(lambda state: "/nav publishes cmd_vel with stamps that are " in (state["wrong"] or ""))
+    assert state["wrong"].endswith(" s old, and refused: do the clocks agree?")
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    scene.eyes.next("/diagnostics", lambda message: "do the clocks agree?" in str(message))
+
+    def why() -> str:
+        return " ".join(failstop("why", "--name", scene.trial.name).stdout.split())
+
+    wait_for("`failstop why` to tell it", lambda: "ros2 says: /nav publishes cmd_vel with stamps" in why())
+    assert "do see to what ros2 says is wrong, then" in why()
+    driver.ask("repeat", topic="cmd_vel", fields={"twist": FORWARD}, hz=20.0, stamp=True)
+    scene.moving()
+    scene.state(lambda state: state["wrong"] is None)
+
+
+@pytest.mark.parametrize(
+    ("part", "axis", "value"),
+    [
+        ("linear", "x", math.nan),
+        ("linear", "y", math.inf),
+        ("linear", "z", math.nan),
+        ("angular", "x", -math.inf),
+        ("angular", "y", math.nan),
+        ("angular", "z", math.nan),
+    ],
+)
+def test_what_is_not_finite_latches(scene: Scene, part: str, axis: str, value: float) -> None:
+    """Also in the fields that a wheeled base has no use for: the publisher's sums went wrong somewhere."""
     scene.scan()
     driver = scene.drive()
     scene.enable()
     scene.moving()
-    driver.ask("publish", topic="cmd_vel", fields={"linear": {"x": value}})
+    driver.ask("publish", topic="cmd_vel", fields={part: {axis: value}})
     scene.standing()
-    assert latched(scene) == "command from /nav is not finite"
+    scene.state(lambda state: state["estop"] == "command from /nav is not finite")
 
 
 def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
@@ -72,6 +105,27 @@ def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
     scene.eyes.next(f"{NODE}/emergency_stop", lambda message: message["data"])
     assert scene.state()["blocked"] == "estop: estop topic"
     assert scene.eyes.call("enable", data=True) == (False, "refused: e-stop latched (estop topic)")
+
+
+@pytest.mark.parametrize("qos", [{"reliable": False}, {"reliable": True}, {"lasting": True}], ids=str)
+def test_every_publisher_of_estop_can_stop(scene: Scene, qos: dict[str, bool]) -> None:
+    scene.node("button").publish("estop", BOOL, {"data": True}, hz=2.0, qos=qos)
+    assert latched(scene) == "estop topic"
+    assert scene.state()["wrong"] == "nobody publishes scan: start the lidar's node, or remap its topic"
+
+
+def test_one_message_of_estop_is_one_stop(scene: Scene) -> None:
+    """Both subscriptions of the bridge hear a reliable publisher."""
+    button = scene.node("button")
+    button.publish("estop", BOOL, {"data": False}, hz=1.0)
+    before = scene.bridge.said().count("E-STOP: estop topic")
+    button.ask("rest", topic="estop")
+    button.ask("publish", topic="estop", fields={"data": True})
+    latched(scene)
+    button.ask("publish", topic="estop", fields={"data": True})
+    wait_for("the second stop", lambda: scene.bridge.said().count("E-STOP: estop topic") >= before + 2)
+    if scene.ros.real:  # the stand-in does not say when a message was sent
+        assert scene.bridge.said().count("E-STOP: estop topic") == before + 2
 
 
 def test_who_looks_late_sees_the_emergency_stop(scene: Scene) -> None:

@@ -30,9 +30,23 @@ def test_setup_is_of_this_version() -> None:
 
 def test_every_message_package_that_is_used_is_depended_on() -> None:
     rows = [*contract.INWARD, *contract.OUTWARD, contract.TF, *contract.SERVICES]
+    rows += [*contract.ARM_TOPICS, *contract.ARM_SERVICES, contract.ARM_ACTION]
     used = {row.type.partition("/")[0] for row in rows}  # type: ignore[attr-defined]
+    for path in (PACKAGES.parent).glob("*.py"):
+        used |= set(re.findall(r"^ +from (rclpy|\w+_interfaces)\b", path.read_text(), re.MULTILINE))
+    assert "rcl_interfaces" in used
     root = ElementTree.parse(PACKAGES / "failstop_ros2/package.xml").getroot()
     assert used <= {row.text for row in root.iter("exec_depend")}
+
+
+def test_what_colcon_leaves_is_read_by_no_tool() -> None:
+    """ruff leaves out what git ignores; mypy has a pattern of its own."""
+    ignored = (PACKAGES.parents[1] / ".gitignore").read_text().splitlines()
+    assert {"build/", "/ros2/**/install/", "/ros2/**/log/"} <= set(ignored)
+    excluded = re.findall(r'^exclude = \[.*"(ros2/[^"]+)"', (PACKAGES.parents[1] / "pyproject.toml").read_text(), re.M)
+    for folder in ("ros2", "ros2/packages"):
+        for name in ("build", "install", "log"):
+            assert re.match(excluded[0], f"{folder}/{name}/failstop_ros2/bridge.py")
 
 
 def test_the_message_has_the_fields_that_are_filled() -> None:

@@ -94,13 +94,13 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState, Joy
 from tf2_msgs.msg import TFMessage
 
-from failstop.api.snapshot import Imu, Odometry, Pad
+from failstop.api import snapshot
 from failstop.ros2 import messages
 from failstop.ros2.fill import fill
 from failstop.ros2.stencil import Stencil, serializer
 
 S = 10**9
-moved = Odometry(0, 1.25, -2.5, 0.7, 0.2, 0.1, 0.3, 0.05, 0.2)
+moved = snapshot.Odometry(0, 1.25, -2.5, 0.7, 0.2, 0.1, 0.3, 0.05, 0.2)
 wheels = messages.Wheels()
 wheels.follow((1.0, 2.0, 3.0, 4.0), 0)
 wheels.follow((1.5, 2.0, 3.0, 4.0), S)
@@ -113,12 +113,12 @@ def transform():
 
 rows = (
     (Imu, lambda: messages.imu_constant("imu_link", 1e-6), messages.IMU_PLACES,
-     messages.imu(Imu(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)),
+     messages.imu(snapshot.Imu(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)),
     (Odometry, lambda: {**messages.odometry_constant("odom", "base_link"), **messages.odometry_covariances(moved)},
      messages.ODOMETRY_PLACES, messages.odometry(moved, 1_700_000_000 * S + 999_999_999)),
     (TFMessage, transform, messages.TRANSFORM_PLACES, messages.transform(moved, S)),
     (Joy, lambda: messages.GAMEPAD_CONSTANT, messages.GAMEPAD_PLACES,
-     messages.gamepad(Pad(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)),
+     messages.gamepad(snapshot.Pad(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)),
     (JointState, lambda: {"name": names, "position": [0.0] * 4, "velocity": [0.0] * 4}, messages.JOINT_PLACES, joints),
 )
 for kind, constant, places, values in rows:

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.conftest import _name
-from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene
+from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene, lacks, new_name
 from tests.support.commands import failstop
 
 NOBODY = 65534
@@ -34,7 +33,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
         pytest.skip("not installed: setpriv")
     found = Ros("real", tmp_path_factory.mktemp("ros"))
     if found.run(PYTHON, "-c", "import rclpy").returncode:
-        pytest.skip(f"{PYTHON} is not that of this ROS")
+        lacks(f"{PYTHON} is not that of this ROS")
     return found
 
 
@@ -43,13 +42,13 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
 def test_a_node_of_another_user(ros: Ros, tmp_path: Path, own_profile: bool, localhost: str) -> None:
     ros.environment["ROS_LOCALHOST_ONLY"] = localhost
     (tmp_path / "own.xml").write_text(PROFILE)
-    log = Path("/tmp") / f"{_name()}-log"
+    log = Path("/tmp") / f"{new_name()}-log"
     log.mkdir(mode=0o777)
     log.chmod(0o777)
     own = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(tmp_path / "own.xml")}
     drop = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", PYTHON)
     try:
-        with Scene(ros, _name(), environment=own if own_profile else None) as scene:
+        with Scene(ros, new_name(), environment=own if own_profile else None) as scene:
             lidar = scene.node("lidar")
             lidar.publish("scan", SCAN, {}, qos=SENSOR)
             scene.enable()

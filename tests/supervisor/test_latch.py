@@ -67,6 +67,21 @@ def test_a_reset_with_nothing_latched_changes_nothing_and_is_one_all_the_same() 
     assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 1)
 
 
+def test_a_later_request_of_one_program_completes_the_cause_once() -> None:
+    lacking = causes.REQUESTED(f"two drive: /nav, a node whose name is {causes.NOT_KNOWN}", "ros2", 77)
+    whole = causes.REQUESTED("two drive: /nav, /joy", "ros2", 77)
+    latch = Latch()
+    latch.add([Stop(100, "port_owner", lacking)], 2, 110)
+    latch.add([Stop(120, "port_owner", causes.REQUESTED("two drive: /nav, /mallory", "mallory", 78))], 3, 130)
+    assert latch.stop is not None
+    assert latch.stop.cause == lacking, "another program's words are its own"
+    latch.add([stop("key1", 140), Stop(150, "port_owner", whole)], 4, 160)
+    assert (latch.stop.cause, latch.stop.t_ns, latch.since) == (whole, 100, 2)
+    assert records.LATCH.unpack(latch.as_record()) == (2, 100, 160, whole.pack())
+    latch.add([Stop(170, "port_owner", causes.REQUESTED("two drive: /nav, /third", "ros2", 77))], 5, 180)
+    assert latch.stop.cause == whole
+
+
 def test_what_everybody_reads() -> None:
     latch = Latch()
     latch.add([stop("key1", 100)], 2, 110)

@@ -3,3 +3,7 @@
 
 class InvalidParameterTypeException(Exception):
     pass
+
+
+class ParameterAlreadyDeclaredException(Exception):
+    pass

@@ -46,13 +46,15 @@ class SingleThreadedExecutor:
 
     def _found(self) -> list:
         now_s = time.monotonic()
-        if any(service.alone for service, _, _ in self._tasks):
+        if any(service and service.alone for service, _, _ in self._tasks):
             # The node's own group is mutually exclusive: nothing else runs before that callback's end, not even what
             # would wake this executor up.
             return []
         found = [lambda task=task: self._go_on(*task) for task in self._tasks]
         self._tasks = []
         for node in self._nodes:
+            found += [lambda c=coroutine: self._go_on(None, None, c) for coroutine in node.begun]
+            node.begun.clear()
             found += [lambda t=timer: self._fire(t) for timer in node.timers if timer.due_s <= now_s]
             found += [lambda s=sub: self._deliver(s) for sub in node.subscriptions if sub.waiting]
             found += [lambda s=service: self._serve(s) for service in node.services if service.waiting]
@@ -79,7 +81,8 @@ class SingleThreadedExecutor:
         try:
             coroutine.send(None)
         except StopIteration as end:
-            service.send_response(end.value, header)
+            if service:
+                service.send_response(end.value, header)
         else:
             self._tasks.append((service, header, coroutine))
             time.sleep(0.001)

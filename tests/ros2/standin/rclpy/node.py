@@ -8,6 +8,7 @@ import pickle
 import sys
 import time
 from collections import deque
+from collections.abc import Iterator
 from types import SimpleNamespace
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -15,12 +16,15 @@ from rcl_interfaces.msg import ParameterValue, SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters
 
 from rclpy import types
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterAlreadyDeclaredException
 from rclpy.parameter import Parameter, value_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.wire import SERVICE_S
 
 _numbers = itertools.count(1)
+NAMED_S = 0.2
+"""The graph knows a publisher or subscription so much sooner than the name of its node."""
+UNKNOWN = {"node_name": "_NODE_NAME_UNKNOWN_", "node_namespace": "_NODE_NAMESPACE_UNKNOWN_"}
 
 
 class Arguments:
@@ -54,26 +58,45 @@ class Publisher:
         self._last: bytes | None = None
         self.topic_name = topic
         self.row = {**node.end(topic, kind._name, qos), "number": next(_numbers)}
+        self._sent = 0
+        self._unacknowledged: set[tuple[str, int]] = set()
+        """Subscriptions that have not acknowledged the last message: the process and the number of each."""
+        self._acks = next(_numbers)
+        node.wire.handlers[self._acks] = self._acknowledged
         node.wire.publishers.append(self.row)
         node.wire.handlers[self.row["number"]] = self._joined
         node.wire.tell()
 
     def publish(self, message: object) -> None:
         data = self._last = pickle.dumps(types.to_plain(message))
-        packet = (data, time.time_ns())
+        self._sent += 1
+        packet = (data, time.time_ns(), (self._node.wire.name, self._acks, self._sent))
+        matched = list(self._matched())
+        self._unacknowledged = {(name, row["number"]) for name, row in matched if row["reliable"]}
+        for name, row in matched:
+            self._node.wire.send(name, (row["number"], packet))
+
+    def _matched(self) -> Iterator[tuple[str, dict]]:
         for name, ends in self._node.wire.graph().items():
-            for row in ends["subscriptions"]:
-                if _match(self.row, row):
-                    self._node.wire.send(name, (row["number"], packet))
+            yield from ((name, row) for row in ends["subscriptions"] if _match(self.row, row))
+
+    def _acknowledged(self, packet: tuple) -> None:
+        if packet[0] == self._sent:
+            self._unacknowledged.discard(packet[1])
+
+    def wait_for_all_acked(self, timeout: object) -> bool:
+        """What is asked at once, the only way here. One that has left need not acknowledge."""
+        assert timeout.nanoseconds == 0
+        self._unacknowledged &= {(name, row["number"]) for name, row in self._matched()}
+        return not self._unacknowledged
 
     def _joined(self, packet: tuple) -> None:
         """A subscription that has come later asks for the last message."""
         if self._lasting and self._last is not None:
-            self._node.wire.send(packet[0], (packet[1], (self._last, time.time_ns())))
+            self._node.wire.send(packet[0], (packet[1], (self._last, time.time_ns(), None)))
 
     def get_subscription_count(self) -> int:
-        found = self._node.wire.graph().values()
-        return sum(_match(self.row, row) for ends in found for row in ends["subscriptions"])
+        return len(list(self._matched()))
 
 
 def _match(publisher: dict, subscription: dict) -> bool:
@@ -89,7 +112,8 @@ class Subscription:
         self.raw = raw
         self.waiting: deque = deque(maxlen=qos.depth)
         self.row = {**node.end(topic, kind._name, qos), "number": next(_numbers)}
-        node.wire.handlers[self.row["number"]] = self.waiting.append
+        self._wire = node.wire
+        node.wire.handlers[self.row["number"]] = self._arrived
         node.wire.subscriptions.append(self.row)
         node.wire.tell()
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -97,6 +121,11 @@ class Subscription:
                 for row in ends["publishers"]:
                     if _match(row, self.row):
                         node.wire.send(name, (row["number"], (node.wire.name, self.row["number"])))
+
+    def _arrived(self, packet: tuple) -> None:
+        self.waiting.append(packet)
+        if (acks := packet[2]) and self.row["reliable"]:
+            self._wire.send(acks[0], (acks[1], (acks[2], (self._wire.name, self.row["number"]))))
 
     def take(self) -> object:
         data = self.waiting.popleft()[0]
@@ -198,6 +227,8 @@ class Node:
         self.full_name = f"{self._namespace.rstrip('/')}/{self._name}"
         self.subscriptions: list[Subscription] = []
         self.services: list[Service] = []
+        self.begun: list[object] = []
+        """Coroutines that the executor is to go on with."""
         self.timers: list[Timer] = []
         self._parameters: dict[str, Parameter] = {}
         self._free: set[str] = set()
@@ -210,7 +241,15 @@ class Node:
         names = {"node_name": self._name, "node_namespace": self._namespace}
         reliable = qos.reliability == ReliabilityPolicy.RELIABLE
         lasting = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        return {"topic": topic, "type": kind, "reliable": reliable, "lasting": lasting, "depth": qos.depth, **names}
+        return {
+            "topic": topic,
+            "type": kind,
+            "reliable": reliable,
+            "lasting": lasting,
+            "depth": qos.depth,
+            **names,
+            "s": time.time(),
+        }
 
     def get_name(self) -> str:
         return self._name
@@ -222,7 +261,10 @@ class Node:
         return Logger(self._name)
 
     def get_clock(self) -> object:
-        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=time.time_ns()))
+        # With a simulator's time that nobody publishes, as here, it is 0.
+        ns = 0 if self._arguments.parameters.get("use_sim_time") else time.time_ns()
+        stamp = types.TYPES["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=ns, to_msg=lambda: stamp))
 
     def _resolved(self, name: str) -> str:
         name = self._arguments.remaps.get(name, name)
@@ -245,6 +287,10 @@ class Node:
         self.wire.subscriptions.remove(subscription.row)
         self.wire.tell()
 
+    def destroy_publisher(self, publisher: Publisher) -> None:
+        self.wire.publishers.remove(publisher.row)
+        self.wire.tell()
+
     def create_service(self, kind: type, name: str, callback: object, *, callback_group: object = None) -> Service:
         self.services.append(Service(self, kind, self._resolved(name), callback))
         self.services[-1].alone = callback_group is None
@@ -262,6 +308,9 @@ class Node:
 
     def count_publishers(self, topic: str) -> int:
         return len(self.get_publishers_info_by_topic(topic))
+
+    def count_subscribers(self, topic: str) -> int:
+        return len(self.get_subscriptions_info_by_topic(topic))
 
     def get_publishers_info_by_topic(self, topic: str) -> list[object]:
         return self._infos("publishers", topic)
@@ -284,6 +333,8 @@ class Node:
         return sorted((row["topic"], [row["type"]]) for row in rows)
 
     def declare_parameter(self, name: str, value: object, descriptor: object = None) -> Parameter:
+        if name in self._parameters:
+            raise ParameterAlreadyDeclaredException(name)
         given = self._arguments.parameters.get(name, value)
         free = descriptor is not None and descriptor.dynamic_typing
         if not free and Parameter(name, value=given).type_ != Parameter(name, value=value).type_:
@@ -326,9 +377,10 @@ class Node:
 def _info(row: dict) -> object:
     reliability = ReliabilityPolicy.RELIABLE if row["reliable"] else ReliabilityPolicy.BEST_EFFORT
     durability = DurabilityPolicy.TRANSIENT_LOCAL if row["lasting"] else DurabilityPolicy.VOLATILE
+    named = row if time.time() - row["s"] > NAMED_S else UNKNOWN
     return SimpleNamespace(
-        node_name=row["node_name"],
-        node_namespace=row["node_namespace"],
+        node_name=named["node_name"],
+        node_namespace=named["node_namespace"],
         topic_type=row["type"],
         qos_profile=QoSProfile(depth=row["depth"], reliability=reliability, durability=durability),
     )

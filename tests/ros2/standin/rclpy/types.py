@@ -5,6 +5,7 @@ As in ROS, a field takes its own type only: an int is no float.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from types import ModuleType
@@ -41,6 +42,7 @@ trajectory_msgs/msg/JointTrajectoryPoint: float[] positions, float[] velocities,
 builtin_interfaces/msg/Duration time_from_start
 trajectory_msgs/msg/JointTrajectory: std_msgs/msg/Header header, string[] joint_names, \
 trajectory_msgs/msg/JointTrajectoryPoint[] points
+unique_identifier_msgs/msg/UUID: int[16] uuid
 nav_msgs/msg/Odometry: std_msgs/msg/Header header, string child_frame_id, geometry_msgs/msg/PoseWithCovariance pose, \
 geometry_msgs/msg/TwistWithCovariance twist
 tf2_msgs/msg/TFMessage: geometry_msgs/msg/TransformStamped[] transforms
@@ -62,6 +64,17 @@ rcl_interfaces/srv/GetParameters: string[] names -> rcl_interfaces/msg/Parameter
 rcl_interfaces/srv/SetParameters: rcl_interfaces/msg/Parameter[] parameters -> \
 rcl_interfaces/msg/SetParametersResult[] results
 """
+ACTIONS = """
+control_msgs/action/FollowJointTrajectory: trajectory_msgs/msg/JointTrajectory trajectory \
+-> int error_code, string error_string -> std_msgs/msg/Header header, string[] joint_names, \
+trajectory_msgs/msg/JointTrajectoryPoint desired, trajectory_msgs/msg/JointTrajectoryPoint actual, \
+trajectory_msgs/msg/JointTrajectoryPoint error
+"""
+CONSTANTS = {"control_msgs/action/FollowJointTrajectory": {"SUCCESSFUL": 0, "PATH_TOLERANCE_VIOLATED": -4}}
+"""Of an action's result."""
+WITHOUT = "FAILSTOP_STANDIN_WITHOUT"
+"""A package that is not installed."""
+UUID = "unique_identifier_msgs/msg/UUID"
 PLAIN = {"int": (int, 0), "float": (float, 0.0), "bool": (bool, False), "string": (str, ""), "byte": (bytes, b"\0")}
 TYPES: dict[str, type] = {}
 ONE = {"geometry_msgs/msg/Quaternion": {"w": 1.0}}
@@ -81,6 +94,8 @@ class Message:
             setattr(self, field, value)
 
     def __setattr__(self, field: str, value: object) -> None:
+        if field not in self._fields:
+            raise AttributeError(f"{self._name} has no field {field!r}")
         kind = self._fields[field]
         assert _fits(kind, value), f"The {field!r} field must be of type {kind!r}, not {value!r}"
         object.__setattr__(self, field, value)
@@ -155,18 +170,38 @@ def _make(name: str, fields: str) -> type:
     return made
 
 
+def _service(name: str, request: str, response: str) -> type:
+    parts = {"Request": _make(f"{name}_Request", request), "Response": _make(f"{name}_Response", response)}
+    return type(name.rpartition("/")[2], (), {**parts, "_name": name})
+
+
+def _action(name: str, text: str) -> type:
+    texts = dict(zip(("Goal", "Result", "Feedback"), text.split("->"), strict=True))
+    parts = {part: _make(f"{name}_{part}", fields) for part, fields in texts.items()}
+    for constant, value in CONSTANTS.get(name, {}).items():
+        setattr(parts["Result"], constant, value)
+    inner = {
+        "FeedbackMessage": _make(f"{name}_FeedbackMessage", f"{UUID} goal_id, {name}_Feedback feedback"),
+        "send_goal": _service(f"{name}_SendGoal", f"{UUID} goal_id, {name}_Goal goal", "bool accepted"),
+        "get_result": _service(f"{name}_GetResult", f"{UUID} goal_id", f"int status, {name}_Result result"),
+        "cancel_goal": _service(f"{name}_CancelGoal", f"{UUID} goal_id", f"{UUID}[] goals_canceling"),
+    }
+    return type(name.rpartition("/")[2], (), {**parts, "Impl": type("Impl", (), inner), "_name": name})
+
+
 def install() -> None:
     """Make every type, in modules to import them from."""
     for line in DEFINITIONS.strip().splitlines():
         name, _, text = line.partition(":")
         package, kind, last = name.split("/")
         request, arrow, response = text.partition("->")
-        if arrow:
-            parts = {"Request": _make(f"{name}_Request", request), "Response": _make(f"{name}_Response", response)}
-            made = type(last, (), {**parts, "_name": name})
-        else:
-            made = _make(name, text)
+        made = _service(name, request, response) if arrow else _make(name, text)
         setattr(_module(f"{package}.{kind}"), last, made)
+    for line in ACTIONS.strip().splitlines():
+        name, _, text = line.partition(":")
+        package, kind, last = name.split("/")
+        if package != os.environ.get(WITHOUT):
+            setattr(_module(f"{package}.{kind}"), last, _action(name, text))
 
 
 install()

@@ -1,0 +1,59 @@
+"""Stamps: how old a message is by its own stamp, and whose stamps disagree with the clock here. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+TOLD_NS = 2_000_000_000
+"""A disagreement is told for this long after the last message that showed it."""
+NO_CLOCK = "use_sim_time is true, and nobody publishes /clock, so ROS has no time here"
+AGREE = "do the clocks agree?"
+
+
+class Trouble(NamedTuple):
+    """What was told of one topic's stamps, and when it was seen last."""
+
+    who: str
+    text: str
+    age_s: float
+    seen_ns: int
+
+
+class Stamps:
+    """Of the topics whose messages are judged by their stamps."""
+
+    def __init__(self, ros_ns: Callable[[], int]) -> None:
+        """`ros_ns`: ROS's time now, which may be a simulator's; 0 where it has none."""
+        self._ros_ns = ros_ns
+        self._troubles: dict[str, Trouble] = {}
+
+    def late(self, topic: str, who: str, stamp: Any, most_s: float, now_ns: int) -> str:
+        """Why a message is refused for its stamp (builtin_interfaces/Time; 0 counts as now); empty: it is not. One from
+        the future is not refused, and is told."""
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        if not stamp_ns:
+            return ""
+        if not (ros_ns := self._ros_ns()):
+            return f"how old its stamp is nobody knows: {NO_CLOCK}"
+        age_s = (ros_ns - stamp_ns) / 1e9
+        if abs(age_s) <= most_s:
+            return ""
+        self._note(topic, who, age_s, now_ns)
+        return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); {AGREE}" if age_s > 0 else ""
+
+    def _note(self, topic: str, who: str, age_s: float, now_ns: int) -> None:
+        """The text stays while the age is about the same: each change of it is an event."""
+        before = self._troubles.get(topic)
+        fresh = before and before.who == who and now_ns - before.seen_ns <= TOLD_NS
+        if before and fresh and abs(age_s - before.age_s) < 0.1 + abs(before.age_s) / 4:
+            self._troubles[topic] = before._replace(seen_ns=now_ns)
+            return
+        how = f"{age_s:.1f} s old, and refused" if age_s > 0 else f"{-age_s:.1f} s in the future"
+        text = f"{who} publishes {topic} with stamps that are {how}: {AGREE}"
+        self._troubles[topic] = Trouble(who, text, age_s, now_ns)
+
+    def wrong(self, now_ns: int) -> list[str]:
+        """What is wrong, a line each."""
+        fresh = [row.text for row in self._troubles.values() if now_ns - row.seen_ns <= TOLD_NS]
+        return fresh if self._ros_ns() else [NO_CLOCK, *fresh]
