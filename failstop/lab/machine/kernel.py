@@ -27,6 +27,14 @@ IGNORED = (SIGCHLD, SIGCONT)
 FIRST_PID = 100
 
 
+class Replaced(BaseException):
+    """A process becomes another program, with these arguments."""
+
+    def __init__(self, argv: list[str]) -> None:
+        super().__init__()
+        self.argv = argv
+
+
 class Death(BaseException):
     """A call of a process that has died: it changes nothing any more."""
 
@@ -75,6 +83,8 @@ class Process:
         """Runs nothing before that: stopped, or not run by the machine."""
         self.starved = False
         """It is the machine that does not run it."""
+        self.continued = False
+        """A SIGCONT has come, and nobody has asked for it yet."""
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
@@ -308,6 +318,7 @@ class Machine:
         if number == SIGSTOP or (number == SIGTSTP and handler is None):
             self.hold(process, 1 << 62)
         elif number == SIGCONT:
+            process.continued = True
             self.resume(process)
         elif number != SIGKILL and callable(handler):
             process.pending.append(number)

@@ -23,7 +23,18 @@ from failstop.lab.machine.system import modules
 HOME = os.path.dirname(os.path.abspath(failstop.__file__))
 HARMLESS = frozenset(
     (
-        *("__future__", "abc", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses", "difflib"),
+        *(
+            "__future__",
+            "abc",
+            "argparse",
+            "asyncio",
+            "bisect",
+            "collections",
+            "contextlib",
+            "copy",
+            "dataclasses",
+            "difflib",
+        ),
         *("enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex", "stat"),
         *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "zlib"),
     )

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import json
+from argparse import Namespace
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Node, Null, Open, Port
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.files import Directory, Node, Null, Open, Port, Regular
+from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.sim.model import BoardModel, Frame
 
-DEVICE = "/dev/ttyACM0"
+DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
 MS = 1_000_000
 CLICKED = 0x20
 
@@ -75,9 +77,8 @@ class Robot:
         self.loader = Loader(self.machine, patches)
         self.board = Board(self.machine, imu_hz)
         self.stderr = Null()
-        self._settings = settings or {}
         self._numbers = 0
-        self._make_files()
+        self._make_files(settings or {})
         self.plug()
         self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
 
@@ -91,10 +92,13 @@ class Robot:
             here = found
         return here
 
-    def _make_files(self) -> None:
+    def _make_files(self, settings: Mapping[str, object]) -> None:
         for path in ("/dev/shm", "/run", "/var/lib/failstop", "/root", "/sys/dev/char", "/proc"):
             self._folder(path)
         self._folder("/dev").put("null", Null())
+        file = Regular(0o644)
+        file.put("".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items()).encode(), 0)
+        self._folder("/etc").put("failstop.toml", file)
 
     def plug(self) -> Port:
         """Plug the board in, under its own name."""
@@ -129,23 +133,18 @@ class Robot:
         return 0
 
     def start(self) -> Process:
-        """Start the service as `failstop run` does: it stops first, then becomes the supervisor."""
+        """Start the service by `failstop run`, which stops first and then becomes the supervisor."""
 
         def body(process: Process) -> int:
             self._streams(process)
-            load = self.loader.load
-            instances, starter = load("failstop.instances"), load("failstop.supervisor.starter")
-            settings = load("failstop.policy.settings").Settings(self._settings)
-            refusals = (load("failstop.board.port").PortError, load("failstop.shm.instance").InstanceError, OSError)
+            run, refused = self.loader.load("failstop.cli.commands.run"), self.loader.load("failstop.api.errors")
             try:
-                port = load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: None)
-                folder = instances.make_runtime_dir("failstop")
-                lock = instances.lock(folder)
-            except refusals:
+                run.main(Namespace(config=SETTINGS, device=DEVICE, name="failstop"))
+            except Replaced as program:
+                return self._child(process, program.argv[program.argv.index("supervisor") - 1 :])
+            except refused.FailstopError:
                 return 1
-            process.environ.update(starter.environment(settings))
-            words = ["name=failstop", f"dir={folder}", f"lock={lock}", f"port={port.fd}"]
-            return self._child(process, ["child.py", "supervisor", *words])
+            return 0
 
         return self.machine.process("supervisor", body, {"HOME": "/root"})
 

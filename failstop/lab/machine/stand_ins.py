@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
@@ -60,6 +61,9 @@ def make_futex(calls: Calls) -> ModuleType:
             self._words: dict[int, Word] = words
             self._node, self._offset = node, offset
             self._mine = self._word(0)
+
+        def detach(self) -> None:
+            calls.process("dup")
 
         def _word(self, line: int) -> Word:
             at = self._offset + line * LINE_BYTES
@@ -125,6 +129,10 @@ def make_rights(calls: Calls) -> ModuleType:
     def nothing(*_: Any) -> None:
         calls.process("prctl")
 
+    @contextlib.contextmanager
+    def realtime(priority: int) -> Iterator[bool]:
+        yield True
+
     return Module(
         "failstop.procs.rights",
         calls,
@@ -134,6 +142,8 @@ def make_rights(calls: Calls) -> ModuleType:
         leave_no_dump=nothing,
         settle=nothing,
         take_descriptors=nothing,
+        take_stack=nothing,
+        realtime=realtime,
         no_descriptors=str,
         DESCRIPTORS=64,
         LOOP_US=100_000,
@@ -148,7 +158,14 @@ def make_starved(calls: Calls) -> ModuleType:
         process = calls.machine.processes.get(pid)
         return bool(process and process.starved)
 
-    return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=5_000_000_000)
+    def state_of(pid: int) -> str:
+        """The letter that /proc has."""
+        process = calls.machine.processes.get(pid)
+        if process is None or process.dead:
+            return "Z"
+        return "S" if not process.held_until_ns else "R" if process.starved else "T"
+
+    return Module("failstop.procs.starved", calls, look=look, state_of=state_of, LONGEST_NS=5_000_000_000)
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:

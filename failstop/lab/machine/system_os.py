@@ -11,7 +11,7 @@ from typing import Any
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine, Process, Replaced
 
 PLAIN = (
     *("WNOHANG", "devnull", "pathsep", "sep", "linesep", "strerror", "fspath", "fsencode", "fsdecode", "name", "error"),
@@ -67,6 +67,7 @@ class Status:
         "st_ino",
         "st_mode",
         "st_mtime",
+        "st_mtime_ns",
         "st_nlink",
         "st_rdev",
         "st_size",
@@ -78,6 +79,7 @@ class Status:
         self.st_uid, self.st_gid, self.st_size = node.uid, node.gid, node.size()
         self.st_dev = 1
         self.st_rdev, self.st_ctime_ns, self.st_mtime = node.device, node.changed_ns, node.changed_ns / NS
+        self.st_mtime_ns = node.changed_ns
 
 
 class Paths(Module):
@@ -278,7 +280,9 @@ class Processes(Module):
         child.reaped = True
         return pid, (child.code << 8) if child.code >= 0 else -child.code
 
-    def posix_spawn(self, path: str, argv: list[str], environ: Any, *, setsid: bool = False) -> int:
+    def posix_spawn(
+        self, path: str, argv: list[str], environ: Any, *, setsid: bool = False, setsigmask: Any = ()
+    ) -> int:
         process = self._calls.process("spawn", argv)
         script = next((each for each in argv if each.endswith(".py")), argv[0])
         words = argv[argv.index(script) :]
@@ -292,6 +296,13 @@ class Processes(Module):
         made = self._machine.process(called, run, dict(environ), process)
         self._inherit(process, made, process.inheritable)
         return made.pid
+
+    def execve(self, path: str, argv: list[str], environ: Any) -> None:
+        process = self._calls.process("execve", argv)
+        process.environ = dict(environ)
+        for fd in set(process.files) - process.inheritable - {0, 1, 2}:
+            process.close(fd)
+        raise Replaced(argv)
 
     @staticmethod
     def _inherit(process: Process, made: Process, fds: Iterable[int]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import _queue
 import errno
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
@@ -167,6 +167,11 @@ class Signals(Module):
 
     def pthread_sigmask(self, how: int, mask: object) -> set[int]:
         return set()
+
+    def sigtimedwait(self, wanted: Iterable[int], timeout: float) -> object:
+        process = self._calls.process("sigtimedwait")
+        came, process.continued = process.continued and signal.SIGCONT in wanted, False
+        return signal.SIGCONT if came else None
 
     def pidfd_send_signal(self, fd: int, number: int) -> None:
         node = self._calls.begin("kill", fd).node
