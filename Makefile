@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -52,6 +52,10 @@ soak: $(VENV)/.dev
 
 chaos: $(VENV)/.installed
 	$(BIN)/failstop chaos --count 10000 --json chaos.json
+
+# Every single fault at every call of every scenario, on a simulated machine (docs/dev/simulation.md).
+simulate: $(VENV)/.dev
+	$(BIN)/failstop simulate --whole --marks
 
 model:
 	model/check

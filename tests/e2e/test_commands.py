@@ -53,9 +53,9 @@ def test_a_speed_limit_holds_for_every_driver_until_it_is_lifted(trial: Trial) -
     assert "no faster than 0.10 m/s forward" in driven
     refused = failstop("limit", "2", *at)
     assert (refused.returncode, refused.stderr) == (2, "failstop: refused: a speed limit of 2 %: must be 5 to 100\n")
-    for words in (("limit", "0"), ("drive", "nan", "0", "0")):
+    for code, *words in ((2, "limit", "0"), (1, "drive", "nan", "0", "0")):
         wrong = failstop(*words, *at)
-        assert (wrong.returncode, wrong.stderr.count("\n")) == (1, 1), wrong.stderr
+        assert (wrong.returncode, wrong.stderr.count("\n")) == (code, 1), wrong.stderr
     os.kill(trial.robot.state.processes["gate"].pid, signal.SIGKILL)
     wait_for("the next gate", lambda: trial.robot.state.processes["gate"].restarts == 1)
     wait_for("its word", lambda: not trial.robot.state.waiting_for)

@@ -189,7 +189,7 @@ def test_a_board_key(seen: Seen) -> None:
     latched(seen.status(), "key1")
 
 
-def test_the_death_of_the_driving_client_stops_at_once_and_latches_nothing(seen: Seen) -> None:
+def test_the_death_of_the_driving_client_stops_at_once_and_disables_motion(seen: Seen) -> None:
     seen.enable()
     code = (
         f"from failstop import Robot\nimport time\nwith Robot({seen.trial.name!r}, client='mortal') as r:\n"
@@ -205,7 +205,7 @@ def test_the_death_of_the_driving_client_stops_at_once_and_latches_nothing(seen:
     zero = seen.trial.board.wait_for(lambda event: is_zero(event) and event.arrival_ns > killed_ns, 2.0)
     assert zero.arrival_ns - killed_ns < LATEST_MS * 1e6, "long before the command timeout"
     found = seen.status()
-    assert (found["enabled"], found["estop"], found["blocked"]) == (True, None, "cmd timeout")
+    assert (found["enabled"], found["estop"], found["blocked"]) == (False, None, "disabled")
     assert found["sources"] == []
     assert "mortal" not in [client["name"] for client in found["clients"]]
 

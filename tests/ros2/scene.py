@@ -3,7 +3,6 @@ what a test tells them."""
 
 from __future__ import annotations
 
-import glob
 import itertools
 import json
 import os
@@ -33,7 +32,7 @@ FORWARD = {"linear": {"x": 0.2}}
 SENSOR = {"reliable": False, "depth": 5}
 DEADLINE_S = 20.0
 REQUIRED = "FAILSTOP_ROS"
-"""The setup file of a ROS that must be there: `make ros2` sets it. Without it the newest is taken, or none."""
+"""The setup file of a real ROS: `make ros2` sets it. Without it the stand-in alone is tried, whatever is installed."""
 OVERLAY = "FAILSTOP_ROS_OVERLAY"
 """A setup file of further ROS packages, to source after ROS's own."""
 _numbers = itertools.count()
@@ -70,11 +69,10 @@ def _stand_in(folder: Path) -> dict[str, str]:
 def _real(folder: Path) -> dict[str, str]:
     """The environment of a real ROS."""
     required = os.environ.get(REQUIRED)
-    setups = [required] if required else sorted(glob.glob("/opt/ros/*/setup.sh"))
-    if not setups:
-        lacks("there is no ROS 2 on this machine (no /opt/ros/*/setup.sh)")
+    if not required:
+        pytest.skip("`make ros2` tries it on a real ROS")
     overlay = os.environ.get(OVERLAY, "/dev/null")
-    script = f'. "{setups[-1]}" && . "{overlay}" && env -0'
+    script = f'. "{required}" && . "{overlay}" && env -0'
     done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, timeout=30, check=False)
     environment = {line.split("=", 1)[0]: line.split("=", 1)[1] for line in done.stdout.split("\0") if "=" in line}
     home = tempfile.mkdtemp(prefix="ros-home-", dir=folder)
@@ -83,7 +81,7 @@ def _real(folder: Path) -> dict[str, str]:
         [sys.executable, "-c", "import rclpy, sensor_msgs.msg"], env=environment, capture_output=True, check=False
     )
     if probe.returncode:
-        lacks(f"{setups[-1]} has no rclpy for this Python: {probe.stderr.decode(errors='replace')[-300:]}")
+        lacks(f"{required} has no rclpy for this Python: {probe.stderr.decode(errors='replace')[-300:]}")
     return environment
 
 

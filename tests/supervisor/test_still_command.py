@@ -47,6 +47,7 @@ class Scene:
         self.aftermath = Aftermath(self.run, self.latch, lambda: self.held)
         self.telemetry = segment.attach(self.run.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
+        self.run.world.now_ns = lambda: self.now_ns
         self.epoch = 1
 
     def _tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:

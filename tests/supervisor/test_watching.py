@@ -21,6 +21,7 @@ from failstop.procs import starved
 from failstop.procs.loop import GONE, NEVER
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import STARTING
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
 from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
@@ -600,7 +601,7 @@ def read(watching: Watching, record: str) -> tuple[int, Any]:
 
 def test_what_clients_are_told_of_the_settings(watching: Watching) -> None:
     assert read(watching, "settings")[1] == Settings().flat()
-    rules = {"sources": ["cmd_vel"], "interlocks": [], "lease_ns": 60 * MS}
+    rules = {"sources": ["cmd_vel"], "interlocks": [], "lease_ns": 60 * MS, "pid_namespace": pid_namespace()}
     assert read(watching, "rules")[1] == rules
 
 

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from failstop.lab.simulate.campaign import Result
 
 EXAMPLES = """\
-failstop simulate                       # one call of each line of code, every fault
-failstop simulate --whole               # every call
-failstop simulate --scenario replug
+failstop simulate                 # one call of each line of code, every fault
+failstop simulate --whole         # every call
 failstop simulate --scenario replug --call 1041 --fault dies
 """
 STORIES = 3

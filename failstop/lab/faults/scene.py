@@ -12,7 +12,7 @@ import tempfile
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
-from failstop.config import read
+from failstop.config import checked, read
 from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
@@ -45,7 +45,9 @@ class Scene:
         """The board's word just before the fault."""
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
         self._config = os.path.join(self._folder.name, "chaos.toml")
-        write_settings(self._config, {**read(config), **SETTINGS})
+        theirs = read(config)
+        checked(theirs, config)  # what a campaign overrides is refused too
+        write_settings(self._config, {**theirs, **SETTINGS})
         self.trial = self._new_trial()
         self.driver = Driver(name)
         self._pids: dict[str, int] = {}
