@@ -20,6 +20,10 @@ GAP_NS = 50_000_000
 """Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
 few milliseconds, is long due."""
 
+QUICK = 10
+"""After the start so many pings follow each other at once: telemetry, which hears the answers, takes some tenths of a
+second to start, and until it has heard one nobody knows whether the board does."""
+
 
 class Repeats:
     """What is written again after the last stop, and when; `due`: of what is next."""
@@ -52,11 +56,13 @@ class Repeats:
 class Pings:
     """When to ask; `index` is that of the next ping."""
 
-    def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int) -> None:
-        """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is."""
+    def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
+        """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is. `quick`: so
+        many at first follow each other at once."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - GAP_NS
+        self._quick = quick
         self._due = due
         self._due.set(now_ns)
         self.index = 0
@@ -72,7 +78,8 @@ class Pings:
     def sent(self, now_ns: int) -> None:
         """It was written."""
         self._sent_ns = now_ns
-        self._due.set(now_ns + self._period_ns)
+        self._due.set(now_ns + (GAP_NS if self._quick else self._period_ns))
+        self._quick = max(0, self._quick - 1)
         self.index = (self.index + 1) % self._count
 
     def failed(self, now_ns: int) -> None:
