@@ -258,7 +258,7 @@ def test_a_supervisor_that_is_continued_was_no_hang_for_systemd(scene: Scene) ->
 
     stopped_in_time(scene.fault(pause), 300)
     assert (scene.restarts(), scene.pid("supervisor")) == (0, pid)
-    assert status(scene)["estop"].startswith("supervisor hangs")
+    assert status(scene)["estop"].startswith("supervisor was suspended")
 
 
 # Who may do what.
