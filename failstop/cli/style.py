@@ -27,6 +27,7 @@ _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244"
 of at least 3.8; a theme's own yellow is 1.1 on white). A console with fewer shows the nearest that it has."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
+PATH_IN_COMMAND = re.compile("`failstop run [^`]*/[^`]*`")
 _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
 """A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
 
@@ -120,9 +121,13 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _pieces(text: str, room: int) -> Iterator[str]:
     """What is not broken, with the spaces after it: words, commands that fit in the room or as much of them as does,
-    and of a longer word the letters."""
+    and of a longer word the letters. A command with a path in it stays whole: the terminal breaks it so that it can be
+    copied."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
+        if PATH_IN_COMMAND.search(word):
+            yield word
+            continue
         for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):
             yield from [part] if cells(part.rstrip(" ")) <= room else part
 

@@ -25,6 +25,7 @@ SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 
 IGNORED = (SIGCHLD, SIGCONT)
 """Signals that do nothing by default."""
 FIRST_PID = 100
+FOREVER_NS = 1 << 61
 
 
 class Replaced(BaseException):
@@ -79,8 +80,10 @@ class Process:
         """Exit code, or the negative signal; None: it lives, or its end is not yet complete."""
         self.reaped = False
         self.dies_with_parent = False
-        self.held_until_ns = 0
+        self.held_since_ns = self.held_until_ns = 0
         """Runs nothing before that: stopped, or not run by the machine."""
+        self.resumed_ns = 0
+        """When it was let go on last."""
         self.starved = False
         """It is the machine that does not run it."""
         self.continued = False
@@ -316,7 +319,7 @@ class Machine:
             return
         handler = process.handlers.get(number)
         if number == SIGSTOP or (number == SIGTSTP and handler is None):
-            self.hold(process, 1 << 62)
+            self.hold(process, FOREVER_NS)
         elif number == SIGCONT:
             process.continued = True
             self.resume(process)
@@ -336,10 +339,15 @@ class Machine:
 
     def hold(self, process: Process, ns: int, *, starved: bool = False) -> None:
         """Run nothing of a process for so long."""
-        process.held_until_ns = self.now_ns + ns
+        process.held_since_ns, process.held_until_ns = self.now_ns, self.now_ns + ns
         process.starved = starved
-        if ns < 1 << 61:
-            self.at(process.held_until_ns, lambda: self.resume(process))
+
+        def over() -> None:
+            if self.now_ns >= process.held_until_ns:
+                self.resume(process)
+
+        if ns < FOREVER_NS:
+            self.at(process.held_until_ns, over)
         if self.current is not None and self.current.process is process:
             process.parked.append(self.current)
             self.hub.switch()
@@ -347,7 +355,7 @@ class Machine:
                 raise Death
 
     def resume(self, process: Process) -> None:
-        process.held_until_ns = 0
+        process.held_until_ns, process.resumed_ns = 0, self.now_ns
         process.starved = False
         self._runnable.extend(process.parked)
         process.parked = []

@@ -38,6 +38,7 @@ def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]) -> I
     yield "held", lambda: _held(stage, process)
     if process.name not in SERVICE:
         return
+    yield "starved", lambda: _held(stage, process, starved=True)
     yield "machine sleeps", lambda: stage.sleep_machine(ASLEEP_S)
     opened = process.files.get(about[0]) if call in ("write", "read") else None
     for number in _refusals(call, opened):
@@ -60,9 +61,10 @@ def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
     return (SHORT_OF[call],) if call in SHORT_OF else ()
 
 
-def _held(stage: Stage, process: Process) -> None:
+def _held(stage: Stage, process: Process, *, starved: bool = False) -> None:
+    """For so long it runs nothing; `starved`: for want of a processor, which the service can tell."""
     stage.witness.held(process, HELD_NS)
-    stage.machine.hold(process, HELD_NS)
+    stage.machine.hold(process, HELD_NS, starved=starved)
 
 
 def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable[[], None]:

@@ -10,6 +10,20 @@ from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.simulate.witness import Witness
 
+NOT_TRIED = {
+    "mute": "a gate that beats and sends nothing does not come of one fault",
+    "bad_frame": "nor does a gate that sends nonsense",
+    "unstill": "the simulated board's IMU does not feel its wheels shake on here",
+    "battery": "its voltage takes seconds to show",
+    "button": "no gamepad is plugged in",
+    "fleet": "no broker is there",
+    "operator_gone": "no operator attends",
+    "two_move_the_arm": "one program moves the arm",
+    "all_died": "told by readers of a run that is over, raised by nobody",
+    "silent": "told by readers of a run that is over, raised by nobody",
+    "unknown": "a cause of another version",
+}
+"""Causes that no scenario brings about, and why; the tests with real processes do."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
 
 
@@ -76,7 +90,7 @@ def missing(counts: Mapping[str, int]) -> list[str]:
     """The marks that were not reached."""
     loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
-    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME]
+    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME if name not in NOT_TRIED]
     wanted += [f"admission {name}" for name in ADMISSION]
     wanted += [f"state {state} {EVENTS[event]}" for state, row in module.NEXT.items() for event in row]
     return [name for name in wanted if not counts.get(name)]

@@ -139,6 +139,55 @@ def two_programs(stage: Stage) -> None:
 
 
 @scenario
+def keys_and_the_pipe(stage: Stage) -> None:
+    """A key of the board, and bytes of somebody in the stop pipe."""
+    robot = stage.connect()
+    for act in (lambda: stage.press(1), lambda: stage.write_to_pipe(b"")), (lambda: stage.write_to_pipe(b"x"),):
+        stage.enable(robot)
+        stage.drive(robot, 0.04)
+        act[0]()
+        robot.wait_for("latched", 1.0)
+
+
+def _driver_dies(stage: Stage) -> None:
+    """A program that drives dies, and that is to latch a stop."""
+    robot = stage.connect()
+    stage.enable(robot)
+
+    def drive(failstop: object) -> None:
+        stage.drive(stage.connect(), 1.0)
+
+    driver = stage.robot.program("driver.py", drive)
+    stage.time.sleep(0.05)
+    stage.machine.die(driver, -9)
+    stage.must_stop("the program that drives is dead", 10)
+    robot.wait_for("latched", 1.0)
+
+
+scenario(_driver_dies, "driver_dies", settings={"gate.driver_death": "latch"})
+
+
+@scenario
+def supervisor_suspended(stage: Stage) -> None:
+    """The supervisor is suspended by a signal, and goes on."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.suspend("supervisor", 150)
+    stage.drive(robot, 0.2)
+
+
+@scenario
+def pipe_is_removed(stage: Stage) -> None:
+    """Somebody takes the stop pipe away: the service ends, and a new one is started."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.remove("/run/failstop/failstop/stop")
+    stage.drive(robot, 1.2)
+
+
+@scenario
 def board_falls_silent(stage: Stage) -> None:
     """The board does not hear any more while it drives."""
     robot = stage.connect()

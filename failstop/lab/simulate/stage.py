@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGTERM, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.simulate import marks
@@ -24,6 +24,8 @@ SPEED_RPS = 0.398
 LONGEST_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
 LIVE_NS = 2_000 * MS
+ARM_NS = 8_000 * MS
+"""An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
 PERIOD_S = 0.02
@@ -41,6 +43,8 @@ class Stage:
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time: Any = self.robot.loader.system["time"]
         self._play = play
+        told = SETTINGS.get(play, {})
+        self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
         self._keep = True
@@ -127,6 +131,26 @@ class Stage:
             self.robot.board.port.drain()
             self.must_stop("the port drains again", 30)
 
+    def write_to_pipe(self, data: bytes) -> None:
+        """Any bytes in the stop pipe."""
+        system = self.robot.loader.system["os"]
+        fd = system.open("/run/failstop/failstop/stop", system.O_WRONLY)
+        system.write(fd, data)
+        system.close(fd)
+        self.must_stop("bytes came to the stop pipe", 30)
+
+    def remove(self, path: str) -> None:
+        """Take a file of the service's away."""
+        self.robot.loader.system["os"].unlink(path)
+        self.must_stop(f"{path} was removed", 1_100)
+
+    def suspend(self, name: str, ms: int) -> None:
+        """SIGSTOP, and SIGCONT after so long."""
+        if found := self.robot.named(name):
+            self.witness.held(found, ms * MS)
+            self.machine.kill(found, SIGSTOP)
+            self.machine.at(self.machine.now_ns + ms * MS, lambda: self.machine.kill(found, SIGCONT))
+
     def deafen(self) -> None:
         """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
         self.witness.tell("the board is deaf")
@@ -195,16 +219,18 @@ class Stage:
             self.robot.board.port.drain()
         began_ns = machine.now_ns
         last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
-        moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, LIVE_NS)
+        moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, self.live_ns)
         if not moved or self.witness.moved_ns <= began_ns:
-            self.witness.wrong("after all faults no program can drive within 2 s")
+            self.witness.wrong(f"after all faults no program can drive within {self.live_ns / 1e9:g} s")
         if not last.dead:
             machine.die(last, -9)
 
     def _drive_again(self, failstop: Any) -> None:
         while True:
             try:
-                robot = self.connect()
+                robot = failstop.Robot()
+                if robot.state.cause is not None:
+                    robot.reset()  # what is down starts again by it
                 self.enable(robot)
                 while robot.state.enabled:
                     self.drive(robot, PERIOD_S)

@@ -42,6 +42,8 @@ class Witness:
         self._forbidden = "no program has asked for motion yet"
         """Why no frame may turn the wheels now; empty: one may."""
         self._asked = 0
+        self._late = False
+        """The one frame that may follow a stop which came while the port owner was held up has come."""
         robot.machine.told = self._told
         robot.board.on_frame = self._frame
 
@@ -60,7 +62,7 @@ class Witness:
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
         self._asked += 1
-        self._forbidden = ""
+        self._forbidden, self._late = "", False
         self.tell("a program asks for motion")
 
     def must_stop(self, why: str, within_ns: int) -> None:
@@ -82,24 +84,45 @@ class Witness:
         self._machine.at(self._machine.now_ns + within_ns, due)
 
     def reached(self) -> bool:
-        """True while a process of the service runs that has the board's port, which takes bytes."""
+        """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
+        up for less than others need to notice it."""
         port = self._robot.board.port
         living = (each for each in self._machine.processes.values() if not each.dead and not each.held_until_ns)
-        if port is None or not port.drains or self._robot.board.model.deaf:
+        if port is None or not port.drains or self._robot.board.model.deaf or self._unnoticed():
             return False
         return any(_has(each, port) for each in living if each.name in WRITERS)
+
+    def _unnoticed(self) -> bool:
+        held = [each for each in self._machine.processes.values() if each.held_until_ns and not each.dead]
+        return any(self._machine.now_ns < each.held_since_ns + HANG_NS.get(each.name, 0) for each in held)
 
     def _frame(self, frame: Frame) -> None:
         if frame.func != MOTOR:
             return
         if any(frame.speeds):
             self.moved_ns = frame.executed_ns
-            if self._forbidden:
+            if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
             if max(map(abs, frame.speeds)) > self._max_rps + SLACK_RPS:
                 self.wrong(f"the wheels turn faster than any program asked for: {frame.speeds}")
         if frame.wild:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
+
+    def _was_on_its_way(self) -> bool:
+        """A port owner that was held up past its last look may still write that one frame (S2 of docs/dev/model.md),
+        and then stops: the one frame counts, a second one does not."""
+        why, self._forbidden = self._forbidden, ""
+        if self._late or not self._resumed():
+            self._forbidden = why
+            return False
+        self._late = True
+        self.must_stop(why, DEATH_NS)
+        return True
+
+    def _resumed(self) -> bool:
+        """Whether a port owner was let go on just now."""
+        owner = self._robot.named("port_owner")
+        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < DEATH_NS
 
     # What happens to the machine.
 
