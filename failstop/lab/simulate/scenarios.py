@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
+from typing import Any
 
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
@@ -10,8 +12,8 @@ Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
 """Servo, pulses of the tuck pose and of the drive pose."""
-DEATHS = 5
-"""After so many in a minute a process is down (restart.deaths)."""
+LOOKS = 60
+"""For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 KEYS = ("servo", "tuck", "drive")
 ARM: dict[str, object] = {
     f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(KEYS, row, strict=True)
@@ -75,9 +77,7 @@ for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry
 def telemetry_dies_often(stage: Stage) -> None:
     """Telemetry is killed until it is not restarted any more, then people reset."""
     robot = stage.connect()
-    for _ in range(DEATHS):
-        while not stage.robot.named("telemetry"):
-            stage.time.sleep(0.02)
+    for _ in range(LOOKS):
         stage.kill("telemetry")
         stage.time.sleep(0.02)
     robot.reset()
@@ -126,9 +126,9 @@ def two_programs(stage: Stage) -> None:
     robot, other = stage.connect(), stage.connect()
     stage.enable(robot)
     stage.drive(robot, 0.04)
-    other.sensed()
-    other.drive(0.05, 0.0, 0.0)
-    stage.must_stop("a second program commands", 30)
+    for each in (robot, other, robot):
+        each.sensed()
+        each.drive(0.05, 0.0, 0.0)
     robot.wait_for("latched", 1.0)
     other.close()
     stage.enable(robot)
@@ -154,8 +154,9 @@ def _driver_dies(stage: Stage) -> None:
     robot = stage.connect()
     stage.enable(robot)
 
-    def drive(failstop: object) -> None:
-        stage.drive(stage.connect(), 1.0)
+    def drive(failstop: Any) -> None:
+        with contextlib.suppress(failstop.FailstopError):
+            stage.drive(failstop.Robot(), 1.0)
 
     driver = stage.robot.program("driver.py", drive)
     stage.time.sleep(0.05)

@@ -22,6 +22,8 @@ ASKED_NS = 4 * MS
 BACK_NS = 30 * MS
 HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stopper": 280 * MS, "telemetry": 530 * MS}
 """From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
+STOPPER_NS = 290 * MS
+"""While supervisor and port owner are both silent, the stopper is the one that notices."""
 SLACK_RPS = 1e-3
 
 
@@ -94,7 +96,11 @@ class Witness:
 
     def _unnoticed(self) -> bool:
         held = [each for each in self._machine.processes.values() if each.held_until_ns and not each.dead]
-        return any(self._machine.now_ns < each.held_since_ns + HANG_NS.get(each.name, 0) for each in held)
+        both = {"supervisor", "port_owner"} <= {each.name for each in held}
+        return any(
+            self._machine.now_ns < each.held_since_ns + (STOPPER_NS if both else HANG_NS.get(each.name, 0))
+            for each in held
+        )
 
     def _frame(self, frame: Frame) -> None:
         if frame.func != MOTOR:
@@ -137,8 +143,8 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long."""
-        if ns > HANG_NS.get(process.name, ns):
+        """A process is not run for so long. Wheels that stand need no stop for it."""
+        if ns > HANG_NS.get(process.name, ns) and any(self._robot.board.model.wheels):
             self.must_stop(f"{process.name} is silent", HANG_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
