@@ -28,6 +28,8 @@ from failstop.lab.simulate.stage import Stage
 
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
+LINES = 2
+"""By so many lines of the call stack two calls are told apart."""
 SHARES = 4
 """Into so many parts the calls of a scenario are divided, so that no core waits for the other."""
 
@@ -136,7 +138,7 @@ class Explorer:
         plan, self._count = self._plan, self._count + 1
         if not self.stage.explored or thread.process.name == "last.py":
             return
-        where = f"{thread.process.name} {call} {_line()}"
+        where = f"{thread.process.name} {call} {_line(call, about)}"
         self._seen[thread.process.name, where] += 1
         if plan.most and self._seen[thread.process.name, where] > plan.most:
             return
@@ -164,7 +166,7 @@ class Explorer:
         if self._count == self._plan.only[0]:
             for fault, inject in faults(self.stage, thread, call, about):
                 if fault == self._plan.only[1]:
-                    self._begin(fault, f"{thread.process.name} {call} {_line()}")
+                    self._begin(fault, f"{thread.process.name} {call} {_line(call, about)}")
                     inject()
 
     def _begin(self, fault: str, where: str) -> None:
@@ -197,14 +199,16 @@ def _send(to: int, run: Run) -> None:
     os._exit(0)
 
 
-def _line() -> str:
-    """The line of the service's code that makes the call."""
+def _line(call: str, about: tuple[Any, ...]) -> str:
+    """The line of the service's code that makes the call, and the one that called it; of a write how much."""
     frame: FrameType | None = sys._getframe(2)
     while frame and "/lab/" in frame.f_code.co_filename:
         frame = frame.f_back
-    if not frame:
-        return "?"
-    return f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}"
+    lines = []
+    while frame and len(lines) < LINES:
+        lines.append(f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}")
+        frame = frame.f_back
+    return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
 
 
 def explore(plan: Plan) -> Result:

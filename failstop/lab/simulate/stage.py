@@ -13,7 +13,7 @@ from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.simulate import marks
-from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, Witness
+from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 """Of the scenarios that need some."""
@@ -212,7 +212,9 @@ class Stage:
         for process in machine.processes.values():
             if process.held_until_ns:
                 machine.resume(process)
-        self.robot.board.model.deaf = False
+        if self.robot.board.model.deaf:
+            self.robot.board.model.deaf = False
+            self.witness.hears_ns = machine.now_ns + ZEROS_NS
         if self.robot.board.port is None:
             self.replug()
         elif not self.robot.board.port.drains:

@@ -24,6 +24,8 @@ HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stop
 """From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
 STOPPER_NS = 290 * MS
 """While supervisor and port owner are both silent, the stopper is the one that notices."""
+ZEROS_NS = 250 * MS
+"""While it is stopped a board is told zero again within so long."""
 SLACK_RPS = 1e-3
 
 
@@ -39,6 +41,8 @@ class Witness:
         self.story: list[tuple[int, str]] = []
         self.moved_ns = 0
         """When the wheels were told to turn last."""
+        self.hears_ns = 0
+        """When a board that was deaf has heard one of the zeros that are repeated."""
         self.orderly = False
         """The service ends as it was told to: its processes die for that."""
         self._forbidden = "no program has asked for motion yet"
@@ -91,6 +95,8 @@ class Witness:
         port = self._robot.board.port
         living = (each for each in self._machine.processes.values() if not each.dead and not each.held_until_ns)
         if port is None or not port.drains or self._robot.board.model.deaf or self._unnoticed():
+            return False
+        if self._machine.now_ns < self.hears_ns:
             return False
         return any(_has(each, port) for each in living if each.name in WRITERS)
 

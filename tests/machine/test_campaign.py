@@ -1,0 +1,42 @@
+"""Every single fault of two scenarios, in short: `failstop simulate` has them all."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.lab.simulate import campaign, marks
+from failstop.lab.simulate.campaign import Plan
+from failstop.lab.simulate.controls import CONTROLS, Control
+from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.stage import Stage
+
+pytestmark = pytest.mark.slow
+FOUND = ("own stop does not refuse motion", "one stop frame for a burst")
+
+
+@pytest.mark.parametrize("name", ["port_owner_dies", "reset_races_stop"])
+def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down(name: str) -> None:
+    """One call of each line of code in each process."""
+    found = campaign.explore(Plan(name, most=1))
+    assert [run.text() for run in found.wrong] == []
+    assert found.runs > 200
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
+def test_a_control_names_code_that_is_there(control: Control) -> None:
+    Stage(SCENARIOS[control.scenario], patches=control.patches)
+    assert control.patches
+
+
+@pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
+def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Control) -> None:
+    found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, first=True))
+    assert len(found.wrong) == 1
+    assert found.wrong[0].story
+
+
+def test_what_was_not_reached_is_told() -> None:
+    missing = marks.missing({"cause died": 1})
+    assert "cause hangs" in missing
+    assert "cause died" not in missing
+    assert not marks.NOT_TRIED.keys() & set(missing)
