@@ -198,7 +198,7 @@ async def serve(name: str, settings: Settings) -> None:
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    print("\n".join(whereabouts.urls(page.whereabouts())), flush=True)
+    print("\n".join(whereabouts.listening(page.whereabouts())), flush=True)
     await ended.wait()
     door.stop()
     commands.stop()

@@ -25,9 +25,12 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """The best first. Through a proxy there is one."""
-    if found["origin"]:
-        return [f"{found['origin']}/"]
+    """What a phone takes, the best first. Through a proxy there is one."""
+    return [f"{found['origin']}/"] if found["origin"] else listening(found)
+
+
+def listening(found: dict[str, Any]) -> list[str]:
+    """Where the page itself answers: a phone, or a proxy."""
     hosts = [found["address"]]
     if found["address"] in EVERYWHERE:
         own = socket.gethostname().partition(".")[0]
