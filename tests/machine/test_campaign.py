@@ -1,4 +1,4 @@
-"""Every single fault of two scenarios, in short: `failstop simulate` has them all."""
+"""Every single fault of one scenario, in short: `failstop simulate` has them all."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 
 pytestmark = pytest.mark.slow
-FOUND = ("own stop does not refuse motion", "one stop frame for a burst")
+FOUND = ("own stop does not refuse motion", "no lease of the gate", "a sleep of the machine goes unnoticed")
 
 
-@pytest.mark.parametrize("name", ["port_owner_dies", "reset_races_stop"])
+@pytest.mark.parametrize("name", ["port_owner_dies"])
 def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down(name: str) -> None:
     """One call of each line of code in each process."""
     found = campaign.explore(Plan(name, most=1))
@@ -31,7 +31,7 @@ def test_a_control_names_code_that_is_there(control: Control) -> None:
 @pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
 def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Control) -> None:
     found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, first=True))
-    assert len(found.wrong) == 1
+    assert found.wrong
     assert found.wrong[0].story
 
 

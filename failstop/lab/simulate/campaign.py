@@ -204,7 +204,7 @@ def _line(call: str, about: tuple[Any, ...]) -> str:
     frame: FrameType | None = sys._getframe(2)
     while frame and "/lab/" in frame.f_code.co_filename:
         frame = frame.f_back
-    lines = []
+    lines: list[str] = []
     while frame and len(lines) < LINES:
         lines.append(f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}")
         frame = frame.f_back
