@@ -30,7 +30,7 @@ def suspended(trial: Trial) -> float:
     trial.drive(0.3)
     assert trial.moving()
     unix_s = time.time()
-    os.kill(pid, signal.SIGTSTP)
+    os.kill(pid, signal.SIGSTOP)  # SIGTSTP is discarded in an orphaned process group, as in CI
     begun_s = time.monotonic()
     wait_for("the wheels to stand", lambda: not trial.moving())
     wait_for("it to be told", lambda: shown(trial) == "suspended" and time.monotonic() - begun_s > 2.0)
