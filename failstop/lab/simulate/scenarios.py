@@ -161,7 +161,7 @@ def _driver_dies(stage: Stage) -> None:
     driver = stage.robot.program("driver.py", drive)
     stage.time.sleep(0.05)
     stage.machine.die(driver, -9)
-    stage.must_stop("the program that drives is dead", 10)
+    stage.must_stop("the program that drives is dead", 30)
     robot.wait_for("latched", 1.0)
 
 

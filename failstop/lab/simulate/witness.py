@@ -16,8 +16,9 @@ from failstop.lab.sim.model import Frame
 
 SERVICE = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 WRITERS = ("supervisor", "port_owner", "stopper")
-DEATH_NS = 3 * MS
-"""From a death to the stop at the board: its bytes on the wire, and the steps of those who write it."""
+DEATH_NS = 8 * MS
+"""From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of those
+who write it."""
 ASKED_NS = 4 * MS
 BACK_NS = 30 * MS
 HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stopper": 280 * MS, "telemetry": 530 * MS}
