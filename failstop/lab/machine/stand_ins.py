@@ -10,14 +10,15 @@ from typing import Any
 from failstop.lab.machine.calls import Calls, Module
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.kernel import Thread
+from failstop.procs import rights
+from failstop.procs.starved import LONGEST_NS
+from failstop.shm.futex import BLOCKS, PER_BLOCK
+from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
+from failstop.shm.words import LINE_BYTES
 
 OWNER_DIED = 1 << 30
 WAITERS = 1 << 31
 NUMBER = OWNER_DIED - 1
-PER_BLOCK = 2
-BLOCKS = 256
-LINE_BYTES = 64
-REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
 
 
 class Word:
@@ -145,8 +146,8 @@ def make_rights(calls: Calls) -> ModuleType:
         take_stack=nothing,
         realtime=realtime,
         no_descriptors=str,
-        DESCRIPTORS=64,
-        LOOP_US=100_000,
+        DESCRIPTORS=rights.DESCRIPTORS,
+        LOOP_US=rights.LOOP_US,
     )
 
 
@@ -165,7 +166,7 @@ def make_starved(calls: Calls) -> ModuleType:
             return "Z"
         return "S" if not process.held_until_ns else "R" if process.starved else "T"
 
-    return Module("failstop.procs.starved", calls, look=look, state_of=state_of, LONGEST_NS=5_000_000_000)
+    return Module("failstop.procs.starved", calls, look=look, state_of=state_of, LONGEST_NS=LONGEST_NS)
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:

@@ -19,6 +19,8 @@ WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
 """From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of those
 who write it."""
+RESUMED_NS = 3 * MS
+"""A port owner that was held up past its last look has written its one frame within so long of going on."""
 ASKED_NS = 4 * MS
 BACK_NS = 30 * MS
 HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stopper": 280 * MS, "telemetry": 530 * MS}
@@ -135,7 +137,7 @@ class Witness:
     def _resumed(self) -> bool:
         """Whether a port owner was let go on just now."""
         owner = self._robot.named("port_owner")
-        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < DEATH_NS
+        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS
 
     # What happens to the machine.
 
