@@ -82,7 +82,7 @@ class Session:
         from driving or from reading the state, such as a service of another version, is raised by those calls: it keeps
         nobody from estop()."""
         self.name = name
-        self.client_name = client or os.path.basename(sys.argv[0]) or "python"
+        self.client_name = client or os.path.basename("".join(sys.argv[:1])) or "python"
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted

@@ -52,8 +52,8 @@ class ArmScene(GateStage):
         self.moves: list[tuple[int, bytes]] = []
         """When, and the data of each frame that moved servos."""
         self.dropped = 0
-        self._telemetry = self._views[layout.TELEMETRY].ring_writer("servos")
-        self._pad = self._views[layout.TELEMETRY].latest_writer("pad_arm")
+        self._telemetry = self.views[layout.TELEMETRY].ring_writer("servos")
+        self._pad = self.views[layout.TELEMETRY].latest_writer("pad_arm")
         self._answers: list[tuple[int, bytes]] = []
         self._numbers = [0, 0]
 

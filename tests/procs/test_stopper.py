@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from failstop.board.burst import BURST
@@ -14,23 +10,19 @@ from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
 from failstop.shm import heartbeat, layout, records
-from tests.support.ptys import Pty, new_pty, open_fds
-from tests.support.stage import MS
+from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene
-from tests.support.waiting import until
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def scene() -> Scene:
+    return Scene()
 
 
 @pytest.fixture
-def other() -> Iterator[Pty]:
-    with new_pty() as made:
-        yield made
+def other(scene: Scene) -> Wire:
+    """The port of a board that comes after the first."""
+    return Wire(scene.machine, scene.wire.folder, 1)
 
 
 def test_silent_while_all_is_well(scene: Scene) -> None:
@@ -57,7 +49,7 @@ def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
 
 
 def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     assert scene.turn() == BURST
     assert scene.own.word("written_ns").get() == scene.clock()
     assert scene.written(500) == [(20, BURST), (100, BURST)]
@@ -66,17 +58,17 @@ def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> N
 
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
     scene.early.tell(scene.port_owner.pid)
-    assert scene.pty.read() == BOARD.first_stop
+    assert scene.wire.read() == BOARD.first_stop
     assert scene.turn() == BURST
 
 
 def test_the_supervisor_s_death_is_the_port_owner_s_to_answer_first(scene: Scene) -> None:
     scene.early.tell(scene.supervisor.pid)
-    assert scene.pty.read() == b""
+    assert scene.wire.read() == b""
 
 
 def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.turn()
     scene.start(layout.PORT_OWNER, heartbeat.STARTING)
     assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
@@ -85,7 +77,7 @@ def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scen
 
 
 def test_one_that_was_held_up_meanwhile_does_not_cut_into_the_motion_of_the_next(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.start(layout.PORT_OWNER)
     scene.early.tell(scene.port_owner.pid)
     assert scene.turn(100 * MS) == b""
@@ -93,7 +85,7 @@ def test_one_that_was_held_up_meanwhile_does_not_cut_into_the_motion_of_the_next
 
 
 def test_nor_does_one_that_was_held_up_before_the_repeats(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     assert scene.turn() == BURST
     scene.start(layout.PORT_OWNER)
     assert scene.turn(150 * MS) == b""
@@ -104,32 +96,29 @@ def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -
     scene.port_owner.kill()
     scene.start(layout.PORT_OWNER, heartbeat.STARTING)
     scene.stopper.turn({})
-    assert scene.pty.read() == BURST
+    assert scene.wire.read() == BURST
 
 
-def test_before_the_first_port_owner_is_named_there_is_nobody_to_watch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = Scene(tmp_path, monkeypatch, named=False)
+def test_before_the_first_port_owner_is_named_there_is_nobody_to_watch() -> None:
+    scene = Scene(named=False)
     assert scene.written(300, alive=False) == []
     first = scene.start(layout.PORT_OWNER)
     scene.turn()
-    scene.die(first)
+    first.kill()
     assert scene.turn() == BURST
-    scene.close()
 
 
 def test_the_next_port_owner_is_watched_too(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.turn()
     second = scene.start(layout.PORT_OWNER)
     scene.written(200)
-    scene.die(second)
+    second.kill()
     assert scene.turn() == BURST
 
 
 def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> None:
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     assert scene.turn() == b""
     assert 0 < scene.next_ns() - scene.clock() < MS, "it looks again soon"
     scene.port_owner_writes()
@@ -139,39 +128,37 @@ def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> No
 
 
 def test_but_not_for_long(scene: Scene) -> None:
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     assert scene.turn() == b""
     assert scene.written(22, alive=False) == [(3, BURST)]
     assert scene.turn(MS, alive=False) == BURST, "again after 20 ms, and now it is fenced"
-    until(lambda: scene.stopper.loop.wait(0), "the news of the fenced port owner's death")
-    assert scene.turn() == BURST
+    assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
     assert scene.written(150, alive=False) == [(20, BURST), (100, BURST)]
     assert not scene.stays
 
 
 def test_without_a_port_owner_it_does_not_wait(scene: Scene) -> None:
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.turn()
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     assert scene.turn() == BURST
 
 
 def test_both_deaths_at_once(scene: Scene) -> None:
     scene.port_owner.kill()
     scene.supervisor.kill()
-    until(lambda: len(scene.stopper.loop.wait(0)) >= 2, "the news of both deaths")
     assert scene.turn().startswith(BURST)
 
 
 def test_the_port_owner_s_death_while_it_is_given_its_first_go(scene: Scene) -> None:
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     assert scene.turn() == b""
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     assert scene.turn().startswith(BURST)
 
 
 def test_it_leaves_after_the_repeats(scene: Scene) -> None:
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     scene.turn()
     scene.written(149)
     assert scene.stays
@@ -184,7 +171,6 @@ def test_a_port_owner_that_hangs_is_fenced(scene: Scene) -> None:
     assert scene.next_ns() == scene.clock() + MS, "it looks again just when it is time"
     assert scene.turn(MS, alive=False) == BURST
     assert scene.next_ns() == scene.clock() + 20 * MS, "for the repeat, and not to look for a hang"
-    until(lambda: scene.stopper.loop.wait(0), "the news of its death")
     assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
     assert scene.written(1_000, alive=False) == [(20, BURST), (100, BURST)]
 
@@ -203,138 +189,133 @@ def test_one_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None
 def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None:
     for number, let_go in ((0, False), (2, False), (1, True)):
         lost = records.PORT.pack(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")
-        scene._views[layout.PORT_OWNER].latest_writer("port").write(lost)
+        scene.views[layout.PORT_OWNER].latest_writer("port").write(lost)
         scene.turn(MS)
         assert (scene.stopper._port.fd == -1) is let_go
 
 
 def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
-    scene._views[layout.PORT_OWNER].word("beat_state").set(1)
+    scene.views[layout.PORT_OWNER].word("beat_state").set(1)
     assert scene.written(1_000, alive=False) == []
 
 
-def test_no_port_no_harm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = Scene(tmp_path, monkeypatch, open_port=False)
+def test_no_port_no_harm() -> None:
+    scene = Scene(open_port=False)
     assert scene.own.word("port_number").get() == 0, "and the supervisor knows of it"
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     assert scene.turn() == b""
     assert scene.own.word("written_ns").get() == 0
-    scene.close()
 
 
-def test_it_says_which_port_it_has(scene: Scene, other: Pty) -> None:
+def test_it_says_which_port_it_has(scene: Scene, other: Wire) -> None:
     assert scene.own.word("port_number").get() == 1
-    scene.pty.unplug()
-    until(lambda: scene.stopper.loop.wait(0), "the hang-up")
+    scene.wire.unplug()
     scene.turn()
     assert scene.own.word("port_number").get() == 0
-    scene.control.send(other.slave, 2, "")
+    scene.send_port(other, 2)
     scene.turn(MS)
     assert scene.own.word("port_number").get() == 2
 
 
-def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Pty) -> None:
+def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Wire) -> None:
     """The first one is lost: the message arrives without it."""
     scene.stopper.close_port()
-    os.write(scene.control.fd, bytes(8))
+    scene.os.write(scene.control.fd, bytes(8))
     scene.turn()
     assert scene.own.word("port_number").get() == 0
-    scene.control.send(other.slave, 2, "")
+    scene.send_port(other, 2)
     scene.turn()
     assert scene.own.word("port_number").get() == 2
 
 
-def test_one_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Pty) -> None:
+def test_one_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Wire) -> None:
     """A write of its own failed, and the others have kept it."""
     scene.stopper._port.lost = True
     scene.turn()
     assert scene.own.word("port_number").get() == 0
-    scene.control.send(other.slave, 1, "")
+    scene.send_port(other, 1)
     scene.turn()
     assert scene.own.word("port_number").get() == 1
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.turn()
     assert other.read() == BURST
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_one_that_it_has_already_is_not_taken_again(scene: Scene, other: Pty, number: int) -> None:
-    before = open_fds()
-    scene.control.send(other.slave, number, "")
+def test_one_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire, number: int) -> None:
+    before = scene.open_fds()
+    scene.send_port(other, number)
     scene.turn()
-    assert open_fds() == before
+    assert scene.open_fds() == before
     assert scene.stopper._port.fd == scene.fd("port")
 
 
 def test_a_port_that_has_gone_is_let_go_at_once(scene: Scene) -> None:
     fd = scene.fd("port")
-    scene.pty.unplug()
-    until(lambda: scene.stopper.loop.wait(0), "the hang-up")
+    scene.wire.unplug()
     scene.turn()
     with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(fd)
-    scene.die(scene.port_owner)
+        scene.os.fstat(fd)
+    scene.port_owner.kill()
     scene.turn()
 
 
 def test_a_hang_up_met_by_a_write_lets_the_port_go(scene: Scene) -> None:
     fd = scene.fd("port")
-    scene.die(scene.port_owner)
-    scene.pty.unplug()
+    scene.port_owner.kill()
+    scene.wire.unplug()
     scene.stopper.turn({scene.stopper._port_owner.life.fd: 1})  # type: ignore[union-attr]
     with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(fd)
+        scene.os.fstat(fd)
     assert scene.own.word("written_ns").get() == 0
 
 
-def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Pty) -> None:
+def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Wire) -> None:
     old = scene.fd("port")
-    scene.control.send(other.slave, 2, "")
+    scene.send_port(other, 2)
     scene.turn()
     assert scene.stopper._port.fd != old
     with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(old)
-    scene.die(scene.port_owner)
+        scene.os.fstat(old)
+    scene.port_owner.kill()
     assert scene.turn() == b""
     assert other.read() == BURST
 
 
-def test_a_hang_up_and_a_new_port_in_one_wake_up(scene: Scene, other: Pty) -> None:
+def test_a_hang_up_and_a_new_port_in_one_wake_up(scene: Scene, other: Wire) -> None:
     """The old port's hang-up must not cost the new one."""
-    scene.pty.unplug()
-    scene.control.send(other.slave, 2, "")
-    until(lambda: len(scene.stopper.loop.wait(0)) >= 2, "both")
+    scene.wire.unplug()
+    scene.send_port(other, 2)
     scene.turn()
-    scene.die(scene.port_owner)
+    scene.port_owner.kill()
     scene.turn()
     assert other.read() == BURST
 
 
 def test_a_full_port_blocks_nothing(scene: Scene) -> None:
-    scene.pty.fill()
-    scene.die(scene.port_owner)
+    scene.wire.fill()
+    scene.port_owner.kill()
     scene.stopper.turn(scene.stopper.loop.wait(0))
     assert scene.own.word("written_ns").get() == 0
-    scene.pty.read()
+    scene.wire.read()
     assert BURST in b"".join(wrote for _, wrote in scene.written(100))
 
 
 def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> None:
-    scene.die(scene.supervisor)
+    scene.supervisor.kill()
     scene.control.close()
     scene.turn()
     scene.turn()
     assert scene.stopper._parent.control.fd not in scene.stopper.loop.wait(0)
 
 
-def test_the_fence_comes_before_the_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_owner_that_hangs_is_dead_before_the_burst(scene: Scene) -> None:
     """One that wakes up between the two could write a frame after the burst."""
-    order: list[str] = []
-    real_fence, real_write = scene.stopper._fence, scene.stopper._write
-    monkeypatch.setattr(scene.stopper, "_fence", lambda: (order.append("fence"), real_fence()))
-    monkeypatch.setattr(scene.stopper, "_write", lambda: (order.append("burst"), real_write()))
+    lived: list[bool] = []
+    scene.wire.on_bytes = lambda data: lived.append(scene.port_owner.lives())
     scene.written(250, alive=False)
-    assert order[:2] == ["fence", "burst"]
+    assert lived
+    assert not any(lived)
 
 
 def test_without_a_port_it_judges_as_with_one(scene: Scene) -> None:
@@ -343,31 +324,31 @@ def test_without_a_port_it_judges_as_with_one(scene: Scene) -> None:
     assert scene.written(HANG_NS // MS - 1, alive=False) == []
     assert scene.port_owner.lives()
     scene.turn(MS, alive=False)
-    until(lambda: not scene.port_owner.lives(), "the port owner's end")
 
 
-def test_a_starved_port_owner_that_moves_nothing_is_left_alone(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene.world.play("starved", lambda *_: True)
+def test_a_starved_port_owner_that_moves_nothing_is_left_alone(scene: Scene) -> None:
+    scene.port_owner.starve()
     assert scene.written(1_000, alive=False) == []
     scene.turn()
     assert scene.written(249, alive=False) == []
     assert scene.port_owner.lives()
 
 
-def test_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene.world.play("starved", lambda *_: True)
+def test_but_not_for_ever(scene: Scene) -> None:
+    scene.port_owner.starve()
     last_ms = (HANG_NS + starved.LONGEST_NS) // MS
     wrote = scene.written(last_ms + HANG_NS // MS, alive=False)
     assert wrote[0] == (last_ms, BURST)
 
 
-def test_a_starved_port_owner_that_moves_the_wheels_is_fenced(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_starved_port_owner_that_moves_the_wheels_is_fenced(scene: Scene) -> None:
     """It may have been about to say so when it was looked at: the word is read after that."""
 
-    def look(*_: object) -> bool:
-        scene._views[layout.PORT_OWNER].word("moving").set(1)
-        return True
+    def moves(thread: object, call: str, about: object) -> None:
+        if call == "stat":
+            scene.views[layout.PORT_OWNER].word("moving").set(1)
 
-    scene.world.play("starved", look)
+    scene.port_owner.starve()
+    scene.machine.at_seam = moves
     assert scene.written(249, alive=False) == []
     assert scene.turn(MS, alive=False) == BURST

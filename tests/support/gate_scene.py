@@ -33,14 +33,14 @@ class GateStage(Stage):
         self._bells["port_owner_bell"] = EventBell.create()
         self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
         self._clients: list[Segment] = []
-        supervisor = self._views[layout.SUPERVISOR]
+        supervisor = self.views[layout.SUPERVISOR]
         self._latch_record, self._reset_record = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
         self._resets_word = supervisor.word("resets")
         self._made, self._told = self.own.ring_reader("frames"), self.own.ring_reader("notes")
 
     def ready(self, word: int) -> None:
         """What the supervisor says of the service: 1 when motion may be enabled."""
-        self._views[layout.SUPERVISOR].word("ready").set(word)
+        self.views[layout.SUPERVISOR].word("ready").set(word)
 
     def start_gate(self) -> None:
         """For the first time, or after its death."""
@@ -93,7 +93,7 @@ class Scene(GateStage):
     def pad_resets(self) -> None:
         """The reset of the gamepad, which telemetry passes on."""
         request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
-        self._views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
+        self.views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
 
     def stop(self, epoch: int, text: str) -> None:
         """The supervisor raises the epoch."""
@@ -166,7 +166,7 @@ class Scene(GateStage):
 
     def own_supervisor(self) -> Segment:
         """The supervisor's segment, which is the test's to write."""
-        return self._views[layout.SUPERVISOR]
+        return self.views[layout.SUPERVISOR]
 
     def ask(self, verb: int, asked_ns: int | None = None) -> tuple[bool, str]:
         """The client asks and rings; returns the answer."""

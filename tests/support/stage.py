@@ -1,49 +1,81 @@
-"""A stage for one process of the service, run turn by turn inside the test: real segments, bells, pipes, sockets and a
-pty, a clock that the test moves, and the test in the roles of all other processes."""
+"""A stage for one process of the service, run turn by turn inside the test, on a simulated machine: its segments,
+bells, pipes, sockets and port are the machine's, its clock stands still but for what the test lets pass, and the test
+is in the roles of all other processes."""
 
 from __future__ import annotations
 
-import itertools
 import os
-import signal
 from collections.abc import Callable
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from failstop.policy.settings import Settings
-from failstop.procs import handover
-from failstop.procs.handover import Control
-from failstop.shm import bell, heartbeat, layout, records, segment
-from failstop.shm.bell import EventBell
-from failstop.shm.heartbeat import Heartbeat
-from failstop.shm.lifeline import Lifeline
-from failstop.shm.segment import Segment
-from tests.support.played import PlayedWorld
-from tests.support.ptys import Pty
-from tests.support.waiting import until
+from failstop.lab.machine.files import Directory, Port
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import Loader
+from failstop.shm import heartbeat, layout, records
 
 MS = 1_000_000
 MOST_LATE = 3
 """Turns in a row that are due at once: one for each thing that is overdue."""
 INCARNATION = 0xFA11_5709
 BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
-_numbers = itertools.count()
+RUNTIME_DIR = "/run/failstop/stage"
+
+
+class Wire:
+    """The board's side of a port: keeps what has reached it."""
+
+    def __init__(self, machine: Machine, folder: Directory, number: int) -> None:
+        self.machine, self.number = machine, number
+        self.link = f"/dev/ttyACM{number}"
+        self.port = Port(machine, number)
+        self.port.board = self
+        self.folder = folder
+        self._came = bytearray()
+        self.on_bytes: Callable[[bytes], None] = lambda data: None
+        """Called when bytes reach the board's side."""
+        folder.put(f"ttyACM{number}", self.port)
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the port."""
+        self._came += data
+        self.on_bytes(data)
+
+    def read(self) -> bytes:
+        """Everything that has reached the board's side since the last call; makes room in a port that was full."""
+        self.port.drain()
+        found = bytes(self._came)
+        self._came.clear()
+        return found
+
+    def fill(self) -> None:
+        """The port takes nothing more until it drains."""
+        self.port.drains = False
+        self.port.held += bytes(self.port.ROOM - len(self.port.held))
+
+    def unplug(self) -> None:
+        """The board goes: the port is hung up."""
+        if not self.port.gone:
+            self.folder.drop(f"ttyACM{self.number}")
+            self.port.unplug()
+
+    def replug(self) -> Wire:
+        """Another port after this one."""
+        self.unplug()
+        return Wire(self.machine, self.folder, self.number + 1)
 
 
 class Early:
-    """No early news of deaths: what a test kills is told by its pidfd."""
+    """No early news of deaths, but for what the test tells: who is killed is told by its pidfd."""
 
-    def __init__(self) -> None:
-        self.bell = EventBell.create()
+    def __init__(self, bell: Any) -> None:
+        self.bell = bell
         self.armed: list[tuple[int, int, int]] = []
         """Whose death is waited for, at which futex: pid, block, index."""
         self.dying: dict[int, int] = {}
         """By its pid: the priority that a thread which stops for it is to run above."""
-        self._lives: dict[int, tuple[Lifeline, Callable[[], None] | None]] = {}
+        self._lives: dict[int, tuple[Any, Callable[[], None] | None]] = {}
 
-    def arm(
-        self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0
-    ) -> None:
+    def arm(self, life: Any, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
@@ -58,147 +90,170 @@ class Early:
             stop()
         self.bell.ring()
 
-    def watch(self, life: Lifeline, segment: Segment, line: int = 0) -> None:
+    def watch(self, life: Any, segment: Any, line: int = 0) -> None:
         """Nor here."""
 
 
-class Clock:
-    """CLOCK_MONOTONIC as the process sees it."""
-
-    def __init__(self) -> None:
-        self.now_ns = 50_000 * MS
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
 class Dummy:
-    """A process that waits to be killed."""
+    """A process that waits to be killed; a dead one stays a zombie, as an unburied child does."""
 
-    def __init__(self) -> None:
-        # Not a fork: it would keep the pty's other side open, and with it put off a hang-up.
-        self.pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-        # One that still starts is runnable, and its silence the machine's.
-        until(self._sleeps, "its sleep")
-        self._alive = True
-
-    def _sleeps(self) -> bool:
-        with open(f"/proc/{self.pid}/stat", encoding="utf-8") as file:
-            return file.read().split()[1:3] == ["(sleep)", "S"]
+    def __init__(self, machine: Machine, name: str) -> None:
+        self._machine = machine
+        self._process = machine.process(name, lambda process: machine.block(), parent=machine.inline.process)
+        self.pid = self._process.pid
 
     def kill(self) -> None:
-        """SIGKILL, and wait until it is gone; it stays a zombie, as an unburied child does."""
-        if self._alive:
-            self._alive = False
-            os.kill(self.pid, signal.SIGKILL)
-            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+        """SIGKILL, and its late news has come."""
+        self._machine.die(self._process, -9)
+        self._machine.run(lambda: self._process.code is not None, 1_000 * MS)
+
+    def starve(self) -> None:
+        """The machine does not run it."""
+        self._machine.hold(self._process, 1 << 61, starved=True)
 
     def lives(self) -> bool:
         """Nobody has killed it."""
-        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
+        return not self._process.dead
 
-    def close(self) -> None:
-        """Kill and reap."""
-        self.kill()
-        os.waitpid(self.pid, 0)
+
+class Clock:
+    """CLOCK_MONOTONIC of a machine, which a test moves by setting `now_ns`."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+
+    def __call__(self) -> int:
+        return self._machine.now_ns
+
+    @property
+    def now_ns(self) -> int:
+        return self._machine.now_ns
+
+    @now_ns.setter
+    def now_ns(self, t_ns: int) -> None:
+        self._machine.run(lambda: False, t_ns - self._machine.now_ns)
 
 
 class Stage:
-    """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
+    """Plays supervisor, gate and clients around one process. The context that the process is given is this object.
+
+    load() gives failstop's modules as the process has them. Who asks a module that the test itself imports asks the
+    real machine."""
 
     changed: ClassVar[dict[str, object]] = {}
     """Settings that are not the defaults."""
 
-    def __init__(self, process: str, directory: Path, *, open_port: bool = True) -> None:
+    def __init__(self, process: str, *, open_port: bool = True, **changed: object) -> None:
         self.process = process
-        self.name = f"s{os.getpid()}x{next(_numbers)}"
+        self.name = self.instance = "stage"
+        self.machine = Machine(step_ns=0, look_ns=0)
+        self.machine.join(process)
+        loader = Loader(self.machine)
+        self.load, self.os = loader.load, loader.system["os"]
+        folders = {path: self._folder(path) for path in ("/dev", "/dev/shm", "/proc", "/tmp", RUNTIME_DIR)}
+        self.runtime_dir = RUNTIME_DIR
+        self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
         for spec in layout.SEGMENTS:
-            segment.create(self.name, spec.name, INCARNATION).close()
-        self.clock = Clock()
-        self.world = PlayedWorld(now_ns=self.clock)
-        self.pty = Pty()
-        self.settings = Settings({"device.path": self.pty.link, **self.changed})
-        self.supervisor = Dummy()
+            self._segment.create(self.name, spec.name, INCARNATION).close()
+        self.clock = Clock(self.machine)
+        self.world = self.load("failstop.procs.world").World()
+        self.wire = Wire(self.machine, folders["/dev"], 0)
+        self.settings = self.load("failstop.policy.settings").Settings(
+            {"device.path": self.wire.link, **self.changed, **changed}
+        )
+        self.supervisor = Dummy(self.machine, layout.SUPERVISOR)
         self.parent = self.supervisor.pid
-        self.others: list[Dummy] = []
-        self.early = Early()
+        self.early = Early(self._bell.EventBell.create())
         self.own = self.owned(process)
-        self.heartbeat = Heartbeat(self.own, os.getpid(), 0, self.clock())
-        bell.make_pipe(str(directory / "stop"), 0o600)
+        pid = self.machine.inline.process.pid
+        self.heartbeat = self.load("failstop.shm.heartbeat").Heartbeat(self.own, pid, 0, self.clock())
+        self._bell.make_pipe(f"{RUNTIME_DIR}/stop", 0o600)
+        handover = self.load("failstop.procs.handover")
         mine, theirs = handover.pair()
-        self.control = Control(mine)
-        self._port = os.dup(self.pty.slave) if open_port else -1
-        self._fds = {"stop": bell.open_pipe(str(directory / "stop")), "control": theirs, "port": self._port}
+        self.control = handover.Control(mine)
+        self._fds = {
+            "stop": self._bell.open_pipe(f"{RUNTIME_DIR}/stop"),
+            "control": theirs,
+            "port": self.open(self.wire) if open_port else -1,
+        }
         self.port_number = 1
-        self._bells = {name: EventBell.create() for name in BELLS}
-        self._views = {name: self.owned(name) for name in layout.PROCESSES}
-        self.frames = self._views[layout.GATE].ring_writer("frames")
-        self._slots: list[Segment] = []
+        self._bells = {name: self._bell.EventBell.create() for name in BELLS}
+        self.views = {name: self.owned(name) for name in layout.PROCESSES}
+        self.frames = self.views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
 
+    def _folder(self, path: str) -> Directory:
+        here = self.machine.root
+        for part in filter(None, path.split("/")):
+            if part not in here.names:
+                here.put(part, Directory(0o755, here))
+            found = here.names[part]
+            assert isinstance(found, Directory)
+            here = found
+        return here
+
     # What Context offers.
 
-    def client_slots(self) -> list[Segment]:
+    def client_slots(self) -> list[Any]:
         """Every client's slot, to read."""
-        found = [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
-        self._slots += found
-        return found
+        return [self._segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
 
     def fd(self, key: str) -> int:
         return self._fds[key]
 
-    def bell(self, key: str) -> EventBell:
+    def bell(self, key: str) -> Any:
         return self._bells[key]
 
-    def segment(self, name: str) -> Segment:
-        return segment.attach(self.name, name, INCARNATION)
+    def segment(self, name: str) -> Any:
+        return self._segment.attach(self.name, name, INCARNATION)
 
     # The rest of the service.
 
-    def owned(self, name: str) -> Segment:
+    def owned(self, name: str) -> Any:
         """A segment as its own process has it."""
-        return segment.attach(self.name, name, INCARNATION, write=True)
+        return self._segment.attach(self.name, name, INCARNATION, write=True)
+
+    def open(self, wire: Wire) -> int:
+        """A descriptor of that board's port."""
+        found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
+        return found
+
+    def open_fds(self) -> int:
+        """The number of descriptors that are open."""
+        return len(self.machine.inline.process.files)
 
     def raise_epoch(self, epoch: int) -> None:
-        self._views[layout.SUPERVISOR].word("epoch").set(epoch)
+        self.views[layout.SUPERVISOR].word("epoch").set(epoch)
 
     def beat(self, *processes: str, age_ns: int = 0) -> None:
         for process in processes:
-            self._views[process].word("beat_ns").set(self.clock() - age_ns)
+            self.views[process].word("beat_ns").set(self.clock() - age_ns)
 
     def start(self, process: str, state: int = heartbeat.RUNNING) -> Dummy:
         """A new process which the supervisor names."""
-        dummy = Dummy()
-        self.others.append(dummy)
-        self._views[process].word("beat_pid").set(dummy.pid)
-        self._views[process].word("beat_state").set(state)
-        self._views[layout.SUPERVISOR].word(f"{process}_life").set(records.life(dummy.pid, 3))
+        dummy = Dummy(self.machine, process)
+        self.views[process].word("beat_pid").set(dummy.pid)
+        self.views[process].word("beat_state").set(state)
+        self.views[layout.SUPERVISOR].word(f"{process}_life").set(records.life(dummy.pid, 3))
         self.beat(process)
         return dummy
 
     def runs(self, process: str) -> None:
         """It says so."""
-        self._views[process].word("beat_state").set(heartbeat.RUNNING)
+        self.views[process].word("beat_state").set(heartbeat.RUNNING)
 
     def ask_to_stop(self, message: bytes) -> None:
-        os.write(self._fds["stop"], message)
+        self.os.write(self._fds["stop"], message)
 
-    def replug(self, number: int) -> Pty:
+    def send_port(self, wire: Wire, number: int) -> None:
+        """The supervisor has opened a port and hands it over."""
+        fd = self.open(wire)
+        self.control.send(fd, number, wire.link)
+        self.os.close(fd)
+
+    def replug(self, number: int) -> Wire:
         """The board comes back, and the supervisor has opened the port."""
-        self.pty.close()
-        self.pty = Pty()
-        self.control.send(self.pty.slave, number, self.pty.link)
-        return self.pty
-
-    def close(self) -> None:
-        """Take everything away."""
-        for dummy in (self.supervisor, *self.others):
-            dummy.close()
-        self.control.close()
-        self.pty.close()
-        for slot in self._slots:
-            slot.close()
-        for fd in (self._fds["stop"], self.early.bell.fd, *(found.fd for found in self._bells.values())):
-            os.close(fd)
-        segment.unlink_all(self.name)
+        self.wire = self.wire.replug()
+        self.send_port(self.wire, number)
+        return self.wire

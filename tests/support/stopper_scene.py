@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import pytest
-
 from failstop.procs.stopper import main
-from failstop.procs.stopper.main import Stopper
 from failstop.shm import layout
-from tests.support.stage import MOST_LATE, MS, Dummy, Stage
-from tests.support.waiting import until
+from tests.support.stage import MOST_LATE, MS, Stage
 
 
 class Scene(Stage):
     """A stopper at work on its stage, beside a port owner that the test plays."""
 
-    def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
-    ) -> None:
-        super().__init__(layout.STOPPER, directory, open_port=open_port)
+    def __init__(self, *, open_port: bool = True, named: bool = True) -> None:
+        super().__init__(layout.STOPPER, open_port=open_port)
         if named:
             self.port_owner = self.start(layout.PORT_OWNER)
         self.stays = True
         self.late = 0
-        self.stopper = Stopper(self)  # type: ignore[arg-type]
+        self.stopper = self.load("failstop.procs.stopper.main").Stopper(self)
         self.turn()
 
     def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
@@ -35,7 +27,7 @@ class Scene(Stage):
         self.stays = self.stopper.turn(self.stopper.loop.wait(0))
         self.late = self.late + 1 if self.stays and self.next_ns() <= self.clock() else 0
         assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
-        return self.pty.read() if self.pty.master >= 0 else b""
+        return self.wire.read()
 
     def next_ns(self) -> int:
         """When it turns without any news."""
@@ -45,17 +37,5 @@ class Scene(Stage):
         """What it writes in the coming milliseconds, asked each millisecond."""
         return [(ms, wrote) for ms in range(1, until_ms + 1) if (wrote := self.turn(MS, alive=alive))]
 
-    def die(self, dummy: Dummy) -> None:
-        dummy.kill()
-        until(lambda: self.stopper.loop.wait(0), "the news of the death")
-
     def port_owner_writes(self) -> None:
-        self._views[layout.PORT_OWNER].word("written_ns").set(self.clock())
-
-    def close(self) -> None:
-        self.stopper.close_port()
-        self.stopper._parent.control.close()
-        for life in (self.stopper._parent.life, self.stopper._port_owner.life):
-            if life:
-                life.close()
-        super().close()
+        self.views[layout.PORT_OWNER].word("written_ns").set(self.clock())

@@ -30,7 +30,7 @@ class Calls:
         try:
             return process.files[number]
         except KeyError:
-            raise OSError(errno.EBADF, "no such descriptor") from None
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF)) from None
 
     def begin(self, name: str, fd: Any, *about: Any) -> Open:
         """Begin a call on a descriptor; returns what it is open on."""

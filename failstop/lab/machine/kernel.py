@@ -1,8 +1,9 @@
 """Kernel: processes, their threads, the clock, deaths and signals of a simulated machine.
 
 A thread is a greenlet. It runs until a call of the simulated system blocks. Nothing here reads the real clock, so that
-two runs of one seed are equal to the byte. Time passes in two ways: each call takes STEP_NS, and when every thread
-waits, the clock jumps to the next timer.
+two runs of one seed are equal to the byte. Time passes in two ways: each call takes step_ns, and when every thread
+waits, the clock jumps to the next timer. A test may take part inline: its calls are those of a process of the machine,
+and while one of them blocks, the machine runs.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from failstop.lab.machine.files import Directory, Open
 
 STEP_NS = 2_000
 """Of a call of the system."""
+LOOK_NS = 50
+"""Of a look at the clock."""
 LATE_NS = 400_000
 """From a death to its late news: the kernel takes the memory down first (docs/dev/architecture.md, Choices)."""
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
@@ -43,13 +46,16 @@ class Death(BaseException):
 class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
-    __slots__ = ("body", "greenlet", "number", "process", "robust", "started", "token", "waiting", "woken")
+    __slots__ = ("body", "greenlet", "number", "process", "ready", "robust", "started", "token", "waiting", "woken")
 
-    def __init__(self, process: Process, body: Callable[[], object], number: int) -> None:
+    def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
+        """`hub`: the greenlet of a thread that runs inline."""
         self.process = process
         self.body = body
         self.number = number
-        self.greenlet = greenlet(self._run, process.machine.hub)
+        self.greenlet = hub or greenlet(self._run, process.machine.hub)
+        self.ready = False
+        """Of a thread that runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
         self.token = 0
@@ -70,6 +76,7 @@ class Process:
         self.parent = parent
         self.name = name
         self.environ = environ
+        machine.processes[pid] = self
         self.files: dict[int, Open] = {}
         self.inheritable: set[int] = set()
         self.threads: list[Thread] = []
@@ -120,8 +127,11 @@ class Machine:
     """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
     raises is what the call raises."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
+        """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
+        passes by the timers alone, and a loop that only looks at the clock never ends."""
         self.now_ns = 1_000_000_000_000
+        self.step_ns, self.look_ns = step_ns, look_ns
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
         """The time of day when the clock stood at zero."""
@@ -137,6 +147,8 @@ class Machine:
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
         """Told of each start and death."""
         self.hub = getcurrent()
+        self.inline: Thread | None = None
+        """The thread that runs inline, in the hub itself."""
         self._runnable: deque[Thread] = deque()
         self._timers: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
@@ -177,9 +189,32 @@ class Machine:
         if process.held_until_ns > self.now_ns:
             process.parked.append(thread)
             return
+        if thread is self.inline:
+            thread.ready = True
+            return
         self.current = thread
         thread.greenlet.switch()
+        self.current = self.inline
+
+    def _leave(self, thread: Thread) -> None:
+        """Let others run until this thread's turn has come. Raises RuntimeError for one inline that waits for ever."""
+        if thread is not self.inline:
+            self.hub.switch()
+            return
+        thread.ready = False
         self.current = None
+        try:
+            if not self.run(lambda: thread.ready, FOREVER_NS):
+                raise RuntimeError("a call that blocks is never answered: nothing on the machine would wake it")
+        finally:
+            self.current = thread
+
+    def join(self, name: str, environ: dict[str, str] | None = None) -> Process:
+        """A process whose main thread is the caller: its calls are made inline, and the machine runs while they block."""
+        made = Process(self, self._take_pid(), None, name, environ or {})
+        self.current = self.inline = Thread(made, lambda: None, made.pid, self.hub)
+        made.threads.append(self.inline)
+        return made
 
     # Threads.
 
@@ -236,7 +271,7 @@ class Machine:
         if until_ns is not None:
             token = thread.token
             self.at(until_ns, lambda: self._timed_out(thread, token))
-        self.hub.switch()
+        self._leave(thread)
 
     def _timed_out(self, thread: Thread, token: int) -> None:
         if thread.waiting and thread.token == token:
@@ -255,7 +290,7 @@ class Machine:
         thread = self.current
         assert thread is not None
         self._runnable.append(thread)
-        self.hub.switch()
+        self._leave(thread)
         if thread.process.dead:
             raise Death
 
@@ -269,15 +304,17 @@ class Machine:
         parent: Process | None = None,
     ) -> Process:
         """Start a process."""
-        pid, self._next_pid = self._next_pid, self._next_pid + 1
-        made = Process(self, pid, parent, name, environ or {})
-        self.processes[pid] = made
-        self._threads = max(self._threads, pid)
-        thread = Thread(made, lambda: body(made), pid)
+        made = Process(self, self._take_pid(), parent, name, environ or {})
+        thread = Thread(made, lambda: body(made), made.pid)
         made.threads.append(thread)
         self._runnable.append(thread)
         self.told("started", made, name)
         return made
+
+    def _take_pid(self) -> int:
+        pid, self._next_pid = self._next_pid, self._next_pid + 1
+        self._threads = max(self._threads, pid)
+        return pid
 
     def die(self, process: Process, code: int) -> None:
         """A process dies at once: nothing of it runs any more. Its futexes tell of it now, the rest later."""
@@ -368,7 +405,7 @@ class Machine:
         process = thread.process
         if process.dead or getcurrent() is not thread.greenlet:
             raise Death
-        self.now_ns += STEP_NS
+        self.now_ns += self.step_ns
         if process.pending and thread is process.threads[0]:
             self.handle_signals(process)
         if self.at_seam is not None:

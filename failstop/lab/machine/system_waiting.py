@@ -11,9 +11,6 @@ from typing import Any
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import ERR, HUP, IN, OUT, Epoll, Open
 
-LOOK_NS = 50
-"""Of a look at the clock."""
-
 
 def _number(fd: Any) -> int:
     return fd if isinstance(fd, int) else int(fd.fileno())
@@ -111,14 +108,14 @@ class Select(Module):
 
 
 class Time(Module):
-    """The module `time`. Each look takes LOOK_NS, so that a loop that waits for a time comes to its end."""
+    """The module `time`. Each look takes look_ns, so that a loop that waits for a time comes to its end."""
 
     def __init__(self, calls: Calls) -> None:
         plain = {name: getattr(time, name) for name in ("gmtime", "localtime", "strftime", "mktime", "struct_time")}
         super().__init__("time", calls, **plain, **constants(time, "CLOCK_"))
 
     def monotonic_ns(self) -> int:
-        self._machine.now_ns += LOOK_NS
+        self._machine.now_ns += self._machine.look_ns
         return self._machine.now_ns
 
     perf_counter_ns = monotonic_ns
