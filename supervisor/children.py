@@ -7,9 +7,9 @@ import signal
 
 from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.world import World
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
+from failstop.supervisor import starter
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
@@ -84,7 +84,6 @@ class Child:
 
     def __init__(
         self,
-        world: World,
         row: Process,
         beat: HeartbeatReader,
         restart: Timer,
@@ -93,7 +92,6 @@ class Child:
     ) -> None:
         """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
         machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
-        self._world = world
         self.row = row
         self.beat = beat
         self._limits = limits
@@ -193,7 +191,7 @@ class Child:
     def reap(self) -> str:
         """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
         debugger holds it."""
-        if (code := self._world.reap(self.pid)) is None:
+        if (code := starter.reap(self.pid)) is None:
             return ""
         self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
         if self.life:

@@ -18,7 +18,6 @@ from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.loop import Loop
-from failstop.procs.world import World
 from failstop.shm import bell, claim, instance, layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.lifeline import pid_namespace
@@ -49,7 +48,6 @@ class Run:
 
     def __init__(
         self,
-        world: World,
         settings: Settings,
         name: str,
         runtime_dir: str,
@@ -59,7 +57,6 @@ class Run:
         """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
         publish(). Raises segment.AttachError, instance.InstanceError, OSError, and leaves a dead run's memory then, and
         nothing else."""
-        self.world = world
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
@@ -81,11 +78,11 @@ class Run:
             self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
             self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
             self._tell_settings()
-            self.loop = Loop(world)
+            self.loop = Loop()
         except BaseException:
             self.remove()
             raise
-        self.events = Events(world, name, self.own.ring_writer("events"), journal)
+        self.events = Events(name, self.own.ring_writer("events"), journal)
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:

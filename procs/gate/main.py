@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
@@ -69,10 +70,9 @@ class Gate:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        self._now_ns = context.world.now_ns
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
@@ -133,7 +133,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         self.requests.follow_resets(now_ns)

@@ -4,6 +4,7 @@ owner, the pad's sticks and its reset become requests for the gate."""
 from __future__ import annotations
 
 import os
+from time import monotonic_ns, time
 
 import msgpack
 
@@ -100,9 +101,8 @@ class Telemetry:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        self._now_ns, self._unix_s = context.world.now_ns, context.world.unix_s
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self._decoder = decoder.Decoder()
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
@@ -124,7 +124,7 @@ class Telemetry:
         self._watch_others(context)
         self._publish_still()
         self._inherit(context.own)
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         self._gate.read(now_ns)
         self._follow_gate(now_ns)
 
@@ -182,7 +182,7 @@ class Telemetry:
         """Handle one wake-up."""
         if ready:
             self._bell.clear()
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         while entry := self._received.next():
@@ -299,7 +299,7 @@ class Telemetry:
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_board(box.BATTERY, millivolts, self._charger.state), t_ns)
-            if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
+            if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, data: bytes, t_ns: int) -> None:

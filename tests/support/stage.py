@@ -156,7 +156,6 @@ class Stage:
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock(self.machine)
-        self.world = self.load("failstop.procs.world").World()
         self.wire = Wire(self.machine, folders["/dev"], 0)
         self.settings = self.load("failstop.policy.settings").Settings(
             {"device.path": self.wire.link, **self.changed, **changed}
