@@ -4,6 +4,7 @@ and the same proofs, and move the wheels alike."""
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,17 @@ from tests.machine.processes import Processes
 from tests.machine.twins import TWINS
 from tests.support.amounts import LONG
 
-KINDS = ("stop", "stop_again", "stop_outcome", "enabled", "disabled", "reset", "died", "fenced", "down")
+KINDS: tuple[str, ...] = (
+    "stop",
+    "stop_again",
+    "stop_outcome",
+    "enabled",
+    "disabled",
+    "reset",
+    "died",
+    "fenced",
+    "down",
+)
 KINDS += ("device_lost", "device_back", "driver_gone", "unstill")
 ON_ONE_ALONE = {
     "supervisor_hangs": "a signal that silences it tells it so",
@@ -38,7 +49,7 @@ def told(event: Any) -> tuple[object, ...]:
     return (event.kind, fields.get("cause"), fields.get("process"), proofs if event.kind == "stop_outcome" else ())
 
 
-def turns(speeds: list[tuple[float, ...]]) -> list[bool]:
+def turns(speeds: Sequence[tuple[float, ...]]) -> list[bool]:
     """Whether the wheels turned, at each change."""
     found = [False]
     for each in speeds:
