@@ -53,8 +53,8 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
 
 
 def read(path: str | None) -> dict[str, object]:
-    """What a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else, whatever is at
-    that path and in it."""
+    """The values that a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else,
+    whatever is at that path and in it."""
     if not path:
         return {}
     try:

@@ -18,7 +18,7 @@ from failstop.supervisor.port import OwnPort
 
 DEVICE = "device.path"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
-"""What can keep the service from starting."""
+"""Errors that keep the service from starting."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings
