@@ -238,7 +238,8 @@ class Cards(Guarded):
 
 
 class Story(Guarded):
-    """The story of an incident, and its picture. Neither is waited for: the page asks again for one that is not made."""
+    """The story of an incident, and its picture. Neither is waited for: the page asks again for one that is not
+    made."""
 
     async def get(self, identity: str, what: str) -> None:
         """The picture as PNG, the story as lines."""
