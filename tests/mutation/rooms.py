@@ -22,10 +22,13 @@ ROOMS = {
     ),
     "arm": Room(
         (
-            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints")),
+            *(
+                f"procs/gate/arm/{name}.py"
+                for name in ("core", "goals", "joints", "reader", "shell", "space", "stream")
+            ),
             "policy/capsules.py",
         ),
-        ("tests/procs/test_gate_arm*.py",),
+        ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
     ),
     "port_owner": Room(
         ("procs/peer.py", "procs/port_owner/*.py"),
