@@ -9,6 +9,7 @@ moves again.
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
+from failstop.board.servos import HIGHEST_POSITION
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
@@ -349,7 +350,8 @@ class ArmCore:
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         """The board's answer to a question."""
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
-            joint.position = float(joint.measured or 0)
+            # A servo turned beyond what a move can say is as near as one can.
+            joint.position = float(max(0, min(joint.measured or 0, HIGHEST_POSITION)))
             joint.known = True
 
     def pose_name(self) -> str:

@@ -93,7 +93,9 @@ class Joint:
     def _step(self, wanted: float, elapsed_s: float) -> None:
         most = self.acceleration * elapsed_s
         self.velocity += max(-most, min(most, wanted - self.velocity))
-        self.position = max(self.low, min(self.high, self.position + self.velocity * elapsed_s))
+        # Turned by hand beyond its bounds it comes back at its speed, and not in one leap.
+        low, high = min(self.low, self.position), max(self.high, self.position)
+        self.position = max(low, min(high, self.position + self.velocity * elapsed_s))
 
 
 def from_settings(settings: Settings) -> list[Joint]:
