@@ -306,4 +306,6 @@ SUPERVISOR = (
     Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
-REASONS = (*EVERYWHERE, *PROCS, *TELEMETRY, *SHM, *SUPERVISOR)
+ARM = (Reason("policy/capsules.py", r"\+.* if whole > 0\.0 else 1\.0", "any share of nothing will do"),)
+
+REASONS = (*EVERYWHERE, *PROCS, *ARM, *TELEMETRY, *SHM, *SUPERVISOR)

@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.gate_scene import Scene
 
+from .arm_bench import ArmBench
 from .arm_scene import ArmScene
 from .client_side import Service
 from .gate_bench import Gate
@@ -52,3 +53,9 @@ def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmSc
     made.run(0.4)
     yield made
     made.close()
+
+
+@pytest.fixture
+def arm_bench() -> ArmBench:
+    """The arm's core alone, with servos whose places it has read."""
+    return ArmBench().known()

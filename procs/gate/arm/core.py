@@ -29,9 +29,9 @@ STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 1.0
 """Pulses from its end at which a journey is there."""
-LATE_S = 2.0
+LATE_NS = 2_000_000_000
 """A journey that is not there so long after its time has lost its way."""
-FIND_S = 4.0
+FIND_NS = 4_000_000_000
 
 
 class ArmCore:
@@ -108,9 +108,8 @@ class ArmCore:
         if goal.mode == goals.FOLLOW:
             goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
         else:
-            goal.ends = {joint: rate * (joint.pulses(1.0) - joint.zero) for joint, rate in goal.ends.items()}
-        if self._goal is None:
-            self._reader.hurry(now_ns)
+            goal.ends = {joint: joint.turned(rate) for joint, rate in goal.ends.items()}
+        self._reader.hurry(now_ns)
         self._goal = goal
         self.active_ns, self.released = now_ns, False
 
@@ -276,6 +275,7 @@ class ArmCore:
             self._watch_end(journey, now_ns)
         elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
             journey.phase, journey.since_ns = goals.CHECKING, now_ns
+            self._reader.hurry(now_ns)
         if journey.phase == goals.CHECKING:
             return self._check_end(journey, now_ns)
         return []
@@ -286,8 +286,7 @@ class ArmCore:
         if journey.left_s(now_ns) <= 0.0 and there:
             self._stream.end()
             journey.phase, journey.since_ns = goals.SETTLING, now_ns
-            self._reader.hurry(now_ns)
-        elif now_ns - journey.begun_ns > (journey.length_s + LATE_S) * 1e9:
+        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LATE_NS:
             self._stream.end()
             journey.finish("it did not get there in time")
 
@@ -375,8 +374,8 @@ class ArmCore:
 
 
 def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """These must be read before the journey goes on, within FIND_S."""
-    if now_ns - journey.since_ns > FIND_S * 1e9:
+    """These must be read before the journey goes on, within FIND_NS."""
+    if now_ns - journey.since_ns > FIND_NS:
         journey.finish(f"{_named(joints)}: where it is can't be read")
     return joints
 

@@ -50,7 +50,11 @@ class Joint:
 
     def pulses(self, angle_rad: float) -> float:
         """An angle as pulses."""
-        return self.zero + self.sign * angle_rad * PULSES_PER_RAD
+        return self.zero + self.turned(angle_rad)
+
+    def turned(self, angle_rad: float) -> float:
+        """A change of the angle, or a rate of it, as one in pulses."""
+        return self.sign * angle_rad * PULSES_PER_RAD
 
     def rad(self, pulses: float) -> float:
         """Pulses as an angle."""
