@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.policy.settings import SettingError, Settings, shortened, shown
+from failstop.policy.setting import SettingError, shortened, shown
+from failstop.policy.settings import Settings
 from failstop.shm import durable, root
 
 MOST_BYTES = 65536

@@ -12,7 +12,8 @@ import socket
 
 from failstop import config
 from failstop.fleet import FleetError
-from failstop.policy.settings import SWITCH, Setting, SettingError
+from failstop.policy.setting import Setting, SettingError
+from failstop.policy.settings import SWITCH
 from failstop.shm import root
 from failstop.shm.instance import DEFAULT_NAME
 

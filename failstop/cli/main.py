@@ -168,7 +168,7 @@ def _told(error: Exception) -> int:
     again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.port import PortError
-    from failstop.policy.settings import SettingError
+    from failstop.policy.setting import SettingError
     from failstop.shm.instance import InstanceError
     from failstop.shm.segment import AttachError
 

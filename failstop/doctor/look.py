@@ -14,7 +14,8 @@ from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.system import Holder, Node, System
 from failstop.instances import unit_of
-from failstop.policy.settings import SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, option
 

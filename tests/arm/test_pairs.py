@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
 from failstop.api.client import Client
+from failstop.board.servos import bus_servo_move
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm import records
 from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
+from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier, Word
+from failstop.supervisor.main import HELD_UP_NS
 from tests.support import gate_scene, port_scene, stopper_scene
+from tests.support.arm_settings import ARM
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene as SupervisorScene
 from tests.support.telemetry_scene import Scene as TelemetryScene
@@ -20,35 +26,52 @@ from tests.support.watching_scene import Watching
 
 
 class Trace:
-    """What is done to the things that were given a name, and every barrier, in order."""
+    """What is done to the records that were given a name, and every barrier, in order; the test's own part too, which
+    plays the other processes. A trace must be there before the scene."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.names: dict[int, str] = {}
+        self._monkeypatch = monkeypatch
+        self._records: dict[int, tuple[str, object]] = {}
+        self._names: dict[str, str] = {}
         self.done: list[str] = []
-        self._note(monkeypatch, Barrier, "__call__", "barrier")
+        for method in ("word", "latest_reader", "latest_writer"):
+            self._make(method)
+        self._before(Barrier, "__call__", lambda _: self.done.append("barrier"))
         for kind, method, verb in (
             (Word, "get", "load"),
             (Word, "set", "store"),
             (LatestReader, "read", "load"),
             (LatestWriter, "write", "store"),
         ):
-            self._note(monkeypatch, kind, method, verb)
+            self._before(kind, method, lambda thing, *_, verb=verb: self._note(verb, thing))
 
-    def _note(self, monkeypatch: pytest.MonkeyPatch, kind: type, method: str, verb: str) -> None:
+    def _before(self, kind: type, method: str, note: Callable[..., object]) -> None:
         real = getattr(kind, method)
 
-        def noted(thing: object, *args: object) -> object:
-            if verb == "barrier":
-                self.done.append(verb)
-            elif id(thing) in self.names:
-                self.done.append(f"{verb} {self.names[id(thing)]}")
-            return real(thing, *args)
+        def noted(*args: object) -> object:
+            note(*args)
+            return real(*args)
 
-        monkeypatch.setattr(kind, method, noted)
+        self._monkeypatch.setattr(kind, method, noted)
 
-    def watch(self, **things: object) -> None:
-        """From here on, nothing before."""
-        self.names = {id(thing): name for name, thing in things.items()}
+    def _make(self, method: str) -> None:
+        real = getattr(Segment, method)
+
+        def made(segment: Segment, record: str) -> object:
+            thing = real(segment, record)
+            self._records[id(thing)] = f"{segment.spec.name}.{record}", thing
+            return thing
+
+        self._monkeypatch.setattr(Segment, method, made)
+
+    def _note(self, verb: str, thing: object) -> None:
+        record, _ = self._records.get(id(thing), ("", None))
+        if record in self._names:
+            self.done.append(f"{verb} {self._names[record]}")
+
+    def watch(self, **records: str) -> None:
+        """From here on, nothing before. The records as segment.record."""
+        self._names = {record: name for name, record in records.items()}
         self.done.clear()
 
     def has(self, *wanted: str) -> bool:
@@ -62,45 +85,31 @@ def trace(monkeypatch: pytest.MonkeyPatch) -> Trace:
     return Trace(monkeypatch)
 
 
-@pytest.fixture
-def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[port_scene.Scene]:
-    made = port_scene.Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def staged(make: Callable[[Path, pytest.MonkeyPatch], Any]) -> Any:
+    """A fixture that is this scene, traced from its start."""
+
+    @pytest.fixture
+    def fixture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> Iterator[Any]:
+        with closing(make(tmp_path, monkeypatch)) as made:
+            yield made
+
+    return fixture
 
 
-@pytest.fixture
-def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[gate_scene.Scene]:
-    made = gate_scene.Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+class ArmPort(port_scene.Scene):
+    """Of a robot with an arm."""
+
+    changed: ClassVar[dict[str, object]] = ARM
 
 
-@pytest.fixture
-def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SupervisorScene]:
-    made = SupervisorScene(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def watching(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watching]:
-    made = Watching(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def telemetry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TelemetryScene]:
-    made = TelemetryScene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+port, arm_port = staged(port_scene.Scene), staged(ArmPort)
+gate, stopper = staged(gate_scene.Scene), staged(stopper_scene.Scene)
+supervisor, watching, telemetry = staged(SupervisorScene), staged(Watching), staged(TelemetryScene)
 
 
 def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
     supervisor.turn()
-    own = supervisor.supervisor.epochs
-    trace.watch(cause=own._latch_record, ready=own.ready_word, epoch=own._epoch_word)
+    trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
@@ -108,9 +117,9 @@ def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Tr
 
 def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.turn()
-    trace.watch(cause=gate.gate._latch, ready=gate.gate.requests._ready_word, epoch=gate.gate._epoch_word)
     gate.stop(2, "key1")
     gate.request(records.ENABLE)
+    trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     gate.tick()
     assert trace.done[:3] == ["load epoch", "barrier", "load cause"]
     gate.tick()
@@ -120,17 +129,15 @@ def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) 
 
 def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.stop(2, "key1")
-    trace.done.clear()
     gate.start_gate()
-    trace.watch(cause=gate.gate._latch)
+    trace.watch(cause="supervisor.latch")
     gate.gate.follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
 def test_a_reset_s_time_before_its_number(gate: gate_scene.Scene, trace: Trace) -> None:
-    requests = gate.gate.requests
-    trace.watch(number=requests._asked_word, asked=requests._asked_ns_word)
-    requests.ask_reset((None, 0, 0, gate.clock()))
+    trace.watch(number="gate.resets_asked", asked="gate.reset_asked_ns")
+    gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
     assert trace.has("store asked", "barrier", "store number")
 
 
@@ -138,9 +145,9 @@ def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
     supervisor: SupervisorScene, trace: Trace
 ) -> None:
     supervisor.turn()
-    own = supervisor.supervisor.epochs
     supervisor.ask_reset()
-    trace.watch(number=own._asked_word, asked=own._asked_ns_word, record=own._decided_record, decided=own._decided_word)
+    asked = {"number": "gate.resets_asked", "asked": "gate.reset_asked_ns"}
+    trace.watch(**asked, record="supervisor.reset", decided="supervisor.resets")
     supervisor.turn()
     assert trace.has("load number", "barrier", "load asked", "store record", "barrier", "store decided")
 
@@ -148,37 +155,43 @@ def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
 def test_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.stop(2, "key1")
     gate.tick()
-    requests = gate.gate.requests
-    requests.ask_reset((None, 0, 0, gate.clock()))
-    trace.watch(decided=requests._decided_word, latch=gate.gate._latch, record=requests._decided)
+    gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
+    trace.watch(decided="supervisor.resets", latch="supervisor.latch", record="supervisor.reset")
     gate.decide()
-    assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
+    assert trace.has("store decided", "load decided", "barrier", "load latch", "barrier", "load record")
 
 
 def test_moving_before_the_last_look_at_the_epoch(port: port_scene.Scene, trace: Trace) -> None:
     port.turn()
     port.put()
-    trace.watch(moving=port.owner._moving_word, epoch=port.owner._epoch_word)
+    trace.watch(moving="port_owner.moving", epoch="supervisor.epoch")
     assert port.turn() == port_scene.MOTION
     assert trace.has("store moving", "barrier", "load epoch")
 
 
+def test_moving_before_the_last_look_at_the_epoch_for_an_arm_s_move_too(arm_port: ArmPort, trace: Trace) -> None:
+    for _ in range(4):
+        arm_port.turn(100 * MS)
+    move = bus_servo_move([(1, 500)], 40)
+    arm_port.put(move, kind=records.ARM)
+    trace.watch(moving="port_owner.moving", epoch="supervisor.epoch")
+    assert arm_port.turn() == move
+    assert trace.has("store moving", "barrier", "load epoch", "store moving")
+
+
 def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) -> None:
-    trace.watch(moving=watching.supervisor._moving_word)
-    watching.supervisor._motion()
-    assert trace.done == ["barrier", "load moving"]
+    watching.supervisor.status.ever = True
+    trace.watch(moving="port_owner.moving")
+    watching.pass_time(HELD_UP_NS)
+    assert trace.done[:2] == ["barrier", "load moving"]
 
 
-def test_the_stoppers_look_before_moving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> None:
-    scene = stopper_scene.Scene(tmp_path, monkeypatch)
-    try:
-        trace.watch(moving=scene.stopper._port_owner_moving)
-        monkeypatch.setattr(scene.stopper, "_starved", lambda *_: trace.done.append("look") or True)
-        scene.written(HANG_NS // MS + 5, alive=False)
-        assert trace.has("look", "barrier", "load moving")
-        assert trace.done.index("load moving") > trace.done.index("barrier") > trace.done.index("look")
-    finally:
-        scene.close()
+def test_the_stoppers_look_before_moving(stopper: stopper_scene.Scene, trace: Trace) -> None:
+    trace.watch(moving="port_owner.moving")
+    stopper.world.play("starved", lambda *_: trace.done.append("look") or True)
+    stopper.written(HANG_NS // MS + 5, alive=False)
+    assert trace.has("look", "barrier", "load moving")
+    assert trace.done.index("load moving") > trace.done.index("barrier") > trace.done.index("look")
 
 
 class Memory(bytearray):
@@ -221,7 +234,7 @@ def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> Non
 
 def test_the_state_before_the_reply(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.turn()
-    trace.watch(state=gate.gate._state, reply=gate.gate.requests._replies[0])
+    trace.watch(state="gate.state", reply="gate.reply.0")
     gate.ask(records.ENABLE)
     assert trace.has("store state", "barrier", "store reply")
 
@@ -240,20 +253,18 @@ def test_the_reply_before_the_state(trace: Trace) -> None:
     assert trace.done == ["load reply", "barrier"]
 
 
-def test_the_verdict_before_its_time(telemetry: TelemetryScene, trace: Trace) -> None:
-    own = telemetry.telemetry
-    trace.watch(still=own._still_word, judged=own._judged_word)
-    own._still.judged_ns, own._still.still_ns = 5, 3
-    own._publish_still()
-    assert trace.done == ["store still", "barrier", "store judged"]
-
-
-def test_that_there_is_none_before_it_is_taken_back(telemetry: TelemetryScene, trace: Trace) -> None:
-    own = telemetry.telemetry
-    trace.watch(still=own._still_word, judged=own._judged_word)
-    own._still.judged_ns = own._still.still_ns = 0
-    own._publish_still()
-    assert trace.done[:3] == ["store judged", "barrier", "store still"]
+def test_the_verdict_before_its_time_and_that_there_is_none_before_it_is_taken_back(
+    telemetry: TelemetryScene, trace: Trace
+) -> None:
+    trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
+    telemetry.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    assert trace.has("store judged", "barrier", "store still")
+    for number in range(200):
+        telemetry.imu(0.0, 0.0, 1.0, 9.0 * (number % 2), 0.0, 0.0)  # it turns
+    trace.done.clear()
+    telemetry.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    assert trace.has("store still", "barrier", "store judged")
+    assert trace.done.index("store still") < trace.done.index("store judged")
 
 
 def test_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorScene, trace: Trace) -> None:
@@ -261,7 +272,6 @@ def test_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorSc
     supervisor.turn()
     supervisor.answers(written_ns=supervisor.now_ns)
     supervisor.turn(MS)
-    aftermath = supervisor.supervisor.aftermath
-    trace.watch(still=aftermath._still, judged=aftermath._judged)
+    trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
     supervisor.turn(MS)
     assert trace.has("load judged", "barrier", "load still", "barrier", "load judged")
