@@ -2,72 +2,52 @@
 
 from __future__ import annotations
 
-import select
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
-from failstop.board import codec, interface
+from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import BY_NAME
-from failstop.procs.port_owner import main
-from failstop.procs.port_owner import wire as wire_module
-from failstop.procs.world import World
 from failstop.shm import box, layout, records
-from tests.support.port_scene import MOTION, SLOWER, TICK, Kernel, Scene
+from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def scene() -> Scene:
+    return Scene()
 
 
 # Start.
 
 
 def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> None:
-    assert scene.pty.read() == BURST
+    assert scene.wire.read() == BURST
     assert scene.word("stopped_epoch") == 1
     assert scene.word("written_ns") == scene.clock()
     assert scene.port_state() == records.PORT_OPEN
 
 
-def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = Scene(tmp_path, monkeypatch, open_port=False)
+def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops() -> None:
+    scene = Scene(open_port=False)
     assert scene.port_state() == records.PORT_LOST
     assert scene.turn(MS) == b"", "it opens none itself"
-    scene.control.send(scene.pty.slave, 2, "/dev/other")
+    scene.send_port(scene.wire, 2)
     assert scene.turn() == BURST
     assert scene.port_state() == records.PORT_OPEN
-    assert scene.port() == (2, "/dev/other")
+    assert scene.port() == (2, scene.wire.link)
     assert scene.reasons() == []
-    scene.close()
 
 
-def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(main, "Wire", unplugged_first)
-    scene = Scene(tmp_path, monkeypatch)
+def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost() -> None:
+    scene = Scene(before=lambda scene: scene.wire.unplug())
     scene.turn()
     assert scene.reasons() == ["device lost"]
     assert scene.port_state() == records.PORT_LOST
-    scene.close()
-
-
-def unplugged_first(fd: int, *_: object) -> wire_module.Wire:
-    made = wire_module.Wire(fd, World())
-    made.lost = True
-    return made
 
 
 def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene: Scene) -> None:
@@ -81,20 +61,18 @@ def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_gate_down
     assert scene.early.dying[scene.gate.pid] == BY_NAME[layout.GATE].priority
 
 
-def test_what_comes_while_it_looks_wakes_it_again(scene: Scene) -> None:
-    """A key that is pressed just after the keys were looked at: its bell is not taken for one of before."""
-    buttons = scene.owner._causes
-
-    class Pressed:
-        def next(self) -> object:
-            found = buttons.next()
-            scene.bell("bell").ring()
-            return found
-
-    scene.owner._causes = Pressed()  # type: ignore[assignment]
-    scene.bell("bell").ring()
+def test_a_key_that_rings_before_the_bell_is_cleared_is_heard_in_the_same_turn(scene: Scene) -> None:
+    """Its bell is not taken for one of before."""
     scene.turn()
-    assert select.select([scene.bell("bell").fd], [], [], 0)[0]
+
+    def press() -> None:
+        scene.views[layout.TELEMETRY].ring_writer("causes").put(causes.KEY(1).pack())
+        scene.bell("bell").ring()
+
+    scene.bell("bell").ring()
+    scene.at_next("read", press)
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["key1"]
 
 
 def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
@@ -108,25 +86,17 @@ def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
     for pid in (scene.gate.pid, scene.supervisor.pid):
         scene.turn()
-        scene.pty.read()
+        scene.wire.read()
         scene.early.tell(pid)
-        assert scene.pty.read() == BOARD.first_stop
+        assert scene.wire.read() == BOARD.first_stop
         assert scene.turn() == BURST
 
 
 def test_no_motion_follows_an_early_stop_that_comes_in_mid_turn(scene: Scene) -> None:
     """Deaths have been looked at in this turn, and the frame is good."""
-    frames = scene.owner._frames
-
-    class Dying:
-        def next(self) -> object:
-            scene.early.tell(scene.gate.pid)
-            scene.owner._frames = frames
-            return frames.next()
-
     scene.drive()
     scene.put(SLOWER)
-    scene.owner._frames = Dying()  # type: ignore[assignment]
+    scene.at_next("ioctl", lambda: scene.early.tell(scene.gate.pid))
     assert scene.turn() == BOARD.first_stop
     scene.put(SLOWER)
     assert scene.turn() == BURST
@@ -234,18 +204,18 @@ def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     assert scene.turn() == codec.buzzer(1400, 100, 100, 1)
 
 
-def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene) -> None:
     scene.drive()
-    scene.world.play("unsent_bytes", lambda fd: 27)
+    scene.wire.port.under_way = 27
     beep = codec.buzzer(1400, 100, 100, 1)
     scene.put(beep, kind=records.OTHER)
     assert scene.turn() == beep
 
 
-def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene) -> None:
     """Else the wheels would turn on until the gate's next refresh, 0.2 s later."""
     scene.drive()
-    scene.world.play("unsent_bytes", lambda fd: 27)
+    scene.wire.port.under_way = 27
     scene.put(SLOWER)
     assert scene.turn() == b""
     scene.put(codec.STOP)
@@ -259,8 +229,9 @@ def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"red button\n")
     scene.put()
+    asked_ns = scene.clock()
     assert scene.turn() == BURST
-    assert scene.causes() == [(1, scene.clock(), "stop request: red button")]
+    assert scene.causes() == [(1, asked_ns, "stop request: red button")], "written before it gave way"
     scene.put()
     assert scene.turn() == b""
     scene.raise_epoch(2)
@@ -309,96 +280,61 @@ def test_a_cause_after_motion_in_the_new_epoch_is_answered_anew(scene: Scene) ->
     assert scene.turn() == BURST
 
 
-def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene) -> None:
     scene.drive()
-
-    def raised_meanwhile(frame: bytes, max_rps: float) -> str:
-        scene.raise_epoch(2)
-        return ""
-
-    monkeypatch.setattr(interface.Board, "check_motion", staticmethod(raised_meanwhile))
+    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
     scene.put()
     assert scene.turn() == BURST
 
 
-def test_it_says_that_it_moves_before_it_looks_at_the_epoch_for_the_last_time(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whoever raises the epoch and then reads that nothing moves may take it that nothing will."""
+def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene: Scene) -> None:
+    """That the epoch is looked at in between is in test_pairs.py."""
     scene.turn()
     assert scene.word("moving") == 0, "the first burst has been written"
-    order: list[str] = []
-    real_get, real_frame = scene.owner._epoch_word.get, wire_module.Wire.frame
-
-    class Epoch:
-        def get(self) -> int:
-            order.append(f"epoch, moving {scene.word('moving')}")
-            return real_get()
-
-    monkeypatch.setattr(scene.owner, "_epoch_word", Epoch())
-
-    def frame(wire: wire_module.Wire, data: bytes, backlog: int = 0) -> bool:
-        order.append("write")
-        return real_frame(wire, data, backlog)
-
-    monkeypatch.setattr(wire_module.Wire, "frame", frame)
+    moving = []
+    scene.wire.on_bytes = lambda data: moving.append(scene.word("moving"))
     scene.put()
     assert scene.turn() == MOTION
-    assert order[order.index("write") - 1] == "epoch, moving 1"
+    assert moving[0] == 1
     assert scene.word("moving") == 1
     scene.raise_epoch(2)
     assert scene.turn() == BURST
     assert scene.word("moving") == 0
 
 
-def test_held_up_between_saying_that_it_moves_and_before_it_writes_nothing_old(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The machine may starve it for seconds there, and nobody kills it for that."""
+def pass_time(scene: Scene, ns: int) -> None:
+    scene.clock.now_ns += ns
+
+
+def test_held_up_behind_its_look_at_the_time_it_writes_nothing_old(scene: Scene) -> None:
+    """The machine may starve it for seconds there, and nobody kills it for that. While the pipe rests it looks into it
+    before each frame."""
+    scene.ask_to_stop(b"x")
     scene.turn()
-
-    class Held:
-        def set(self, value: int) -> None:
-            scene.clock.now_ns += 60 * MS * value
-
-    monkeypatch.setattr(scene.owner, "_moving_word", Held())
-    scene.put()
+    scene.raise_epoch(2)
+    scene.turn()
+    scene.put(epoch=2)
+    scene.at_next("select", lambda: pass_time(scene, 60 * MS))
     assert scene.turn() == BURST
     assert not scene.owner.admission.wheels_move
 
 
-def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene) -> None:
     scene.drive()
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
+    scene.wire.port.takes(100)
     scene.raise_epoch(2)
     scene.turn()
     assert scene.word("moving") == 1
-    kernel.room = None
+    scene.wire.port.takes()
     scene.raise_epoch(3)
     scene.turn()
     assert scene.word("moving") == 0
 
 
-class Slow:
-    """A ring whose reader is held up, as by SIGSTOP, after it has read an entry."""
-
-    def __init__(self, scene: Scene, held_up_ns: int) -> None:
-        self._next = scene.owner._frames.next
-        self._scene = scene
-        self._held_up_ns = held_up_ns
-
-    def next(self) -> tuple[int, int, bytes] | None:
-        entry = self._next()
-        if entry:
-            self._scene.clock.now_ns += self._held_up_ns
-        return entry
-
-
 def test_held_up_between_waking_and_writing_it_writes_nothing_old(scene: Scene) -> None:
     scene.drive()
     scene.put()
-    scene.owner._frames = Slow(scene, 100 * MS)  # type: ignore[assignment]
+    scene.at_next("ioctl", lambda: pass_time(scene, 100 * MS))
     assert scene.turn() == b""
     assert scene.turn(alive=False) == BURST
     assert scene.reasons() == ["gate hangs: 100 ms silent"]
@@ -454,7 +390,7 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
 
 
 def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(scene: Scene) -> None:
-    scene.pty.read()
+    scene.wire.read()
     scene.ask_to_stop(b"first\n")
     assert scene.turn() == BURST
     scene.ask_to_stop(b"second\n")
@@ -465,11 +401,12 @@ def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(sce
 def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"first\n")
+    asked_ns = scene.clock()
     scene.turn()
-    scene.owned(layout.TELEMETRY).ring_writer("causes").put(causes.KEY(1).pack())
+    scene.views[layout.TELEMETRY].ring_writer("causes").put(causes.KEY(1).pack())
     scene.ask_to_stop(b"second\n")
     scene.turn(10 * MS)
-    assert scene.next_ns() == scene.clock() + 10 * MS
+    assert scene.next_ns() == asked_ns + 20 * MS
     scene.turn(10 * MS)
     scene.turn()
     assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
@@ -503,7 +440,7 @@ def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> 
 
 def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
     scene.drive()
-    buttons = scene.owned(layout.TELEMETRY).ring_writer("causes")
+    buttons = scene.views[layout.TELEMETRY].ring_writer("causes")
     buttons.put(causes.BUTTON(0x0100).pack())
     scene.put()
     assert scene.turn() == BURST
@@ -576,26 +513,21 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
 # The black box.
 
 
-def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
-    scene = Scene(tmp_path, monkeypatch)
+def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take() -> None:
+    scene = Scene(before=lambda scene: scene.wire.port.takes(100))
     assert scene.kept() == [(box.BURST, len(BURST), 100)], "the first burst, which was written before"
     scene.turn()
-    kernel.room = None
+    scene.wire.port.takes()
     scene.turn()
     assert scene.kept() == [(box.REST, len(BURST) - 100, len(BURST) - 100)]
     scene.put()
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(MOTION), len(MOTION))]
-    scene.world.play("unsent_bytes", lambda fd: len(MOTION))
+    scene.wire.port.under_way = len(MOTION)
     scene.put(SLOWER)
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]
-    kernel.room = 50
+    scene.wire.port.takes(50)
     scene.ask_to_stop(b"x")
     scene.turn()
     assert scene.kept() == [(box.BURST, len(BURST), 50)], "a stop is told from the rest of one"
-    scene.close()

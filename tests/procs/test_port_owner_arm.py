@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
 import pytest
 
@@ -12,8 +10,8 @@ from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.procs.port_owner.admission import MOST_WAITING
-from failstop.shm import layout, records
-from tests.support.port_scene import MOTION, Kernel, Scene
+from failstop.shm import records
+from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
@@ -23,24 +21,13 @@ TWO = bus_servo_move([(1, 500), (2, 600)], 40)
 READ = bus_servo_read(1, servos.POSITION)
 
 
-class ArmScene(Scene):
+ARM: dict[str, Any] = {f"joints.j{servo}.servo": servo for servo in IDS}
+
+
+@pytest.fixture
+def scene() -> Scene:
     """The port owner of a robot with an arm."""
-
-    changed: ClassVar[dict[str, object]] = {f"joints.j{servo}.servo": servo for servo in IDS}
-
-
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = ArmScene(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def armless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+    return Scene(**ARM)
 
 
 def arm(scene: Scene, frame: bytes = MOVE, *, epoch: int = 1, age_ns: int = 0) -> bytes:
@@ -78,7 +65,7 @@ def test_a_stop_of_the_gate_s_soon_after_another_one_is_not_put_off_while_the_ar
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
     settle(scene)
-    scene.world.play("unsent_bytes", lambda fd: 1)
+    scene.wire.port.under_way = 1
     assert arm(scene) == MOVE
 
 
@@ -215,7 +202,8 @@ def test_a_frame_that_is_none_for_this_arm_stops(scene: Scene, frame: bytes) -> 
     assert [reason.partition(":")[0] for reason in scene.reasons()] == ["the gate's frame was refused"]
 
 
-def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armless: Scene) -> None:
+def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were() -> None:
+    armless = Scene()
     assert armless.turn() == BURST
     settle(armless)
     assert arm(armless) == BURST
@@ -225,24 +213,18 @@ def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armles
     assert armless.turn() == b""
 
 
-def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene) -> None:
     settle(scene)
-    seen = []
-    write = scene.owner.wire.frame
-
-    def frame(data: bytes, backlog: int = 0) -> bool:
-        seen.append(scene.segment(layout.PORT_OWNER).word("moving").get())
-        return write(data, backlog)
-
-    monkeypatch.setattr(type(scene.owner.wire), "frame", lambda _, data, backlog=0: frame(data, backlog))
+    seen: list[int] = []
+    scene.wire.on_bytes = lambda data: seen.append(scene.word("moving"))
     assert arm(scene) == MOVE
-    assert seen[0] == 1
+    assert seen == [1]
     assert scene.word("moving") == 0
 
 
-def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene) -> None:
     settle(scene)
-    Kernel(monkeypatch).room = 5
+    scene.wire.port.takes(5)
     assert arm(scene) == MOVE[:5]
     assert scene.word("moving") == 1
 
@@ -250,21 +232,20 @@ def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene, mon
 def test_the_word_moving_stays_up_when_the_plug_is_pulled_under_a_move(scene: Scene) -> None:
     """Nobody has stopped the servos."""
     settle(scene)
-    scene.pty.unplug()
+    scene.wire.unplug()
     scene.put(MOVE, kind=records.ARM)
     scene.owner.turn({})
     assert scene.reasons() == ["device lost"]
     assert scene.word("moving") == 1
 
 
-def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> None:
     """Only a whole burst does."""
     scene.drive()
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
+    scene.wire.port.takes(100)
     scene.raise_epoch(2)
     scene.turn()
-    kernel.room = None
+    scene.wire.port.takes()
     scene.turn()
     assert arm(scene, epoch=2) == MOVE
     assert scene.word("moving") == 1
@@ -273,7 +254,7 @@ def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene, monkey
     assert scene.word("moving") == 0
 
 
-def test_an_epoch_raised_just_before_the_write_wins(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_epoch_raised_just_before_the_write_wins(scene: Scene) -> None:
     settle(scene)
-    monkeypatch.setattr(scene.owner, "_barrier", lambda: scene.raise_epoch(2))
+    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
     assert arm(scene) == STOP

@@ -8,8 +8,8 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import Directory, Port
-from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.files import IN, OUT, Directory, Open, Pidfd, Port
+from failstop.lab.machine.kernel import Machine, Thread
 from failstop.lab.machine.loading import Loader
 from failstop.shm import heartbeat, layout, records
 
@@ -21,13 +21,38 @@ BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
 RUNTIME_DIR = "/run/failstop/stage"
 
 
+class BoardPort(Port):
+    """A port whose driver has little room, or counts bytes that are under way."""
+
+    room: int | None = None
+    """How many bytes it still takes; None: as many as a port does."""
+    under_way = 0
+    """What the kernel says that it holds, beside what it does."""
+
+    def takes(self, room: int | None = None) -> None:
+        """So many bytes from here on; None: all."""
+        self.room = room
+        self.notify()
+
+    def mask(self, opened: Open) -> int:
+        return super().mask(opened) & ~(OUT if self.room == 0 else 0)
+
+    def unsent(self) -> int:
+        return super().unsent() + self.under_way
+
+    def write(self, opened: Open, data: bytes) -> int:
+        taken = super().write(opened, data if self.room is None else data[: self.room])
+        self.room = None if self.room is None else self.room - taken
+        return taken
+
+
 class Wire:
     """The board's side of a port: keeps what has reached it."""
 
     def __init__(self, machine: Machine, folder: Directory, number: int) -> None:
         self.machine, self.number = machine, number
         self.link = f"/dev/ttyACM{number}"
-        self.port = Port(machine, number)
+        self.port = BoardPort(machine, number)
         self.port.board = self
         self.folder = folder
         self._came = bytearray()
@@ -99,7 +124,9 @@ class Dummy:
 
     def __init__(self, machine: Machine, name: str) -> None:
         self._machine = machine
-        self._process = machine.process(name, lambda process: machine.block(), parent=machine.inline.process)
+        self._process = machine.process(
+            name, lambda process: machine.block(), parent=machine.inline and machine.inline.process
+        )
         self.pid = self._process.pid
 
     def kill(self) -> None:
@@ -147,7 +174,7 @@ class Stage:
         self.process = process
         self.name = self.instance = "stage"
         self.machine = Machine(step_ns=0, look_ns=0)
-        self.machine.join(process)
+        self.me = self.machine.join(process)
         loader = Loader(self.machine)
         self.load, self.os = loader.load, loader.system["os"]
         folders = {path: self._folder(path) for path in ("/dev", "/dev/shm", "/proc", "/tmp", RUNTIME_DIR)}
@@ -164,8 +191,7 @@ class Stage:
         self.parent = self.supervisor.pid
         self.early = Early(self._bell.EventBell.create())
         self.own = self.owned(process)
-        pid = self.machine.inline.process.pid
-        self.heartbeat = self.load("failstop.shm.heartbeat").Heartbeat(self.own, pid, 0, self.clock())
+        self.heartbeat = self.load("failstop.shm.heartbeat").Heartbeat(self.own, self.me.pid, 0, self.clock())
         self._bell.make_pipe(f"{RUNTIME_DIR}/stop", 0o600)
         handover = self.load("failstop.procs.handover")
         mine, theirs = handover.pair()
@@ -220,7 +246,24 @@ class Stage:
 
     def open_fds(self) -> int:
         """The number of descriptors that are open."""
-        return len(self.machine.inline.process.files)
+        return len(self.me.files)
+
+    def news_of(self, dummy: Dummy) -> dict[int, int]:
+        """What a wait returns to which the news of its death has come, and no other."""
+        files = self.machine.inline.process.files.items()
+        return {
+            fd: IN for fd, opened in files if isinstance(opened.node, Pidfd) and opened.node.process.pid == dummy.pid
+        }
+
+    def at_next(self, call: str, action: Callable[[], object]) -> None:
+        """Have something happen once, just before the process's next call of the system by this name."""
+
+        def seam(thread: Thread, made: str, about: tuple[Any, ...]) -> None:
+            if made == call:
+                self.machine.at_seam = None
+                action()
+
+        self.machine.at_seam = seam
 
     def raise_epoch(self, epoch: int) -> None:
         self.views[layout.SUPERVISOR].word("epoch").set(epoch)
