@@ -124,9 +124,8 @@ class Dummy:
 
     def __init__(self, machine: Machine, name: str) -> None:
         self._machine = machine
-        self._process = machine.process(
-            name, lambda process: machine.block(), parent=machine.inline and machine.inline.process
-        )
+        parent = machine.inline.process if machine.inline else None
+        self._process = machine.process(name, lambda process: machine.block(), parent=parent)
         self.pid = self._process.pid
 
     def kill(self) -> None:
@@ -161,29 +160,59 @@ class Clock:
         self._machine.run(lambda: False, t_ns - self._machine.now_ns)
 
 
-class Stage:
-    """Plays supervisor, gate and clients around one process. The context that the process is given is this object.
+class PortMachine:
+    """A simulated machine with a board's port. The test is a process of it.
 
-    load() gives failstop's modules as the process has them. Who asks a module that the test itself imports asks the
+    load() gives failstop's modules as that process has them. Who asks a module that the test itself imports asks the
     real machine."""
+
+    def __init__(self, process: str = "test") -> None:
+        self.machine = Machine(step_ns=0, look_ns=0)
+        self.me = self.machine.join(process)
+        loader = Loader(self.machine)
+        self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
+        self.clock = Clock(self.machine)
+        self.os.makedirs("/dev")
+        devices = self.machine.root.names["dev"]
+        assert isinstance(devices, Directory)
+        self.wire = Wire(self.machine, devices, 0)
+
+    def open(self, wire: Wire) -> int:
+        """A descriptor of that board's port."""
+        found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
+        return found
+
+    def open_fds(self) -> int:
+        """The number of descriptors that are open."""
+        return len(self.me.files)
+
+    def at_next(self, call: str, action: Callable[[], object]) -> None:
+        """Have something happen once, just before the process's next call of the system by this name."""
+
+        def seam(thread: Thread, made: str, about: tuple[Any, ...]) -> None:
+            if made == call:
+                self.machine.at_seam = None
+                action()
+
+        self.machine.at_seam = seam
+
+
+class Stage(PortMachine):
+    """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
 
     changed: ClassVar[dict[str, object]] = {}
     """Settings that are not the defaults."""
 
     def __init__(self, process: str, *, open_port: bool = True, **changed: object) -> None:
+        super().__init__(process)
         self.process = process
         self.name = self.instance = "stage"
-        self.machine = Machine(step_ns=0, look_ns=0)
-        self.me = self.machine.join(process)
-        loader = Loader(self.machine)
-        self.load, self.os = loader.load, loader.system["os"]
-        folders = {path: self._folder(path) for path in ("/dev", "/dev/shm", "/proc", "/tmp", RUNTIME_DIR)}
+        for path in ("/dev/shm", "/proc", "/tmp", RUNTIME_DIR):
+            self.os.makedirs(path)
         self.runtime_dir = RUNTIME_DIR
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
-        self.clock = Clock(self.machine)
-        self.wire = Wire(self.machine, folders["/dev"], 0)
         self.settings = self.load("failstop.policy.settings").Settings(
             {"device.path": self.wire.link, **self.changed, **changed}
         )
@@ -208,16 +237,6 @@ class Stage:
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
 
-    def _folder(self, path: str) -> Directory:
-        here = self.machine.root
-        for part in filter(None, path.split("/")):
-            if part not in here.names:
-                here.put(part, Directory(0o755, here))
-            found = here.names[part]
-            assert isinstance(found, Directory)
-            here = found
-        return here
-
     # What Context offers.
 
     def client_slots(self) -> list[Any]:
@@ -239,31 +258,10 @@ class Stage:
         """A segment as its own process has it."""
         return self._segment.attach(self.name, name, INCARNATION, write=True)
 
-    def open(self, wire: Wire) -> int:
-        """A descriptor of that board's port."""
-        found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
-        return found
-
-    def open_fds(self) -> int:
-        """The number of descriptors that are open."""
-        return len(self.me.files)
-
     def news_of(self, dummy: Dummy) -> dict[int, int]:
         """What a wait returns to which the news of its death has come, and no other."""
-        files = self.machine.inline.process.files.items()
-        return {
-            fd: IN for fd, opened in files if isinstance(opened.node, Pidfd) and opened.node.process.pid == dummy.pid
-        }
-
-    def at_next(self, call: str, action: Callable[[], object]) -> None:
-        """Have something happen once, just before the process's next call of the system by this name."""
-
-        def seam(thread: Thread, made: str, about: tuple[Any, ...]) -> None:
-            if made == call:
-                self.machine.at_seam = None
-                action()
-
-        self.machine.at_seam = seam
+        files = {fd: opened.node for fd, opened in self.me.files.items()}
+        return {fd: IN for fd, node in files.items() if isinstance(node, Pidfd) and node.process.pid == dummy.pid}
 
     def raise_epoch(self, epoch: int) -> None:
         self.views[layout.SUPERVISOR].word("epoch").set(epoch)
