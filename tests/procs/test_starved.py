@@ -18,7 +18,7 @@ from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.segment import Segment
-from tests.support.stage import MS, Dummy
+from tests.support.stage import MS
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.alone
@@ -85,16 +85,16 @@ def look(own: Segment, pid: int, *, beat_pid: int = 0, deadline_ns: int = DEADLI
     return found, rung
 
 
-def helper(end: contextlib.ExitStack, action: Callable[[], None]) -> Helper:
-    made = Helper(action)
+def helper(end: contextlib.ExitStack, action: Callable[[], None], *keep: int) -> Helper:
+    made = Helper(action, keep)
     end.callback(made.end)
     return made
 
 
 def test_one_that_sleeps_is_rung_for_and_hangs(own: Segment, end: contextlib.ExitStack) -> None:
-    dummy = Dummy()
-    end.callback(dummy.close)
-    assert look(own, dummy.pid) == (False, True)
+    process = helper(end, signal.pause)
+    until(lambda: state(process.pid) == "S", "its sleep")
+    assert look(own, process.pid) == (False, True)
 
 
 def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: contextlib.ExitStack) -> None:
@@ -105,8 +105,7 @@ def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: co
         os.read(waiting, 1)
         spin_for_ever()
 
-    process = Helper(wakes_at_the_bell, keep=(waiting,))
-    end.callback(process.end)
+    process = helper(end, wakes_at_the_bell, waiting)
     until(lambda: state(process.pid) == "S", "its sleep")
 
     class Bell:
@@ -153,9 +152,10 @@ def test_what_it_ran_before_its_beat_does_not_count_nor_what_its_predecessor_did
 
 
 def test_of_one_that_is_gone_nothing_is_known(own: Segment) -> None:
-    dummy = Dummy()
-    dummy.close()
-    assert look(own, dummy.pid) == (False, False)
+    process = Helper(signal.pause)
+    pid = process.pid
+    process.end()
+    assert look(own, pid) == (False, False)
 
 
 def test_a_beat_tells_the_processor_time(own: Segment) -> None:

@@ -451,8 +451,8 @@ def test_the_first_bytes_on_a_new_port_are_a_burst(machine: PortMachine, board: 
     wire.close()
     wire.adopt(machine.open(new))
     assert not wire.lost
-    new.board.port.under_way = len(BURST)
+    new.port.under_way = len(BURST)
     assert not wire.stuck(T0), "its time begins again"
-    new.board.port.under_way = 0
+    new.port.under_way = 0
     assert wire.frame(MOTION)
     assert new.read() == BURST + MOTION

@@ -186,6 +186,10 @@ class PortMachine:
         """The number of descriptors that are open."""
         return len(self.me.files)
 
+    def after(self, ns: int, action: Callable[[], object]) -> None:
+        """Have something happen when so much time has passed."""
+        self.machine.at(self.clock() + ns, lambda: (action(), None)[1])
+
     def at_next(self, call: str, action: Callable[[], object]) -> None:
         """Have something happen once, just before the process's next call of the system by this name."""
 
