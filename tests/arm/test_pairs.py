@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from failstop.board.servos import bus_servo_move
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm import layout, records
 from failstop.shm.cell import cell_bytes
@@ -65,11 +66,6 @@ def place(thing: Any) -> tuple[int, int]:
     if hasattr(thing, "_index"):
         return id(thing._words.obj), thing._index * 8
     return id(thing._view), thing._at
-
-
-@pytest.fixture
-def port() -> port_scene.Scene:
-    return port_scene.Scene()
 
 
 @pytest.fixture
@@ -151,17 +147,25 @@ def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(g
     assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
 
 
+@pytest.mark.parametrize(
+    ("kind", "frame"),
+    [(records.MOTION, port_scene.MOTION), (records.ARM, bus_servo_move([(1, 500)], 40))],
+    ids=["wheels", "arm"],
+)
 def test_the_port_owner_says_that_it_moves_before_it_looks_at_time_and_epoch_for_the_last_time(
-    port: port_scene.Scene,
+    kind: int, frame: bytes
 ) -> None:
     """Held up in between, for however long, it writes nothing old."""
-    port.turn()
-    port.put()
+    arm: dict[str, Any] = {"joints.j1.servo": 1}
+    port = port_scene.Scene(**arm)
+    for ms in (0, 25, 100, 100):
+        port.turn(ms * MS)
+    port.put(frame, kind=kind)
     trace, main = Trace(port.load), port.load("failstop.procs.port_owner.main")
     look = main.monotonic_ns
     main.monotonic_ns = lambda: (trace.done.append("time"), look())[1]
     trace.watch(moving=port.views[PORT_OWNER].word("moving"), epoch=port.views[SUPERVISOR].word("epoch"))
-    assert port.turn() == port_scene.MOTION
+    assert port.turn() == frame
     assert trace.has("store moving", "barrier", "time", "load epoch")
 
 
