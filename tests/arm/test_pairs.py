@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from failstop.board.servos import bus_servo_move
+from failstop.lab.machine.kernel import Machine
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm import layout, records
 from failstop.shm.cell import cell_bytes
@@ -16,17 +17,16 @@ from tests.support.stage import MS, PortMachine
 from tests.support.supervisor_scene import Scene as SupervisorScene
 from tests.support.telemetry_scene import Scene as TelemetryScene
 
-GATE, PORT_OWNER, SUPERVISOR, TELEMETRY = layout.GATE, layout.PORT_OWNER, layout.SUPERVISOR, layout.TELEMETRY
-
 
 class Trace:
-    """What is done to the places in memory that were given a name, and every barrier, in order: by the modules of one
-    simulated machine, which end with it."""
+    """What is done to the records that were given a name, and every barrier, in order: by the modules of one simulated
+    machine, which end with it."""
 
-    def __init__(self, load: Callable[[str], Any]) -> None:
-        self.names: dict[tuple[int, int], str] = {}
+    def __init__(self, scene: Any) -> None:
+        self._machine: Machine = scene.machine
+        self._names: dict[tuple[int, int], str] = {}
         self.done: list[str] = []
-        words, cell = load("failstop.shm.words"), load("failstop.shm.cell")
+        words, cell = scene.load("failstop.shm.words"), scene.load("failstop.shm.cell")
         for kind, method, verb in (
             (words.Barrier, "__call__", ""),
             (words.Word, "get", "load"),
@@ -40,20 +40,26 @@ class Trace:
         def noted(thing: Any, *args: object) -> Any:
             if not verb:
                 self.done.append("barrier")
-            elif name := self.names.get(place(thing)):
+            elif name := self._names.get(place(thing)):
                 self.done.append(f"{verb} {name}")
             return real(thing, *args)
 
         return noted
 
-    def note_looks(self, scene: Any) -> None:
+    def note_looks(self) -> None:
         """A process looks whether another is starved."""
-        scene.machine.at_seam = lambda thread, call, about: self.done.append("look") if call == "stat" else None
+        self._machine.at_seam = lambda thread, call, about: self.done.append("look") if call == "stat" else None
 
-    def watch(self, **things: object) -> None:
-        """The places of these from here on, nothing before."""
-        self.names = {place(thing): name for name, thing in things.items()}
+    def watch(self, **records: str) -> None:
+        """From here on, nothing before. Each is a segment's record."""
+        self._names = {self._place(record): name for name, record in records.items()}
         self.done.clear()
+
+    def _place(self, record: str) -> tuple[int, int]:
+        segment, _, name = record.partition(".")
+        folder: Any = self._machine.root.names["dev"]
+        file = next(file for path, file in folder.names["shm"].names.items() if path.endswith(f".{segment}"))
+        return id(file.mapped()), layout.BY_NAME[segment].offsets[name]
 
     def has(self, *wanted: str) -> bool:
         """True when these follow one another, with other things between them at most."""
@@ -85,8 +91,8 @@ def telemetry() -> TelemetryScene:
 
 def test_the_supervisor_stores_cause_and_ready_before_the_epoch(supervisor: SupervisorScene) -> None:
     supervisor.turn()
-    trace, own = Trace(supervisor.load), supervisor.view
-    trace.watch(cause=own.latest_reader("latch"), ready=own.word("ready"), epoch=own.word("epoch"))
+    trace = Trace(supervisor)
+    trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
@@ -94,10 +100,10 @@ def test_the_supervisor_stores_cause_and_ready_before_the_epoch(supervisor: Supe
 
 def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene) -> None:
     gate.turn()
-    trace, words = Trace(gate.load), gate.views[SUPERVISOR]
+    trace = Trace(gate)
     gate.stop(2, "key1")
     gate.request(records.ENABLE)
-    trace.watch(cause=words.latest_reader("latch"), ready=words.word("ready"), epoch=words.word("epoch"))
+    trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     gate.tick()
     assert trace.done[:3] == ["load epoch", "barrier", "load cause"]
     gate.tick()
@@ -108,15 +114,15 @@ def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene)
 def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene) -> None:
     gate.stop(2, "key1")
     gate.start_gate()
-    trace = Trace(gate.load)
-    trace.watch(cause=gate.views[SUPERVISOR].latest_reader("latch"))
+    trace = Trace(gate)
+    trace.watch(cause="supervisor.latch")
     gate.gate.follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
 def test_the_gate_stores_a_reset_s_time_before_its_number(gate: gate_scene.Scene) -> None:
-    trace = Trace(gate.load)
-    trace.watch(number=gate.own.word("resets_asked"), asked=gate.own.word("reset_asked_ns"))
+    trace = Trace(gate)
+    trace.watch(number="gate.resets_asked", asked="gate.reset_asked_ns")
     gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
     assert trace.has("store asked", "barrier", "store number")
 
@@ -126,12 +132,12 @@ def test_the_supervisor_loads_a_reset_s_number_before_its_time_and_stores_what_b
 ) -> None:
     supervisor.turn()
     supervisor.ask_reset()
-    trace, own, asks = Trace(supervisor.load), supervisor.view, supervisor.own[GATE]
+    trace = Trace(supervisor)
     trace.watch(
-        number=asks.word("resets_asked"),
-        asked=asks.word("reset_asked_ns"),
-        record=own.latest_reader("reset"),
-        decided=own.word("resets"),
+        number="gate.resets_asked",
+        asked="gate.reset_asked_ns",
+        record="supervisor.reset",
+        decided="supervisor.resets",
     )
     supervisor.turn()
     assert trace.has("load number", "barrier", "load asked", "store record", "barrier", "store decided")
@@ -141,8 +147,8 @@ def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(g
     gate.stop(2, "key1")
     gate.tick()
     gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
-    trace, words = Trace(gate.load), gate.views[SUPERVISOR]
-    trace.watch(decided=words.word("resets"), latch=words.latest_reader("latch"), record=words.latest_reader("reset"))
+    trace = Trace(gate)
+    trace.watch(decided="supervisor.resets", latch="supervisor.latch", record="supervisor.reset")
     gate.decide()
     assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
 
@@ -161,19 +167,19 @@ def test_the_port_owner_says_that_it_moves_before_it_looks_at_time_and_epoch_for
     for ms in (0, 25, 100, 100):
         port.turn(ms * MS)
     port.put(frame, kind=kind)
-    trace, main = Trace(port.load), port.load("failstop.procs.port_owner.main")
+    trace, main = Trace(port), port.load("failstop.procs.port_owner.main")
     look = main.monotonic_ns
     main.monotonic_ns = lambda: (trace.done.append("time"), look())[1]
-    trace.watch(moving=port.views[PORT_OWNER].word("moving"), epoch=port.views[SUPERVISOR].word("epoch"))
+    trace.watch(moving="port_owner.moving", epoch="supervisor.epoch")
     assert port.turn() == frame
     assert trace.has("store moving", "barrier", "time", "load epoch")
 
 
 def test_the_supervisor_looks_at_a_silent_process_before_it_loads_moving(supervisor: SupervisorScene) -> None:
-    supervisor.employ(GATE)
-    trace = Trace(supervisor.load)
-    trace.note_looks(supervisor)
-    trace.watch(moving=supervisor.own[PORT_OWNER].word("moving"))
+    supervisor.employ(layout.GATE)
+    trace = Trace(supervisor)
+    trace.note_looks()
+    trace.watch(moving="port_owner.moving")
     supervisor.tick(2_000 * MS)
     assert trace.has("look", "barrier", "load moving")
     assert trace.done[trace.done.index("load moving") - 1] == "barrier"
@@ -181,9 +187,9 @@ def test_the_supervisor_looks_at_a_silent_process_before_it_loads_moving(supervi
 
 def test_the_stopper_looks_at_the_port_owner_before_it_loads_moving() -> None:
     scene = stopper_scene.Scene()
-    trace = Trace(scene.load)
-    trace.watch(moving=scene.views[PORT_OWNER].word("moving"))
-    trace.note_looks(scene)
+    trace = Trace(scene)
+    trace.watch(moving="port_owner.moving")
+    trace.note_looks()
     scene.port_owner.starve()
     scene.written(HANG_NS // MS + 5, alive=False)
     assert trace.has("look", "barrier", "load moving")
@@ -206,10 +212,10 @@ class Memory(bytearray):
 
 def traced_memory() -> tuple[Trace, Memory, Any]:
     """A ring's memory, and failstop.shm.cell."""
-    load = PortMachine().load
-    trace, memory = Trace(load), Memory(8 * cell_bytes(64))
+    machine = PortMachine()
+    trace, memory = Trace(machine), Memory(8 * cell_bytes(64))
     memory.done = trace.done
-    return trace, memory, load("failstop.shm.cell")
+    return trace, memory, machine.load("failstop.shm.cell")
 
 
 def test_an_entry_is_stored_before_the_next() -> None:
@@ -236,22 +242,22 @@ def test_a_later_entry_is_loaded_before_the_second_look_at_a_torn_one() -> None:
 
 def test_the_gate_stores_the_state_before_the_reply(gate: gate_scene.Scene) -> None:
     gate.turn()
-    trace = Trace(gate.load)
-    trace.watch(state=gate.own.latest_reader("state"), reply=gate.own.latest_reader("reply.0"))
+    trace = Trace(gate)
+    trace.watch(state="gate.state", reply="gate.reply.0")
     gate.ask(records.ENABLE)
     assert trace.has("store state", "barrier", "store reply")
 
 
 def test_a_client_loads_the_reply_before_the_state() -> None:
-    load = PortMachine().load
-    trace = Trace(load)
+    machine = PortMachine()
+    trace = Trace(machine)
 
     class Reply:
         def read(self) -> tuple[int, int, bytes]:
             trace.done.append("load reply")
             return 1, 1, records.REPLY.pack(7, 3, True, "enabled", b"")
 
-    kind = load("failstop.api.client").Client
+    kind = machine.load("failstop.api.client").Client
     client = kind.__new__(kind)
     client._session, client._reply = 7, Reply()
     reply = client.answer(3)
@@ -262,9 +268,9 @@ def test_a_client_loads_the_reply_before_the_state() -> None:
 
 def judges(telemetry: TelemetryScene, samples: int) -> Trace:
     """What it does with the last of so many quiet samples."""
-    trace, own = Trace(telemetry.load), telemetry.views[TELEMETRY]
+    trace = Trace(telemetry)
     for sample in range(samples):
-        trace.watch(still=own.word("still_ns"), judged=own.word("judged_ns"))
+        trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
         telemetry.imu(0.0, 0.0, 1.0, 0.1 * (sample % 2), 0.1 * (sample % 3), 0.25)
     return trace
 
@@ -285,7 +291,7 @@ def test_the_supervisor_loads_the_time_before_the_verdict_and_again_after_it(sup
     supervisor.turn()
     supervisor.answers(written_ns=supervisor.now_ns)
     supervisor.turn(MS)
-    trace, judges = Trace(supervisor.load), supervisor.own[TELEMETRY]
-    trace.watch(still=judges.word("still_ns"), judged=judges.word("judged_ns"))
+    trace = Trace(supervisor)
+    trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
     supervisor.turn(MS)
     assert trace.has("load judged", "barrier", "load still", "barrier", "load judged")
