@@ -57,8 +57,8 @@ class Trace:
 
     def _place(self, record: str) -> tuple[int, int]:
         segment, _, name = record.partition(".")
-        folder: Any = self._machine.root.names["dev"]
-        file = next(file for path, file in folder.names["shm"].names.items() if path.endswith(f".{segment}"))
+        names: dict[str, Any] = self._machine.root.folder("/dev/shm").names
+        file = next(file for path, file in names.items() if path.endswith(f".{segment}"))
         return id(file.mapped()), layout.BY_NAME[segment].offsets[name]
 
     def has(self, *wanted: str) -> bool:

@@ -161,7 +161,7 @@ def test_a_draft_and_then_its_folder_are_on_the_disk(machine: PortMachine, folde
     machine.machine.at_seam = see
     durable.write_draft(f"{folder}draft", b"whole")
     durable.publish(f"{folder}draft", f"{folder}file")
-    where = machine.wire.folder if folder else machine.machine.root
+    where = machine.machine.root.folder(folder)
     file: Any = where.names["file"]
     assert synced == [(file, len(b"whole")), (where, 0)]
     assert (bytes(file.data), "draft" in where.names) == (b"whole", False)

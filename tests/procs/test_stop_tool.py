@@ -57,7 +57,7 @@ def passed_s(machine: PortMachine) -> float:
 
 def plug(machine: PortMachine) -> None:
     """A board at the path ABSENT."""
-    machine.wire = Wire(machine.machine, machine.wire.folder, 1)
+    machine.wire = Wire(machine.machine, 1)
 
 
 def test_the_tool_writes_the_burst_and_says_how_long_it_took(machine: PortMachine, stop: Stop, said: list[str]) -> None:

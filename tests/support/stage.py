@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import IN, OUT, Directory, Open, Pidfd, Port
+from failstop.lab.machine.files import IN, OUT, Open, Pidfd, Port
 from failstop.lab.machine.kernel import Machine, Thread
 from failstop.lab.machine.loading import Loader
 from failstop.shm import heartbeat, layout, records
@@ -49,16 +49,16 @@ class BoardPort(Port):
 class Wire:
     """The board's side of a port: keeps what has reached it."""
 
-    def __init__(self, machine: Machine, folder: Directory, number: int) -> None:
+    def __init__(self, machine: Machine, number: int = 0) -> None:
         self.machine, self.number = machine, number
         self.link = f"/dev/ttyACM{number}"
         self.port = BoardPort(machine, number)
         self.port.board = self
-        self.folder = folder
+        self._folder = machine.root.folder("/dev")
         self._came = bytearray()
         self.on_bytes: Callable[[bytes], None] = lambda data: None
         """Called when bytes reach the board's side."""
-        folder.put(f"ttyACM{number}", self.port)
+        self._folder.put(f"ttyACM{number}", self.port)
 
     def receive(self, data: bytes) -> None:
         """Bytes from the port."""
@@ -80,13 +80,13 @@ class Wire:
     def unplug(self) -> None:
         """The board goes: the port is hung up."""
         if not self.port.gone:
-            self.folder.drop(f"ttyACM{self.number}")
+            self._folder.drop(f"ttyACM{self.number}")
             self.port.unplug()
 
     def replug(self) -> Wire:
         """Another port after this one."""
         self.unplug()
-        return Wire(self.machine, self.folder, self.number + 1)
+        return Wire(self.machine, self.number + 1)
 
 
 class Early:
@@ -172,10 +172,7 @@ class PortMachine:
         loader = Loader(self.machine)
         self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
         self.clock = Clock(self.machine)
-        self.os.makedirs("/dev")
-        devices = self.machine.root.names["dev"]
-        assert isinstance(devices, Directory)
-        self.wire = Wire(self.machine, devices, 0)
+        self.wire = Wire(self.machine)
 
     def open(self, wire: Wire) -> int:
         """A descriptor of that board's port."""
@@ -212,7 +209,7 @@ class Stage(PortMachine):
         self.process = process
         self.name = self.instance = "stage"
         for path in ("/dev/shm", "/proc", "/tmp", RUNTIME_DIR):
-            self.os.makedirs(path)
+            self.machine.root.folder(path)
         self.runtime_dir = RUNTIME_DIR
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
         for spec in layout.SEGMENTS:
