@@ -127,7 +127,7 @@ def test_the_gate_stores_a_reset_s_time_before_its_number(gate: gate_scene.Scene
     assert trace.has("store asked", "barrier", "store number")
 
 
-def test_the_supervisor_loads_a_reset_s_number_before_its_time_and_stores_what_became_of_it(
+def test_the_supervisor_loads_a_reset_s_number_before_its_time(
     supervisor: SupervisorScene,
 ) -> None:
     supervisor.turn()
@@ -158,9 +158,7 @@ def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(g
     [(records.MOTION, port_scene.MOTION), (records.ARM, bus_servo_move([(1, 500)], 40))],
     ids=["wheels", "arm"],
 )
-def test_the_port_owner_says_that_it_moves_before_it_looks_at_time_and_epoch_for_the_last_time(
-    kind: int, frame: bytes
-) -> None:
+def test_the_port_owner_stores_moving_before_it_looks_at_time_and_epoch(kind: int, frame: bytes) -> None:
     """Held up in between, for however long, it writes nothing old."""
     arm: dict[str, Any] = {"joints.j1.servo": 1}
     port = port_scene.Scene(**arm)

@@ -112,7 +112,7 @@ def test_a_good_frame_is_written(scene: Scene) -> None:
     assert scene.turn(TICK) == SLOWER
 
 
-def test_of_several_the_newest_is_written(scene: Scene) -> None:
+def test_of_several_frames_the_newest_is_written(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION)
     scene.put(SLOWER)
@@ -462,7 +462,7 @@ def test_nobody_else_can_press_a_button(scene: Scene) -> None:
 # While stopped.
 
 
-def test_bursts_again_and_zero_frames_while_stopped(scene: Scene) -> None:
+def test_bursts_and_zero_frames_go_out_while_it_is_stopped(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"x")
     assert scene.turn() == BURST

@@ -91,7 +91,7 @@ def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
     assert scene.turn(1 * MS) == STOP
 
 
-def test_of_a_dead_epoch_too_old_or_without_a_gate_it_is_dropped(scene: Scene) -> None:
+def test_a_frame_of_a_dead_epoch_or_too_old_is_dropped(scene: Scene) -> None:
     settle(scene)
     assert arm(scene, epoch=0) == b""
     assert arm(scene, age_ns=61 * MS) == b""
@@ -101,7 +101,7 @@ def test_of_a_dead_epoch_too_old_or_without_a_gate_it_is_dropped(scene: Scene) -
     assert arm(scene, epoch=2) == MOVE
 
 
-def test_not_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
+def test_no_frame_goes_out_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
     settle(scene)
     scene.ask_to_stop(b"now\n")
     scene.turn()

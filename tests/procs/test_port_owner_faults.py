@@ -49,7 +49,7 @@ def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("process", [layout.TELEMETRY, layout.STOPPER])
-def test_so_is_any_other_s_and_motion_goes_on_after_an_enable(scene: Scene, process: str) -> None:
+def test_any_other_s_death_is_a_stop_and_motion_goes_on_after_an_enable(scene: Scene, process: str) -> None:
     other = scene.start(process)
     scene.drive()
     other.kill()
@@ -102,7 +102,7 @@ def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None
     assert written == [BURST, BURST], "the two repeats, and no motion"
 
 
-def test_its_early_news_is_answered_once(scene: Scene) -> None:
+def test_the_early_news_of_the_supervisor_s_death_is_answered_once(scene: Scene) -> None:
     """The mark stays, where a descriptor is no longer watched."""
     scene.drive()
     scene.early.tell(scene.supervisor.pid)
@@ -113,9 +113,7 @@ def test_its_early_news_is_answered_once(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY])
-def test_the_supervisor_s_comes_before_that_of_who_dies_with_it_whoever_s_news_is_first(
-    scene: Scene, process: str
-) -> None:
+def test_the_supervisor_s_death_is_told_before_that_of_who_dies_with_it(scene: Scene, process: str) -> None:
     other = scene.gate if process == layout.GATE else scene.start(process)
     scene.drive()
     scene.supervisor.kill()
@@ -174,7 +172,7 @@ def test_a_port_that_does_not_drain_is_a_stop_once(scene: Scene) -> None:
         assert scene.reasons() == ([POWER_SWITCH] if held else [])
 
 
-def test_a_port_that_does_not_drain_while_nothing_moves_is_one_too(scene: Scene) -> None:
+def test_a_port_that_does_not_drain_while_nothing_moves_is_a_stop_too(scene: Scene) -> None:
     scene.turn()
     scene.wire.port.under_way = 100
     for _ in range(6):
@@ -270,7 +268,7 @@ def test_a_pulled_plug_is_told_at_the_wake_up_that_it_makes_and_not_a_tick_later
     assert scene.port_state() == records.PORT_LOST
 
 
-def test_a_plug_pulled_under_a_stop_that_is_half_written_does_not_keep_it_awake_for_ever(
+def test_a_plug_pulled_under_half_a_stop_does_not_keep_it_awake(
     scene: Scene,
 ) -> None:
     """Others hold the device still, as the supervisor does: the kernel would tell of the hang-up at every wait."""
@@ -286,9 +284,7 @@ def test_a_plug_pulled_under_a_stop_that_is_half_written_does_not_keep_it_awake_
 
 
 @pytest.mark.parametrize("frame", [True, False])
-def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(
-    scene: Scene, frame: bool
-) -> None:
+def test_a_new_port_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(scene: Scene, frame: bool) -> None:
     """Else what was let pass for the old one would go to the new one, behind the stop."""
     scene.drive()
     scene.replug(2)
@@ -317,7 +313,7 @@ def test_a_port_that_is_known_already_changes_nothing_and_is_not_kept_open(scene
     assert scene.owner.admission.wheels_move
 
 
-def test_of_several_that_wait_the_newest_counts(scene: Scene) -> None:
+def test_of_several_ports_that_wait_the_newest_counts(scene: Scene) -> None:
     scene.turn()
     before = scene.open_fds()
     for number in (2, 3):
@@ -364,9 +360,7 @@ def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: 
 
 
 @pytest.mark.parametrize(("early_ns", "whole"), [(main.EARLY_NS + 1, False), (main.EARLY_NS, True)])
-def test_a_tick_that_is_due_soon_is_taken_with_the_board_s_bytes_and_saves_a_wake_up(
-    scene: Scene, early_ns: int, whole: bool
-) -> None:
+def test_a_tick_that_is_due_soon_is_taken_with_the_board_s_bytes(scene: Scene, early_ns: int, whole: bool) -> None:
     scene.turn()
     scene.wire.port.send(b"imu")
     scene.clock.now_ns = scene.next_ns() - early_ns
@@ -388,7 +382,7 @@ def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:
     assert scene.turn().startswith(BURST)
 
 
-def test_bytes_alone_are_no_news_of_a_descriptor_that_has_the_number_of_a_lost_port(scene: Scene) -> None:
+def test_bytes_alone_are_no_news_of_a_descriptor_with_a_lost_port_s_number(scene: Scene) -> None:
     scene.turn()
     number = scene.owner.wire.fd
     scene.wire.unplug()

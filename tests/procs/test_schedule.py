@@ -22,7 +22,7 @@ def scene() -> Scene:
     return Scene()
 
 
-def test_they_take_their_indices_in_turn() -> None:
+def test_pings_take_their_indices_in_turn() -> None:
     due = Timer()
     pings = Pings(4, PERIOD, due, T0, quick=0)
     found = []
@@ -35,7 +35,7 @@ def test_they_take_their_indices_in_turn() -> None:
     assert found == [0, 1, 2, 3, 0, 1]
 
 
-def test_one_is_due_right_after_a_stop() -> None:
+def test_a_ping_is_due_right_after_a_stop() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.sent(T0)
     pings.stopped(T0 + 200 * MS)
@@ -50,7 +50,7 @@ def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
     assert pings.due(T0 + GAP_NS)
 
 
-def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
+def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
     assert not pings.due(T0 + GAP_NS - 1)
@@ -73,7 +73,7 @@ def test_a_board_without_pings_is_never_asked() -> None:
     assert not pings.due(T0 + PERIOD)
 
 
-def test_the_first_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
+def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
     due, now_ns = Timer(), T0
     pings = Pings(4, PERIOD, due, T0, quick=2)
     found = []
@@ -204,7 +204,7 @@ def repeats() -> Schedule:
     return made
 
 
-def test_after_a_stop(repeats: Schedule) -> None:
+def test_bursts_and_then_zero_frames_follow_a_stop(repeats: Schedule) -> None:
     assert written(repeats, 0, 850) == [(20, BURST), (100, BURST), (200, ZERO), (400, ZERO), (600, ZERO), (800, ZERO)]
 
 
@@ -212,7 +212,7 @@ def test_before_any_stop_zero_frames_go_out() -> None:
     assert written(Schedule(), 0, 450) == [(0, ZERO), (200, ZERO), (400, ZERO)]
 
 
-def test_due_exactly_then_and_once(repeats: Schedule) -> None:
+def test_a_repeat_is_due_exactly_at_its_time_and_once(repeats: Schedule) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
     assert repeats.take(BEGIN + 20 * MS) == BURST
     assert repeats.take(BEGIN + 20 * MS) == 0

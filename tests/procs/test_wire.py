@@ -249,7 +249,7 @@ def test_stops_cut_again_and_again_still_stop(board: Wire, wire: Any, first: int
     assert_stopped(MOTION[:20] + board.read())
 
 
-def test_a_cut_zero_frame_then_a_stop(board: Wire, wire: Any) -> None:
+def test_a_stop_after_a_cut_zero_frame_stops(board: Wire, wire: Any) -> None:
     board.port.takes(13)
     assert wire.frame(codec.STOP)
     board.port.takes()
@@ -316,7 +316,7 @@ def test_motion_follows_a_ping_that_is_still_under_way(board: Wire, wire: Any) -
 # A port that does not drain.
 
 
-def test_stuck_after_exactly_the_time(board: Wire, wire: Any) -> None:
+def test_a_port_is_stuck_after_exactly_the_time(board: Wire, wire: Any) -> None:
     board.port.under_way = 1
     assert not wire.stuck(T0)
     assert not wire.stuck(T0 + DRAIN_NS - 1)
@@ -332,7 +332,7 @@ def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(board: W
     assert wire.lost
 
 
-def test_drained_in_between_is_not_stuck(board: Wire, wire: Any) -> None:
+def test_a_port_that_drained_in_between_is_not_stuck(board: Wire, wire: Any) -> None:
     board.port.under_way = 1
     wire.stuck(T0)
     board.port.under_way = 0
@@ -392,7 +392,7 @@ def test_an_empty_port_is_not_stuck(wire: Any) -> None:
 # What the board sends, and its end.
 
 
-def test_reads_what_waits_and_no_more(board: Wire, wire: Any) -> None:
+def test_a_read_takes_what_waits_and_no_more(board: Wire, wire: Any) -> None:
     assert wire.read() == b""
     assert not wire.lost, "nothing to read is no hang-up"
     board.port.send(b"telemetry")
@@ -415,7 +415,7 @@ def test_a_hang_up_is_noticed_by_whatever_touches_the_port(board: Wire, wire: An
     assert wire.unsent == b""
 
 
-def test_a_hang_up_in_the_middle_of_a_frame(board: Wire, wire: Any) -> None:
+def test_a_hang_up_in_the_middle_of_a_frame_loses_the_port(board: Wire, wire: Any) -> None:
     board.port.takes(10)
     assert wire.frame(MOTION)
     board.port.takes()
