@@ -31,15 +31,12 @@ def scene() -> Scene:
 
 
 def arm(scene: Scene, frame: bytes = MOVE, *, epoch: int = 1, age_ns: int = 0) -> bytes:
-    scene.put(frame, epoch=epoch, age_ns=age_ns, kind=records.ARM)
-    return scene.turn()
+    return scene.forward(frame, epoch=epoch, age_ns=age_ns, kind=records.ARM)
 
 
 def settle(scene: Scene) -> None:
-    scene.turn()
-    scene.turn(25 * MS)
-    scene.turn(100 * MS)
-    scene.turn(100 * MS)
+    for ms in (0, 25, 100, 100):
+        scene.turn(ms * MS)
 
 
 def test_the_first_bytes_stop_the_arm_too(scene: Scene) -> None:
@@ -50,17 +47,14 @@ def test_a_move_goes_out_and_a_stop_ends_it(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert scene.word("moving") == 0
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn(5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
 
 
-def test_a_stop_of_the_gate_s_soon_after_another_one_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
+def test_a_second_stop_of_the_gate_s_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
     settle(scene)
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"held", kind=records.STOP) == STOP
     assert arm(scene) == MOVE
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn(5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
 
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
@@ -72,8 +66,7 @@ def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_st
 def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
     settle(scene)
     scene.put(MOVE, kind=records.ARM)
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"held", kind=records.STOP) == STOP
 
 
 @pytest.mark.parametrize("cause", ["pipe", "epoch", "gate", "supervisor"])
@@ -110,12 +103,10 @@ def test_no_frame_goes_out_in_the_epoch_in_which_it_stopped_itself(scene: Scene)
 
 def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:
     settle(scene)
-    scene.put()
-    assert scene.turn() == MOTION
+    assert scene.forward() == MOTION
     for frame in (MOVE, READ, bus_servo_torque(1, on=False)):
         assert arm(scene, frame) == b""
-    scene.put(b"disabled", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"disabled", kind=records.STOP) == STOP
     assert arm(scene) == MOVE
 
 
@@ -140,8 +131,7 @@ def test_what_a_stop_would_wait_for_is_bounded_over_frames_and_no_move_is_lost(s
 def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: str) -> None:
     settle(scene)
     scene.put(TWO, kind=records.ARM)
-    scene.put(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0)
-    assert scene.turn() == TWO
+    assert scene.forward(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0) == TWO
     if end == "stop":
         scene.put(b"held", kind=records.STOP)
     elif end == "pipe":
@@ -156,8 +146,7 @@ def test_a_move_that_waits_is_dropped_once_the_wheels_may_turn(scene: Scene) -> 
     settle(scene)
     scene.put(TWO, kind=records.ARM)
     scene.put(TWO, kind=records.ARM)
-    scene.put()
-    assert scene.turn() == TWO + MOTION
+    assert scene.forward() == TWO + MOTION
     assert scene.turn(5 * MS) == b""
 
 
@@ -169,7 +158,7 @@ def test_a_gate_that_floods_is_not_remembered_for_ever(scene: Scene) -> None:
     assert len(scene.owner.bus.waiting) <= MOST_WAITING
 
 
-def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits_for_its_time(scene: Scene) -> None:
+def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert arm(scene, READ) == b""
@@ -209,8 +198,7 @@ def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were() -> N
     assert arm(armless) == BURST
     assert armless.reasons() == ["the gate's frame was refused: for the arm, this robot has no arm"]
     for frame in (MOVE, READ, bus_servo_stop([1])):
-        armless.put(frame, epoch=1, kind=records.OTHER)
-    assert armless.turn() == b""
+        assert armless.forward(frame, epoch=1, kind=records.OTHER) == b""
 
 
 def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene) -> None:

@@ -27,25 +27,21 @@ def test_the_gate_s_death_is_a_stop(scene: Scene) -> None:
     scene.drive()
     scene.gate.kill()
     scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gate died"]
+    assert scene.answer() == (BURST, ["gate died"])
     scene.raise_epoch(2)
     scene.put(epoch=2)
     scene.turn()
-    scene.put(epoch=2)
-    assert scene.turn() == b"", "no frame counts while no gate is watched"
+    assert scene.forward(epoch=2) == b"", "no frame counts while no gate is watched"
     scene.start(layout.GATE)
     scene.turn()
-    scene.put(epoch=2)
-    assert scene.turn() == MOTION
+    assert scene.forward(epoch=2) == MOTION
 
 
 def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
     scene.drive()
     scene.start(layout.GATE).kill()
     scene.turn()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gate died"]
+    assert scene.answer() == (BURST, ["gate died"])
 
 
 @pytest.mark.parametrize("process", [layout.TELEMETRY, layout.STOPPER])
@@ -54,13 +50,12 @@ def test_any_other_s_death_is_a_stop_and_motion_goes_on_after_an_enable(scene: S
     scene.drive()
     other.kill()
     scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == [f"{process} died"]
-    scene.put()
-    assert scene.turn() == b""
+    assert scene.answer() == (BURST, [f"{process} died"])
+    assert scene.forward() == b""
     scene.raise_epoch(2)
-    scene.put(epoch=2)
-    assert scene.turn() == MOTION, "the epoch was raised for what it had stopped for, and motion needs the gate alone"
+    assert scene.forward(epoch=2) == MOTION, (
+        "the epoch was raised for what it had stopped for, and motion needs the gate alone"
+    )
 
 
 @pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY, layout.STOPPER])
@@ -78,20 +73,17 @@ def test_a_death_that_is_known_by_the_successor_alone_is_a_stop(scene: Scene, pr
 def test_before_the_first_gate_is_named_there_is_nobody_to_watch() -> None:
     scene = Scene(named=False)
     scene.turn()
-    scene.put()
-    assert scene.turn() == b""
+    assert scene.forward() == b""
     scene.start(layout.GATE)
     scene.turn()
-    scene.put()
-    assert scene.turn() == MOTION
+    assert scene.forward() == MOTION
 
 
 def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None:
     scene.drive()
     scene.supervisor.kill()
     scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["supervisor died"]
+    assert scene.answer() == (BURST, ["supervisor died"])
     written = []
     for _ in range(150):
         assert scene.stays
@@ -106,10 +98,8 @@ def test_the_early_news_of_the_supervisor_s_death_is_answered_once(scene: Scene)
     """The mark stays, where a descriptor is no longer watched."""
     scene.drive()
     scene.early.tell(scene.supervisor.pid)
-    assert scene.turn() == BOARD.first_stop + BURST
-    assert scene.reasons() == ["supervisor died"]
-    assert scene.turn() == b""
-    assert scene.reasons() == []
+    assert scene.answer() == (BOARD.first_stop + BURST, ["supervisor died"])
+    assert scene.answer() == (b"", [])
 
 
 @pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY])
@@ -186,8 +176,7 @@ def test_bytes_just_written_are_no_sign_of_a_port_that_does_not_drain(scene: Sce
     for _ in range(30):
         scene.wire.port.drains = False
         scene.put()
-        assert scene.turn(TICK) == MOTION
-    assert scene.reasons() == []
+        assert scene.answer(TICK) == (MOTION, [])
 
 
 def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: Scene) -> None:
@@ -206,8 +195,7 @@ def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: S
 def test_what_is_left_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene) -> None:
     scene.turn()
     scene.wire.port.takes(10)
-    scene.put()
-    assert scene.turn() == MOTION[:10]
+    assert scene.forward() == MOTION[:10]
     scene.wire.port.takes()
     assert scene.turn() == MOTION[10:]
     assert scene.owner.wire.unsent == b""
@@ -243,8 +231,7 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
     assert scene.turn(5 * MS) == BURST
     assert scene.port_state() == records.PORT_OPEN
     assert scene.port() == (2, scene.wire.link)
-    scene.put()
-    assert scene.turn() == b"", "its epoch is over"
+    assert scene.forward() == b"", "its epoch is over"
     scene.raise_epoch(2)
     scene.put(epoch=2)
     assert MOTION in scene.turn()
@@ -297,8 +284,7 @@ def test_a_new_port_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(scen
     assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 2)
     scene.wire.port.send(b"x")
     assert scene.owner.wire.fd in scene.owner.loop.wait(0), "what the board sends"
-    scene.put()
-    assert scene.turn() == b"", "its epoch is over"
+    assert scene.forward() == b"", "its epoch is over"
 
 
 @pytest.mark.parametrize("number", [0, 1])

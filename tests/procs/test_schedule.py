@@ -154,11 +154,9 @@ def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene) -> None
 def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene) -> None:
     scene.turn()
     scene.wire.port.under_way = len(BOARD.pings[0])
-    scene.put()
-    assert scene.turn(TICK) == MOTION
+    assert scene.forward(elapsed_ns=TICK) == MOTION
     scene.wire.port.under_way = len(BOARD.pings[0]) + 1
-    scene.put()
-    assert scene.turn(TICK) == b""
+    assert scene.forward(elapsed_ns=TICK) == b""
 
 
 def test_a_machine_that_slept_is_stopped_for(scene: Scene) -> None:

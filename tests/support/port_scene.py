@@ -66,11 +66,27 @@ class Scene(Stage):
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
         self.frames.put(records.FRAME.pack(epoch, kind, frame), self.clock() - age_ns)
 
+    def forward(
+        self,
+        frame: bytes = MOTION,
+        *,
+        epoch: int = 1,
+        age_ns: int = 0,
+        kind: int = records.MOTION,
+        elapsed_ns: int = 0,
+    ) -> bytes:
+        """What it writes in a turn for a frame of the gate's."""
+        self.put(frame, epoch=epoch, age_ns=age_ns, kind=kind)
+        return self.turn(elapsed_ns)
+
+    def answer(self, elapsed_ns: int = 0, *, alive: bool = True) -> tuple[bytes, list[str]]:
+        """What it writes in a turn, and the reasons of its own stops."""
+        return self.turn(elapsed_ns, alive=alive), self.reasons()
+
     def drive(self) -> None:
         """Get it to where a motion frame has just been written."""
         self.turn()
-        self.put()
-        assert self.turn() == MOTION
+        assert self.forward() == MOTION
         assert self.owner.admission.wheels_move
 
     def causes(self) -> list[tuple[int, int, str]]:
