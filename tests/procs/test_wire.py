@@ -1,4 +1,4 @@
-"""The wire: short writes, a full port, cut frames and bursts, and a device that goes away.
+"""The wire: short writes, a full port, cut frames and bursts.
 
 What reaches the other side is judged by the board's own receiver and motors."""
 
@@ -12,16 +12,12 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab.machine.files import Port
-from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
-from failstop.procs.port_owner.wire import DRAIN_NS
 from failstop.shm import box
 from tests.support.ptys import Board
-from tests.support.stage import PortMachine, Wire
+from tests.support.stage import MS, PortMachine, Wire
 
-MS = 1_000_000
-T0 = 3_000 * MS
-MAX_RPS = 2.0
-MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
+MODULE = "failstop.procs.port_owner.wire"
+MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
 FILL = bytes(Port.ROOM)
 """What fills a port."""
@@ -39,12 +35,7 @@ def board(machine: PortMachine) -> Wire:
 
 @pytest.fixture
 def wire(machine: PortMachine) -> Any:
-    return new_wire(machine)
-
-
-def new_wire(machine: PortMachine, *, open_port: bool = True) -> Any:
-    made = machine.load("failstop.procs.port_owner.wire").Wire
-    return made(machine.open(machine.wire) if open_port else -1)
+    return machine.load(MODULE).Wire(machine.open(machine.wire))
 
 
 def assert_stopped(stream: bytes) -> None:
@@ -70,12 +61,12 @@ def test_frames_and_bursts_arrive_whole(board: Wire, wire: Any) -> None:
 
 
 def test_no_port_takes_nothing(machine: PortMachine) -> None:
-    wire = new_wire(machine, open_port=False)
+    wire = machine.load(MODULE).Wire(-1)
     assert wire.lost
     wire.burst()
     wire.flush()
     assert not wire.frame(MOTION)
-    assert not wire.stuck(T0)
+    assert not wire.stuck(1)
     wire.early_stop()
     wire.close()
 
@@ -255,204 +246,3 @@ def test_a_stop_after_a_cut_zero_frame_stops(board: Wire, wire: Any) -> None:
     board.port.takes()
     wire.burst()
     assert_stopped(MOTION + board.read())
-
-
-# No backlog.
-
-
-@pytest.mark.parametrize("unsent", [1, 27, 4096])
-def test_a_motion_frame_is_not_added_to_a_backlog(board: Wire, wire: Any, unsent: int) -> None:
-    board.port.under_way = unsent
-    assert not wire.frame(MOTION)
-    assert board.read() == b""
-    board.port.under_way = 0
-    assert wire.frame(MOTION)
-    assert board.read() == MOTION
-
-
-def test_a_stop_is_added_to_any_backlog(board: Wire, wire: Any) -> None:
-    board.port.under_way = 4096
-    wire.burst()
-    assert board.read() == BURST
-
-
-URB = 1280
-"""What cdc_acm counts for each write under way, whatever its length."""
-
-
-@pytest.mark.parametrize("unit", [1, URB])
-@pytest.mark.parametrize(("handed", "taken"), [(1, True), (128, True), (129, False)])
-def test_other_frames_may_queue_behind_a_little_in_whatever_unit_the_driver_counts(
-    board: Wire, wire: Any, unit: int, handed: int, taken: bool
-) -> None:
-    assert wire.frame(bytes(handed))
-    board.read()
-    board.port.under_way = unit
-    assert wire.frame(OTHER, backlog=128) is taken
-    assert board.read() == (OTHER if taken else b"")
-
-
-def test_what_the_port_has_drained_is_no_backlog(board: Wire, wire: Any) -> None:
-    assert wire.frame(bytes(129))
-    assert wire.frame(bytes(1)), "the kernel holds nothing"
-    board.port.under_way = URB
-    assert wire.frame(OTHER, backlog=128)
-
-
-def test_a_ping_follows_a_burst_that_is_still_under_way_and_motion_does_not(board: Wire, wire: Any) -> None:
-    wire.burst()
-    board.port.under_way = URB
-    assert not wire.frame(MOTION, backlog=MOTION_BACKLOG)
-    assert wire.frame(BOARD.pings[0], backlog=PING_BACKLOG)
-    assert board.read() == BURST + BOARD.pings[0]
-
-
-def test_motion_follows_a_ping_that_is_still_under_way(board: Wire, wire: Any) -> None:
-    assert wire.frame(BOARD.pings[0])
-    board.port.under_way = URB
-    assert wire.frame(MOTION, backlog=MOTION_BACKLOG)
-
-
-# A port that does not drain.
-
-
-def test_a_port_is_stuck_after_exactly_the_time(board: Wire, wire: Any) -> None:
-    board.port.under_way = 1
-    assert not wire.stuck(T0)
-    assert not wire.stuck(T0 + DRAIN_NS - 1)
-    assert wire.stuck(T0 + DRAIN_NS)
-    assert wire.stuck(T0 + 10 * DRAIN_NS)
-
-
-def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(board: Wire, wire: Any) -> None:
-    board.port.under_way = 1
-    assert not wire.stuck(T0)
-    board.unplug()
-    assert not wire.stuck(T0 + DRAIN_NS)
-    assert wire.lost
-
-
-def test_a_port_that_drained_in_between_is_not_stuck(board: Wire, wire: Any) -> None:
-    board.port.under_way = 1
-    wire.stuck(T0)
-    board.port.under_way = 0
-    assert not wire.stuck(T0 + DRAIN_NS - 1)
-    board.port.under_way = 1
-    assert not wire.stuck(T0 + DRAIN_NS)
-    assert not wire.stuck(T0 + 2 * DRAIN_NS - 1)
-    assert wire.stuck(T0 + 2 * DRAIN_NS)
-
-
-def test_a_full_port_is_stuck_and_recovers(board: Wire, wire: Any) -> None:
-    board.fill()
-    wire.burst()
-    assert not wire.stuck(T0)
-    assert wire.stuck(T0 + DRAIN_NS)
-    board.read()
-    wire.flush()
-    assert not wire.stuck(T0 + DRAIN_NS + 1)
-
-
-def test_a_write_that_was_refused_is_held_back_until_one_is_taken(board: Wire, wire: Any) -> None:
-    """Where the kernel counts nothing and has no room all the same."""
-    assert not wire.stuck(T0 - DRAIN_NS)
-    assert not wire.stuck(T0), "nothing was refused yet"
-    board.port.takes(0)
-    assert not wire.frame(MOTION)
-    assert not wire.stuck(T0)
-    assert wire.stuck(T0 + DRAIN_NS)
-    board.port.takes()
-    assert wire.frame(MOTION)
-    assert not wire.stuck(T0 + DRAIN_NS + MS)
-
-
-def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(machine: PortMachine, wire: Any) -> None:
-    def refuse(thread: object, call: str, about: object) -> None:
-        if call == "write":
-            raise BlockingIOError
-
-    machine.machine.at_seam = refuse
-    assert not wire.frame(MOTION)
-    assert not wire.stuck(T0)
-    assert not wire.stuck(T0 + DRAIN_NS), "there was room"
-
-
-def test_a_full_port_is_not_waited_for(machine: PortMachine, board: Wire, wire: Any) -> None:
-    begun_ns = machine.clock()
-    board.fill()
-    assert not wire.frame(MOTION)
-    wire.stuck(T0)
-    assert machine.clock() == begun_ns
-
-
-def test_an_empty_port_is_not_stuck(wire: Any) -> None:
-    assert not any(wire.stuck(T0 + n * DRAIN_NS) for n in range(5))
-
-
-# What the board sends, and its end.
-
-
-def test_a_read_takes_what_waits_and_no_more(board: Wire, wire: Any) -> None:
-    assert wire.read() == b""
-    assert not wire.lost, "nothing to read is no hang-up"
-    board.port.send(b"telemetry")
-    assert wire.read() == b"telemetry"
-    assert not wire.lost
-
-
-@pytest.mark.parametrize("touch", ["read", "frame", "burst", "stuck"])
-def test_a_hang_up_is_noticed_by_whatever_touches_the_port(board: Wire, wire: Any, touch: str) -> None:
-    board.unplug()
-    if touch == "read":
-        assert wire.read() == b""
-    elif touch == "frame":
-        assert not wire.frame(MOTION)
-    elif touch == "burst":
-        wire.burst()
-    else:
-        assert not wire.stuck(T0)
-    assert wire.lost
-    assert wire.unsent == b""
-
-
-def test_a_hang_up_in_the_middle_of_a_frame_loses_the_port(board: Wire, wire: Any) -> None:
-    board.port.takes(10)
-    assert wire.frame(MOTION)
-    board.port.takes()
-    board.unplug()
-    wire.flush()
-    assert wire.lost
-
-
-def test_nothing_is_written_to_a_lost_port(board: Wire, wire: Any) -> None:
-    wire.lost = True
-    wire.burst()
-    wire.unsent = MOTION[10:]
-    wire.flush()
-    assert not wire.frame(MOTION)
-    assert board.read() == b""
-
-
-def test_close_lets_the_port_go_at_once(machine: PortMachine, wire: Any) -> None:
-    fd = wire.fd
-    wire.close()
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        machine.os.fstat(fd)
-    assert wire.fd == -1
-    assert wire.lost
-    wire.close()
-
-
-def test_the_first_bytes_on_a_new_port_are_a_burst(machine: PortMachine, board: Wire, wire: Any) -> None:
-    board.port.takes(10)
-    wire.frame(MOTION)
-    new = board.replug()
-    assert wire.read() == b""
-    wire.close()
-    wire.adopt(machine.open(new))
-    assert not wire.lost
-    new.port.under_way = len(BURST)
-    assert not wire.stuck(T0), "its time begins again"
-    new.port.under_way = 0
-    assert wire.frame(MOTION)
-    assert new.read() == BURST + MOTION
