@@ -155,7 +155,7 @@ def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(mach
 
 def test_a_full_port_is_not_waited_for(machine: PortMachine, board: Wire, wire: Any) -> None:
     begun_ns = machine.clock()
-    board.fill()
+    board.port.takes(0)
     assert not wire.frame(MOTION)
     wire.stuck(T0)
     assert machine.clock() == begun_ns
