@@ -2,77 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import closing
-from pathlib import Path
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from failstop.api.client import Client
 from failstop.board.servos import bus_servo_move
+from failstop.lab.machine.kernel import Machine
 from failstop.procs.stopper.main import HANG_NS
-from failstop.shm import records
-from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
-from failstop.shm.segment import Segment
-from failstop.shm.words import Barrier, Word
-from failstop.supervisor.main import HELD_UP_NS
+from failstop.shm import layout, records
+from failstop.shm.cell import cell_bytes
 from tests.support import gate_scene, port_scene, stopper_scene
-from tests.support.arm_settings import ARM
-from tests.support.stage import MS
+from tests.support.stage import MS, PortMachine
 from tests.support.supervisor_scene import Scene as SupervisorScene
 from tests.support.telemetry_scene import Scene as TelemetryScene
-from tests.support.watching_scene import Watching
 
 
 class Trace:
-    """What is done to the records that were given a name, and every barrier, in order; the test's own part too, which
-    plays the other processes. A trace must be there before the scene."""
+    """What is done to the records that were given a name, and every barrier, in order: by the modules of one simulated
+    machine, which end with it."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._monkeypatch = monkeypatch
-        self._records: dict[int, tuple[str, object]] = {}
-        self._names: dict[str, str] = {}
+    def __init__(self, scene: Any) -> None:
+        self._machine: Machine = scene.machine
+        self._names: dict[tuple[int, int], str] = {}
         self.done: list[str] = []
-        for method in ("word", "latest_reader", "latest_writer"):
-            self._make(method)
-        self._before(Barrier, "__call__", lambda _: self.done.append("barrier"))
+        words, cell = scene.load("failstop.shm.words"), scene.load("failstop.shm.cell")
         for kind, method, verb in (
-            (Word, "get", "load"),
-            (Word, "set", "store"),
-            (LatestReader, "read", "load"),
-            (LatestWriter, "write", "store"),
+            (words.Barrier, "__call__", ""),
+            (words.Word, "get", "load"),
+            (words.Word, "set", "store"),
+            (cell.LatestReader, "read", "load"),
+            (cell.LatestWriter, "write", "store"),
         ):
-            self._before(kind, method, lambda thing, *_, verb=verb: self._note(verb, thing))
+            setattr(kind, method, self._noted(getattr(kind, method), verb))
 
-    def _before(self, kind: type, method: str, note: Callable[..., object]) -> None:
-        real = getattr(kind, method)
+    def _noted(self, real: Callable[..., Any], verb: str) -> Callable[..., Any]:
+        def noted(thing: Any, *args: object) -> Any:
+            if not verb:
+                self.done.append("barrier")
+            elif name := self._names.get(place(thing)):
+                self.done.append(f"{verb} {name}")
+            return real(thing, *args)
 
-        def noted(*args: object) -> object:
-            note(*args)
-            return real(*args)
+        return noted
 
-        self._monkeypatch.setattr(kind, method, noted)
-
-    def _make(self, method: str) -> None:
-        real = getattr(Segment, method)
-
-        def made(segment: Segment, record: str) -> object:
-            thing = real(segment, record)
-            self._records[id(thing)] = f"{segment.spec.name}.{record}", thing
-            return thing
-
-        self._monkeypatch.setattr(Segment, method, made)
-
-    def _note(self, verb: str, thing: object) -> None:
-        record, _ = self._records.get(id(thing), ("", None))
-        if record in self._names:
-            self.done.append(f"{verb} {self._names[record]}")
+    def note_looks(self) -> None:
+        """A process looks whether another is starved."""
+        self._machine.at_seam = lambda thread, call, about: self.done.append("look") if call == "stat" else None
 
     def watch(self, **records: str) -> None:
-        """From here on, nothing before. The records as segment.record."""
-        self._names = {record: name for name, record in records.items()}
+        """From here on, nothing before. Each is a segment's record."""
+        self._names = {self._place(record): name for name, record in records.items()}
         self.done.clear()
+
+    def _place(self, record: str) -> tuple[int, int]:
+        segment, _, name = record.partition(".")
+        names: dict[str, Any] = self._machine.root.folder("/dev/shm").names
+        file = next(file for path, file in names.items() if path.endswith(f".{segment}"))
+        return id(file.mapped()), layout.BY_NAME[segment].offsets[name]
 
     def has(self, *wanted: str) -> bool:
         """True when these follow one another, with other things between them at most."""
@@ -80,43 +67,40 @@ class Trace:
         return all(step in rest for step in wanted)
 
 
+def place(thing: Any) -> tuple[int, int]:
+    """The memory that a word or a record is in, and where."""
+    if hasattr(thing, "_index"):
+        return id(thing._words.obj), thing._index * 8
+    return id(thing._view), thing._at
+
+
 @pytest.fixture
-def trace(monkeypatch: pytest.MonkeyPatch) -> Trace:
-    return Trace(monkeypatch)
+def gate() -> gate_scene.Scene:
+    return gate_scene.Scene()
 
 
-def staged(make: Callable[[Path, pytest.MonkeyPatch], Any]) -> Any:
-    """A fixture that is this scene, traced from its start."""
-
-    @pytest.fixture
-    def fixture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> Iterator[Any]:
-        with closing(make(tmp_path, monkeypatch)) as made:
-            yield made
-
-    return fixture
+@pytest.fixture
+def supervisor() -> SupervisorScene:
+    return SupervisorScene()
 
 
-class ArmPort(port_scene.Scene):
-    """Of a robot with an arm."""
-
-    changed: ClassVar[dict[str, object]] = ARM
-
-
-port, arm_port = staged(port_scene.Scene), staged(ArmPort)
-gate, stopper = staged(gate_scene.Scene), staged(stopper_scene.Scene)
-supervisor, watching, telemetry = staged(SupervisorScene), staged(Watching), staged(TelemetryScene)
+@pytest.fixture
+def telemetry() -> TelemetryScene:
+    return TelemetryScene()
 
 
-def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
+def test_the_supervisor_stores_cause_and_ready_before_the_epoch(supervisor: SupervisorScene) -> None:
     supervisor.turn()
+    trace = Trace(supervisor)
     trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
 
 
-def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) -> None:
+def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene) -> None:
     gate.turn()
+    trace = Trace(gate)
     gate.stop(2, "key1")
     gate.request(records.ENABLE)
     trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
@@ -127,69 +111,85 @@ def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) 
     assert "load ready" in trace.done, "and so before every later one"
 
 
-def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene, trace: Trace) -> None:
+def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene) -> None:
     gate.stop(2, "key1")
     gate.start_gate()
+    trace = Trace(gate)
     trace.watch(cause="supervisor.latch")
     gate.gate.follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
-def test_a_reset_s_time_before_its_number(gate: gate_scene.Scene, trace: Trace) -> None:
+def test_the_gate_stores_a_reset_s_time_before_its_number(gate: gate_scene.Scene) -> None:
+    trace = Trace(gate)
     trace.watch(number="gate.resets_asked", asked="gate.reset_asked_ns")
     gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
     assert trace.has("store asked", "barrier", "store number")
 
 
-def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
-    supervisor: SupervisorScene, trace: Trace
+def test_the_supervisor_loads_a_reset_s_number_before_its_time(
+    supervisor: SupervisorScene,
 ) -> None:
     supervisor.turn()
     supervisor.ask_reset()
-    asked = {"number": "gate.resets_asked", "asked": "gate.reset_asked_ns"}
-    trace.watch(**asked, record="supervisor.reset", decided="supervisor.resets")
+    trace = Trace(supervisor)
+    trace.watch(
+        number="gate.resets_asked",
+        asked="gate.reset_asked_ns",
+        record="supervisor.reset",
+        decided="supervisor.resets",
+    )
     supervisor.turn()
     assert trace.has("load number", "barrier", "load asked", "store record", "barrier", "store decided")
 
 
-def test_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene, trace: Trace) -> None:
+def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene) -> None:
     gate.stop(2, "key1")
     gate.tick()
     gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
+    trace = Trace(gate)
     trace.watch(decided="supervisor.resets", latch="supervisor.latch", record="supervisor.reset")
     gate.decide()
-    assert trace.has("store decided", "load decided", "barrier", "load latch", "barrier", "load record")
+    assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
 
 
-def test_moving_before_the_last_look_at_the_epoch(port: port_scene.Scene, trace: Trace) -> None:
-    port.turn()
-    port.put()
+@pytest.mark.parametrize(
+    ("kind", "frame"),
+    [(records.MOTION, port_scene.MOTION), (records.ARM, bus_servo_move([(1, 500)], 40))],
+    ids=["wheels", "arm"],
+)
+def test_the_port_owner_stores_moving_before_it_looks_at_time_and_epoch(kind: int, frame: bytes) -> None:
+    """Held up in between, for however long, it writes nothing old."""
+    arm: dict[str, Any] = {"joints.j1.servo": 1}
+    port = port_scene.Scene(**arm)
+    for ms in (0, 25, 100, 100):
+        port.turn(ms * MS)
+    port.put(frame, kind=kind)
+    trace, main = Trace(port), port.load("failstop.procs.port_owner.main")
+    look = main.monotonic_ns
+    main.monotonic_ns = lambda: (trace.done.append("time"), look())[1]
     trace.watch(moving="port_owner.moving", epoch="supervisor.epoch")
-    assert port.turn() == port_scene.MOTION
-    assert trace.has("store moving", "barrier", "load epoch")
+    assert port.turn() == frame
+    assert trace.has("store moving", "barrier", "time", "load epoch")
 
 
-def test_moving_before_the_last_look_at_the_epoch_for_an_arm_s_move_too(arm_port: ArmPort, trace: Trace) -> None:
-    for _ in range(4):
-        arm_port.turn(100 * MS)
-    move = bus_servo_move([(1, 500)], 40)
-    arm_port.put(move, kind=records.ARM)
-    trace.watch(moving="port_owner.moving", epoch="supervisor.epoch")
-    assert arm_port.turn() == move
-    assert trace.has("store moving", "barrier", "load epoch", "store moving")
-
-
-def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) -> None:
-    watching.supervisor.status.ever = True
+def test_the_supervisor_looks_at_a_silent_process_before_it_loads_moving(supervisor: SupervisorScene) -> None:
+    supervisor.employ(layout.GATE)
+    trace = Trace(supervisor)
+    trace.note_looks()
     trace.watch(moving="port_owner.moving")
-    watching.pass_time(HELD_UP_NS)
-    assert trace.done[:2] == ["barrier", "load moving"]
+    supervisor.tick(2_000 * MS)
+    assert trace.has("look", "barrier", "load moving")
+    assert trace.done[trace.done.index("load moving") - 1] == "barrier"
 
 
-def test_the_stoppers_look_before_moving(stopper: stopper_scene.Scene, trace: Trace) -> None:
+def test_the_stopper_looks_at_the_port_owner_before_it_loads_moving() -> None:
+    scene = stopper_scene.Scene()
+    trace = Trace(scene)
     trace.watch(moving="port_owner.moving")
-    stopper.world.play("starved", lambda *_: trace.done.append("look") or True)
-    stopper.written(HANG_NS // MS + 5, alive=False)
+    trace.note_looks()
+    scene.port_owner.starve()
+    scene.written(HANG_NS // MS + 5, alive=False)
     assert trace.has("look", "barrier", "load moving")
     assert trace.done.index("load moving") > trace.done.index("barrier") > trace.done.index("look")
 
@@ -208,70 +208,88 @@ class Memory(bytearray):
         super().__setitem__(where, data)
 
 
-def test_an_entry_before_the_next(trace: Trace) -> None:
-    memory = Memory(8 * cell_bytes(64))
+def traced_memory() -> tuple[Trace, Memory, Any]:
+    """A ring's memory, and failstop.shm.cell."""
+    machine = PortMachine()
+    trace, memory = Trace(machine), Memory(8 * cell_bytes(64))
     memory.done = trace.done
-    writer = RingWriter(memory, 0, 64, 8, 1)
+    return trace, memory, machine.load("failstop.shm.cell")
+
+
+def test_an_entry_is_stored_before_the_next() -> None:
+    trace, memory, cell = traced_memory()
+    writer = cell.RingWriter(memory, 0, 64, 8, 1)
     trace.done.clear()
     writer.put(b"one")
     writer.put(b"two")
     assert trace.done == ["barrier", "store", "barrier", "store"]
 
 
-def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> None:
-    memory = Memory(8 * cell_bytes(64))
-    memory.done = trace.done
-    reader = RingReader(memory, 0, 64, 8, 1)
-    writer = RingWriter(memory, 0, 64, 8, 1)
+def test_a_later_entry_is_loaded_before_the_second_look_at_a_torn_one() -> None:
+    trace, memory, cell = traced_memory()
+    reader = cell.RingReader(memory, 0, 64, 8, 1)
+    writer = cell.RingWriter(memory, 0, 64, 8, 1)
     torn = cell_bytes(64)
     writer.put(b"torn")
     memory[torn : torn + 4] = b"torn"
     writer.put(b"whole")
     trace.done.clear()
-    assert reader.next()[2] == b"whole"  # type: ignore[index]
+    assert reader.next()[2] == b"whole"
     assert trace.done[: 1 + 8 + 2] == ["load"] * 9 + ["barrier", "load"]
 
 
-def test_the_state_before_the_reply(gate: gate_scene.Scene, trace: Trace) -> None:
+def test_the_gate_stores_the_state_before_the_reply(gate: gate_scene.Scene) -> None:
     gate.turn()
+    trace = Trace(gate)
     trace.watch(state="gate.state", reply="gate.reply.0")
     gate.ask(records.ENABLE)
     assert trace.has("store state", "barrier", "store reply")
 
 
-def test_the_reply_before_the_state(trace: Trace) -> None:
+def test_a_client_loads_the_reply_before_the_state() -> None:
+    machine = PortMachine()
+    trace = Trace(machine)
+
     class Reply:
         def read(self) -> tuple[int, int, bytes]:
             trace.done.append("load reply")
             return 1, 1, records.REPLY.pack(7, 3, True, "enabled", b"")
 
-    client = Client.__new__(Client)
-    client._session, client._reply = 7, Reply()  # type: ignore[assignment]
+    kind = machine.load("failstop.api.client").Client
+    client = kind.__new__(kind)
+    client._session, client._reply = 7, Reply()
     reply = client.answer(3)
     assert reply is not None
     assert (reply.done, reply.text, reply.cause) == (True, "enabled", None)
     assert trace.done == ["load reply", "barrier"]
 
 
-def test_the_verdict_before_its_time_and_that_there_is_none_before_it_is_taken_back(
-    telemetry: TelemetryScene, trace: Trace
-) -> None:
-    trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
-    telemetry.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    assert trace.has("store judged", "barrier", "store still")
-    for number in range(200):
-        telemetry.imu(0.0, 0.0, 1.0, 9.0 * (number % 2), 0.0, 0.0)  # it turns
-    trace.done.clear()
-    telemetry.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+def judges(telemetry: TelemetryScene, samples: int) -> Trace:
+    """What it does with the last of so many quiet samples."""
+    trace = Trace(telemetry)
+    for sample in range(samples):
+        trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
+        telemetry.imu(0.0, 0.0, 1.0, 0.1 * (sample % 2), 0.1 * (sample % 3), 0.25)
+    return trace
+
+
+def test_telemetry_stores_the_verdict_before_its_time(telemetry: TelemetryScene) -> None:
+    trace = judges(telemetry, 200)
+    assert trace.done.count("store judged") == 1
     assert trace.has("store still", "barrier", "store judged")
-    assert trace.done.index("store still") < trace.done.index("store judged")
 
 
-def test_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorScene, trace: Trace) -> None:
+def test_telemetry_stores_that_there_is_no_verdict_before_it_takes_it_back(telemetry: TelemetryScene) -> None:
+    trace = judges(telemetry, 1)
+    assert trace.has("store judged", "barrier", "store still", "barrier", "store judged")
+
+
+def test_the_supervisor_loads_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorScene) -> None:
     supervisor.gate_stops()
     supervisor.turn()
     supervisor.answers(written_ns=supervisor.now_ns)
     supervisor.turn(MS)
+    trace = Trace(supervisor)
     trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")
     supervisor.turn(MS)
     assert trace.has("load judged", "barrier", "load still", "barrier", "load judged")

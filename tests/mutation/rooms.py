@@ -31,7 +31,7 @@ ROOMS = {
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
             "tests/procs/test_suspend.py",
-            "tests/procs/test_wire.py",
+            "tests/procs/test_wire*.py",
         ),
     ),
     "telemetry": Room(

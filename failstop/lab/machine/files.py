@@ -428,6 +428,10 @@ class Port(Node):
             self.held += taken
         return len(taken)
 
+    def unsent(self) -> int:
+        """What the kernel says that it holds."""
+        return len(self.held)
+
     def drain(self) -> None:
         """It takes bytes again."""
         self.drains = True
