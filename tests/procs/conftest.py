@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
+from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 
-from .arm_scene import ArmScene
 from .client_side import Service
 from .gate_bench import Gate
 
 
 @pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
+def service() -> Service:
     """The gate's table of clients, and the clients' side of it."""
-    made = Service(tmp_path)
-    yield made
-    made.close()
+    return Service()
 
 
 @pytest.fixture
@@ -38,17 +33,14 @@ def driving(gate: Gate) -> Gate:
 
 
 @pytest.fixture
-def gate_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+def gate_scene() -> Scene:
     """The process at work, not only its core."""
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+    return Scene()
 
 
 @pytest.fixture
-def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
+def arm_scene() -> Scene:
     """The process at work, with an arm whose joints it has read."""
-    made = ArmScene(tmp_path, monkeypatch)
+    made = Scene(ARM)
     made.run(0.4)
-    yield made
-    made.close()
+    return made

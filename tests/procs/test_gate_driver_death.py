@@ -136,9 +136,9 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
     first.leave()
     service.look()
     service.join(session=22).leave()
-    service.join(session=23)
+    last = service.join(session=23)
     assert service.look() == []
-    service.clients[-1].leave()
+    last.leave()
     assert service.look() == [("gone", 23)]
     assert service.parted is False
 
