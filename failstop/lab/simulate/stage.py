@@ -6,6 +6,7 @@ wheels turn within LIVE_NS. So a run is judged for what it forbids and for what 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,8 @@ ARM_NS = 8_000 * MS
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
 PERIOD_S = 0.02
+DRIVER_NS = 500 * MS
+STOP_PIPE = "/run/failstop/failstop/stop"
 
 
 class Stage:
@@ -134,15 +137,38 @@ class Stage:
     def write_to_pipe(self, data: bytes) -> None:
         """Any bytes in the stop pipe."""
         system = self.robot.loader.system["os"]
-        fd = system.open("/run/failstop/failstop/stop", system.O_WRONLY)
+        fd = system.open(STOP_PIPE, system.O_WRONLY)
         system.write(fd, data)
         system.close(fd)
         self.must_stop("bytes came to the stop pipe", 30)
 
-    def remove(self, path: str) -> None:
-        """Take a file of the service's away."""
-        self.robot.loader.system["os"].unlink(path)
-        self.must_stop(f"{path} was removed", 1_100)
+    def remove_pipe(self) -> None:
+        """Take the stop pipe away."""
+        self.robot.loader.system["os"].unlink(STOP_PIPE)
+        self.must_stop("the stop pipe was removed", 1_100)
+
+    def start_driver(self, seconds: float) -> Process:
+        """Another program, which drives for so long; returns when the wheels turn, or would long turn."""
+
+        def drive(failstop: Any) -> None:
+            with contextlib.suppress(failstop.FailstopError):
+                self.drive(failstop.Robot(), seconds)
+
+        began_ns = self.machine.now_ns
+        driver = self.robot.program("driver.py", drive)
+        while self.witness.moved_ns < began_ns and self.machine.now_ns < began_ns + DRIVER_NS:
+            self.time.sleep(PERIOD_S)
+        return driver
+
+    def kill_driver(self, driver: Process) -> None:
+        """SIGKILL that program."""
+        self.machine.die(driver, -9)
+        self.must_stop("the program that drives is dead", 30)
+
+    def disturb_command(self, robot: Any) -> None:
+        """Command what is no number, around the check of drive()."""
+        robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
+        self.must_stop("a program commands what is no number", 30)
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""
@@ -182,6 +208,11 @@ class Stage:
 
     def run(self) -> None:
         """From the start of the service to the proof that it can drive again."""
+        self.play()
+        self._prove_alive()
+
+    def play(self) -> None:
+        """From the start of the service to the end of the scenario."""
         self.robot.start()
         self._keep_running()
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
@@ -189,7 +220,6 @@ class Stage:
         if not self.machine.run(lambda: player.dead, LONGEST_NS):
             self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
-        self._prove_alive()
 
     def _played(self, failstop: Any) -> None:
         try:
