@@ -148,6 +148,8 @@ def files_have_names_and_bytes(on: System, folder: str) -> Story:
     fd = on.os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     story += [tried(on.os.open, path, os.O_RDWR | os.O_CREAT | os.O_EXCL), on.os.write(fd, b"abcdef")]
     story += [on.os.pread(fd, 3, 2), on.os.pwrite(fd, b"XY", 7), on.os.fstat(fd).st_size, on.os.pread(fd, 20, 0)]
+    on.os.posix_fallocate(fd, 0, 100)
+    story.append(on.os.fstat(fd).st_size)
     on.os.ftruncate(fd, 3)
     more = on.os.open(path, os.O_WRONLY | os.O_APPEND)
     on.os.write(more, b"!")

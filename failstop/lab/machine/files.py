@@ -111,9 +111,11 @@ class Regular(Node):
         return len(self.data)
 
     def resize(self, size: int) -> None:
+        now = len(self.data)
+        if size == now:
+            return
         if isinstance(self.data, mmap.mmap):
             raise OSError(errno.EBUSY, "a mapped file keeps its size here")
-        now = len(self.data)
         self.data[size:] = b""
         self.data.extend(bytes(max(0, size - now)))
 

@@ -235,7 +235,8 @@ class Descriptors(Module):
         self._regular("ftruncate", fd).resize(size)
 
     def posix_fallocate(self, fd: int, at: int, size: int) -> None:
-        self._regular("fallocate", fd).mapped(at + size)
+        node = self._regular("fallocate", fd)
+        node.resize(max(node.size(), at + size))
 
     def fsync(self, fd: int) -> None:
         self._calls.begin("fsync", fd)
