@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from random import Random
 
 import pytest
@@ -19,9 +18,9 @@ from failstop.lab.trial import Trial, wait_for
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from tests.support.telemetry_scene import MS, Scene
+from tests.support.stage import MS
+from tests.support.telemetry_scene import S, Scene
 
-S = 1_000 * MS
 STEP_NS = 10 * MS
 STD_RADPS = 0.0035
 REST = (0.0, 0.0, 0.0, 0.0)
@@ -274,13 +273,6 @@ def test_it_is_rarely_wrong() -> None:
 # Published.
 
 
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
 def words(scene: Scene) -> tuple[int, int]:
     return scene.own.word("still_ns").get(), scene.own.word("judged_ns").get()
 
@@ -299,13 +291,13 @@ def test_both_words_follow_each_sample_and_a_change_of_the_verdict_rings_the_sup
     scene.gate["body_vel"] = [0.1, 0.0, 0.0]
     scene.turn()
     scene.rung("supervisor_bell")
-    begun_ns = scene.now_ns + STEP_NS
+    begun_ns = scene.clock() + STEP_NS
     assert words(scene) == (0, 0)
     assert shake(scene, FULL + HELD + 20, 0.1) == 1
-    assert words(scene) == (begun_ns, scene.now_ns)
+    assert words(scene) == (begun_ns, scene.clock())
     assert shake(scene, 20, 0.5) == 1
-    assert words(scene) == (0, scene.now_ns)
-    last_ns = scene.now_ns
+    assert words(scene) == (0, scene.clock())
+    last_ns = scene.clock()
     scene.turn(elapsed_ns=S)
     assert words(scene) == (0, last_ns), "nothing is judged without samples"
 
@@ -313,12 +305,12 @@ def test_both_words_follow_each_sample_and_a_change_of_the_verdict_rings_the_sup
 def test_a_successor_begins_with_knowing_nothing(scene: Scene) -> None:
     shake(scene, FULL + HELD + 20, 0.1)
     assert words(scene)[0]
-    scene.start()
+    scene.start_telemetry()
     assert words(scene) == (0, 0)
 
 
 @pytest.mark.slow
-def test_on_a_running_service(tmp_path: Path) -> None:
+def test_on_a_running_service() -> None:
     """Still, driving, still again; a board that does not stop; an IMU that falls silent."""
     with Trial(f"still-{os.getpid()}") as trial:
         own = attach(trial.name, layout.TELEMETRY)
