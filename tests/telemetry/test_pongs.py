@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import select
-import time
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from failstop.board import framing
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
-from failstop.board.port import open_port
 from failstop.lab.sim import upward
-from failstop.lab.sim.client import SimBoard
+from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
 from failstop.shm import layout, records
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
-from tests.support.waiting import DEADLINE_S
 
 STOP_DATA = BOARD.stop[4:-1]
 DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)
@@ -86,20 +78,12 @@ def test_other_frames_answer_none(frame: bytes) -> None:
     assert BOARD.pong(frame[2], frame[4:-1]) is None
 
 
-def test_the_board_answers_every_ping_in_order_with_no_servo_connected(tmp_path: Path) -> None:
-    with SimBoard(tmp_path / "board", imu_hz=0) as board:
-        descriptor = open_port(board.link, exclusive=True)
-        os.write(descriptor, b"".join(BOARD.pings))
-        decoder = Decoder()
-        answered: list[Any] = []
-        end_s = time.monotonic() + DEADLINE_S
-        while len(answered) < layout.PINGS and time.monotonic() < end_s:
-            if select.select([descriptor], [], [], 0.5)[0]:
-                found = (BOARD.pong(*frame) for frame in decoder.feed(os.read(descriptor, 512)))
-                answered += [index for index in found if index is not None]
-        os.close(descriptor)
-        assert answered == list(ALL)
-        assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
+def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None:
+    board = BoardModel(0, imu_hz=0)
+    board.receive(b"".join(BOARD.pings), 0)
+    answers = Decoder().feed(b"".join(board.advance(S)))
+    assert [BOARD.pong(*frame) for frame in answers] == list(ALL)
+    assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 
 # Telemetry: the port owner's ring is fed by the test.

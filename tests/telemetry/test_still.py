@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import time
 from collections.abc import Callable
 from random import Random
 
@@ -12,12 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.api.client import attach
 from failstop.lab.sim.imu import Imu
-from failstop.lab.trial import Trial, wait_for
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
+from tests.support.running import Running
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
@@ -309,40 +306,38 @@ def test_a_successor_begins_with_knowing_nothing(scene: Scene) -> None:
     assert words(scene) == (0, 0)
 
 
-@pytest.mark.slow
 def test_on_a_running_service() -> None:
     """Still, driving, still again; a board that does not stop; an IMU that falls silent."""
-    with Trial(f"still-{os.getpid()}") as trial:
-        own = attach(trial.name, layout.TELEMETRY)
-        still, judged = own.word("still_ns"), own.word("judged_ns")
+    run = Running()
+    run.start()
+    own = run.segment(layout.TELEMETRY)
+    still, judged = own.word("still_ns"), own.word("judged_ns")
 
-        def age_ns() -> int:
-            return time.monotonic_ns() - judged.get()
+    def age_ns() -> int:
+        return run.machine.now_ns - judged.get()
 
-        wait_for("the wheels to be seen still", lambda: still.get() > 0)
-        trial.enable()
-        trial.drive(1.0)
-        assert trial.moving()
-        assert still.get() == 0
-        disabled_ns = time.monotonic_ns()
-        trial.robot.disable()
-        wait_for("the wheels to be seen still again", lambda: still.get() > 0)
-        assert judged.get() - disabled_ns < 1500 * MS
-        assert abs(still.get() - disabled_ns) < 500 * MS
+    run.until("the wheels to be seen still", still.get)
+    run.drive(1.0)
+    assert run.moving()
+    assert still.get() == 0
+    disabled_ns = run.machine.now_ns
+    run.client.disable()
+    run.until("the wheels to be seen still again", still.get)
+    assert judged.get() - disabled_ns < 1500 * MS
+    assert abs(still.get() - disabled_ns) < 500 * MS
 
-        trial.enable()
-        trial.drive(1.0)
-        trial.board.refuse_stop(True)
-        refused_ns = time.monotonic_ns()
-        trial.robot.disable()
-        wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
-        assert trial.moving()
-        assert still.get() == 0
-        trial.board.refuse_stop(False)
-        wait_for("the next stop to be obeyed and seen", lambda: still.get() > 0)
+    run.drive(1.0)
+    run.model.refuse_stop = True
+    refused_ns = run.machine.now_ns
+    run.client.disable()
+    run.until("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
+    assert run.moving()
+    assert still.get() == 0
+    run.model.refuse_stop = False
+    run.until("the next stop to be obeyed and seen", still.get)
 
-        assert age_ns() < 500 * MS
-        trial.board.imu(False)
-        wait_for("a judgement that is old", lambda: age_ns() > 600 * MS)
-        trial.board.imu(True)
-        wait_for("a new one", lambda: still.get() > 0 and age_ns() < 500 * MS)
+    assert age_ns() < 500 * MS
+    run.model.imu_on = False
+    run.until("a judgement that is old", lambda: age_ns() > 600 * MS)
+    run.model.imu_on = True
+    run.until("a new one", lambda: still.get() and age_ns() < 500 * MS)
