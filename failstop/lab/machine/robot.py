@@ -13,7 +13,6 @@ import msgpack
 from failstop.lab.machine.files import Directory, Node, Null, Open, Port, Regular
 from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
-from failstop.lab.sim import upward
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
@@ -41,11 +40,6 @@ class Board:
     def press(self, key: int) -> None:
         """A key is clicked."""
         self.model.key(key, CLICKED, self.machine.now_ns)
-        self._plan()
-
-    def pad(self, buttons: int) -> None:
-        """The gamepad sends one frame, with these buttons down."""
-        self.model.pad(upward.gamepad(buttons), self.machine.now_ns, hold=False)
         self._plan()
 
     def _plan(self) -> None:
@@ -122,8 +116,7 @@ class Robot:
             self.board.port.unplug()
             self.board.port = None
 
-    def streams(self, process: Process) -> None:
-        """Give a process its three standard streams."""
+    def _streams(self, process: Process) -> None:
         for _ in range(3):
             process.descriptor(Open(self.stderr), 0)
 
@@ -143,7 +136,7 @@ class Robot:
         """Start the service by `failstop run`, which stops first and then becomes the supervisor."""
 
         def body(process: Process) -> int:
-            self.streams(process)
+            self._streams(process)
             run, refused = self.loader.load("failstop.cli.commands.run"), self.loader.load("failstop.api.errors")
             try:
                 run.main(Namespace(config=SETTINGS, device=DEVICE, name="failstop"))
@@ -159,7 +152,7 @@ class Robot:
         """Start a client's program: `body` is called with the module `failstop` of that machine."""
 
         def run(process: Process) -> int:
-            self.streams(process)
+            self._streams(process)
             process.argv = [name]
             body(self.loader.load("failstop"))
             return 0
