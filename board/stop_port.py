@@ -39,7 +39,7 @@ class StopPort:
         self.lost = fd < 0
         self.errno = 0
         self.unsent = b""
-        """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
+        """Bytes of one burst or frame that the kernel has not accepted yet."""
         self._writing = _thread.allocate_lock()
         """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
 

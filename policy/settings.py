@@ -69,7 +69,7 @@ class Setting(Data):
         return ""
 
     def range(self) -> str:
-        """What is allowed, in words."""
+        """The allowed values, in words."""
         if self.allowed:
             return " or ".join(f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed)
         if isinstance(self.default, str):
@@ -288,7 +288,7 @@ class Settings:
                 tables[name] = table
 
     def _cross_check(self) -> None:
-        """What each range allows, but not together."""
+        """Rules over several settings, each in its own range."""
         every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [

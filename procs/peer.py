@@ -1,4 +1,4 @@
-"""Whom port owner and stopper watch: the supervisor, and each other process from when the supervisor names it."""
+"""Peers: the processes that the port owner and the stopper watch for death."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class BlackBox:
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
-        """And when that was seen."""
+        """The time at which that silence was seen."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
         self._savers: dict[int, _socket.socket] = {}

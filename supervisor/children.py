@@ -27,7 +27,7 @@ FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
 ALIVE = (STARTING, RUNNING, HUNG, FENCED)
 
-# What happens to it. SPARED: it is silent, which the machine explains; BEATS: again, after that.
+# Events of a process. SPARED: it is silent, which the machine explains; BEATS: again, after that.
 STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = EVENTS = range(9)
 
 NEXT = {
@@ -39,8 +39,8 @@ NEXT = {
     FENCED: {BEATS: FENCED, DIED: DEAD},  # just before its end
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""What each state becomes. What is not here cannot happen, and would leave the state as it is: the supervisor must not
-die of it."""
+"""The next state, by state and event. An event that is not here cannot happen, and would leave the state as it is: the
+supervisor must not die of it."""
 
 
 class Fence:
@@ -74,7 +74,7 @@ class Fence:
         return f"{name} was fenced: {', '.join(steps)}"
 
     def fields(self) -> dict[str, float]:
-        """The same for programs: us from the notice."""
+        """Its times for programs: us from the notice."""
         times = {f"{step}_us": self._us(step) for step, _ in self.STEPS if self._times_ns[step]}
         return {"silent_ms": round(self._silent_ns / 1e6, 1), **times}
 

@@ -18,15 +18,16 @@ from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify
 
 SUPERVISOR_COMM = "fs:supervisor"
-"""What the kernel shows as the supervisor's name."""
+"""The supervisor's name as the kernel shows it."""
 
 
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
-    # What a parent may have left, and exec hands on: without SIGCHLD no child can be collected, and what is blocked
-    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that. SIGCONT lets a suspended
-    # process go on all the same, and is asked for (main.py): a handler might run after the turn that needs it.
+    # A parent may have left signals ignored or blocked, and exec hands that on: without SIGCHLD no child can be
+    # collected, and a blocked signal can't end the service. SIGHUP stays ignored where it is: a user of nohup wants
+    # that. SIGCONT lets a suspended process go on all the same, and is asked for (main.py): a handler might run after
+    # the turn that needs it.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])

@@ -32,10 +32,10 @@ CUTS = ((280, 280), (200, 60), (120, 24))
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
+"""Events that anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""What is told in a minute of each kind and level, whoever brings it about: a dozen stops a second for half of it."""
+"""Bytes told in a minute of each kind and level: a dozen stops a second for half of it."""
 ASKED_BYTES = 8192
 """Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
 

@@ -45,9 +45,9 @@ EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
 LATE_NS = 150_000_000
-"""Who beats ten times a second, and was silent for this long, was held up."""
+"""A client that beats ten times a second, and was silent for this long, was held up."""
 HELD_UP_NS = 250_000_000
-"""And one that was silent for this long stops: nobody has watched."""
+"""After a gap this long the supervisor stops the robot: nothing was watching it."""
 HEAR_NS = 300_000_000
 """How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
 ping may be 50 ms away (schedule.py)."""
@@ -227,7 +227,7 @@ class Supervisor:
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         if self._port.fd < 0 or asks.state != RUNNING or hears.state != RUNNING:
             return False
-        # Who was held up comes late to an answer. While motion is enabled that is no excuse.
+        # A process that was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._motion()
 
@@ -340,7 +340,7 @@ class Supervisor:
         child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
-        """What motion waits for, and the service manager's part."""
+        """Publish what motion waits for, and serve the service manager."""
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)

@@ -148,7 +148,7 @@ class PortHandover:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """What the port owner says of the port that is open here."""
+        """The state that the port owner gives for the port that is open here."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:

@@ -26,10 +26,10 @@ from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events, Outbox
 
 GROUP = "failstop"
-"""Whoever is in this group may drive; everyone may stop."""
+"""The group whose members may drive; everyone may stop."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""What the service can go on without."""
+"""Shared memory that the service can go on without."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
@@ -64,7 +64,7 @@ class Run:
         """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segment.memory(name, self.incarnation)
-        """What the segments are named after."""
+        """The name that the segments share."""
         self._refuse_living()
         self._dead = segment.dead_runs(name)
         self.left = segment.open_all(self._dead[-1]) if self._dead else {}
@@ -86,7 +86,7 @@ class Run:
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:
-        """Whatever became of the lock's file: what a living run has is not taken from it."""
+        """Refuse to start beside a living run, also where its lock's file is gone."""
         try:
             incarnation, _ = instance.run(self.runtime_dir)
         except instance.NoService:

@@ -23,7 +23,7 @@ C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Of this environment: where the runtime directory and the files of the telemetry are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""
+"""Variables of the service manager: it speaks with the supervisor alone, which takes them out of its environment."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:

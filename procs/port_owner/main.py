@@ -58,7 +58,7 @@ class PortOwner:
         self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
         self._bytes_alone: dict[int, int] | None = None
-        """What is ready when the board has sent something, and nothing else has happened."""
+        """The news of a wake-up at which the board has sent something, and nothing else has happened."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -76,7 +76,7 @@ class PortOwner:
         self._publish_port(monotonic_ns())
 
     def _attach(self, context: Context) -> None:
-        """What it publishes, and whom it wakes for it."""
+        """Make the writers of its records, and the bells that it rings."""
         own = context.own
         self._number, self._path = context.port_number, context.settings.text("device.path")
         self._stopped_word = own.word("stopped_epoch")
@@ -90,7 +90,7 @@ class PortOwner:
         self._telemetry_bell = context.bell("telemetry_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """What it reads, and what wakes it."""
+        """Make the readers of others' records, and watch what wakes it."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
@@ -136,7 +136,7 @@ class PortOwner:
         self._own_stop(cause_ns, monotonic_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
-        """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
+        """Account for a burst for a cause of its own. The epoch is the one in force, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch)
@@ -150,7 +150,7 @@ class PortOwner:
         self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
+        """Account for a burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._lapse.set(NEVER)
@@ -329,7 +329,7 @@ class PortOwner:
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _obey(self, verdict: int | Cause, now_ns: int) -> None:
-        """What is not written."""
+        """Act on a frame that is not written."""
         if verdict == admission.BURST:
             self._burst()
         elif verdict == admission.REQUEST:

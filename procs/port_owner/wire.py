@@ -110,7 +110,7 @@ class Wire(StopPort):
         return bool(select.select((), (self.fd,), (), 0)[1])
 
     def read(self) -> bytes:
-        """What the board sent; empty when nothing waits."""
+        """Bytes that the board sent; empty when none wait."""
         try:
             data = os.read(self.fd, 4096)
         except BlockingIOError:

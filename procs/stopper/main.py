@@ -135,8 +135,8 @@ class Stopper:
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Whom the supervisor names. One that has fallen silent gets one burst, and is fenced; one that the machine
-        starves is given as long again, while it moves nothing."""
+        """Watch the port owner that the supervisor names. A silent one gets one burst, and is fenced; one that the
+        machine starves is given as long again, while it moves nothing."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         self._hang.set(self._hangs_ns())
@@ -170,7 +170,7 @@ class Stopper:
         return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
 
     def _adopt_port(self, ready: dict[int, int]) -> None:
-        """Or the one that it had, where that is closed by now."""
+        """Take a port that the supervisor has opened, or its own again where that is closed."""
         while sent := self._parent.new_port(ready, self._number + (self._port.fd >= 0)):
             self.close_port()
             fd, self._number, _ = sent

@@ -22,7 +22,7 @@ def scene() -> Scene:
 @pytest.fixture
 def other(scene: Scene) -> Wire:
     """The port of a board that comes after the first."""
-    return Wire(scene.machine, scene.wire.folder, 1)
+    return Wire(scene.machine, 1)
 
 
 def test_silent_while_all_is_well(scene: Scene) -> None:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import Directory, Port
+from failstop.lab.machine.files import Port
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import File, Loader
 from failstop.shm import heartbeat, layout, records
@@ -24,16 +24,16 @@ RUNTIME_DIR = "/run/failstop/stage"
 class Wire:
     """The board's side of a port: keeps what has reached it."""
 
-    def __init__(self, machine: Machine, folder: Directory, number: int) -> None:
+    def __init__(self, machine: Machine, number: int = 0) -> None:
         self.machine, self.number = machine, number
         self.link = f"/dev/ttyACM{number}"
         self.port = Port(machine, number)
         self.port.board = self
-        self.folder = folder
+        self._folder = machine.root.folder("/dev")
         self._came = bytearray()
         self.on_bytes: Callable[[bytes], None] = lambda data: None
         """Called when bytes reach the board's side."""
-        folder.put(f"ttyACM{number}", self.port)
+        self._folder.put(f"ttyACM{number}", self.port)
 
     def receive(self, data: bytes) -> None:
         """Bytes from the port."""
@@ -55,13 +55,13 @@ class Wire:
     def unplug(self) -> None:
         """The board goes: the port is hung up."""
         if not self.port.gone:
-            self.folder.drop(f"ttyACM{self.number}")
+            self._folder.drop(f"ttyACM{self.number}")
             self.port.unplug()
 
     def replug(self) -> Wire:
         """Another port after this one."""
         self.unplug()
-        return Wire(self.machine, self.folder, self.number + 1)
+        return Wire(self.machine, self.number + 1)
 
 
 class Early:
@@ -150,13 +150,14 @@ class Stage:
         self.machine.join(process)
         loader = Loader(self.machine)
         self.load, self.os = loader.load, loader.system["os"]
-        folders = {path: self._folder(path) for path in ("/dev", "/dev/shm", "/proc", "/tmp", RUNTIME_DIR)}
+        for path in ("/dev/shm", "/proc", "/tmp", RUNTIME_DIR):
+            self.machine.root.folder(path)
         self.runtime_dir = RUNTIME_DIR
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock(self.machine)
-        self.wire = Wire(self.machine, folders["/dev"], 0)
+        self.wire = Wire(self.machine)
         self.settings = self.load("failstop.policy.settings").Settings(
             {"device.path": self.wire.link, **self.changed, **changed}
         )
@@ -181,16 +182,6 @@ class Stage:
         self.frames = self.views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
-
-    def _folder(self, path: str) -> Directory:
-        here = self.machine.root
-        for part in filter(None, path.split("/")):
-            if part not in here.names:
-                here.put(part, Directory(0o755, here))
-            found = here.names[part]
-            assert isinstance(found, Directory)
-            here = found
-        return here
 
     # What Context offers.
 

@@ -156,6 +156,17 @@ class Directory(Node):
         self.names[name] = node
         node.links += 1
 
+    def folder(self, path: str, mode: int = 0o755) -> Directory:
+        """The directory at a path below this one, made with all on the way where there is none."""
+        here = self
+        for part in filter(None, path.split("/")):
+            if part not in here.names:
+                here.put(part, Directory(mode, here))
+            found = here.names[part]
+            assert isinstance(found, Directory)
+            here = found
+        return here
+
     def drop(self, name: str) -> Node:
         node = self.names.pop(name)
         node.links -= 1
