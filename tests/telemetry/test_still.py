@@ -14,7 +14,7 @@ from failstop.lab.sim.imu import Imu
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from tests.support.running import Running
+from tests.support.simulated import Simulated
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
@@ -308,36 +308,34 @@ def test_a_successor_begins_with_knowing_nothing(scene: Scene) -> None:
 
 def test_on_a_running_service() -> None:
     """Still, driving, still again; a board that does not stop; an IMU that falls silent."""
-    run = Running()
-    run.start()
-    own = run.segment(layout.TELEMETRY)
+    service = Simulated(imu_hz=110.0)
+    model, wait_for, now_ns = service.lab.board.model, service.wait_for, service.now_ns
+    own = service.load("failstop.api.client").attach(service.name, layout.TELEMETRY)
     still, judged = own.word("still_ns"), own.word("judged_ns")
-
-    def age_ns() -> int:
-        return run.machine.now_ns - judged.get()
-
-    run.until("the wheels to be seen still", still.get)
-    run.drive(1.0)
-    assert run.moving()
+    wait_for("the wheels to be seen still", still.get)
+    service.enable()
+    service.drive(1.0)
+    assert service.moving()
     assert still.get() == 0
-    disabled_ns = run.machine.now_ns
-    run.client.disable()
-    run.until("the wheels to be seen still again", still.get)
+    disabled_ns = now_ns()
+    service.robot.disable()
+    wait_for("the wheels to be seen still again", still.get)
     assert judged.get() - disabled_ns < 1500 * MS
     assert abs(still.get() - disabled_ns) < 500 * MS
 
-    run.drive(1.0)
-    run.model.refuse_stop = True
-    refused_ns = run.machine.now_ns
-    run.client.disable()
-    run.until("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
-    assert run.moving()
+    service.enable()
+    service.drive(1.0)
+    model.refuse_stop = True
+    refused_ns = now_ns()
+    service.robot.disable()
+    wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
+    assert service.moving()
     assert still.get() == 0
-    run.model.refuse_stop = False
-    run.until("the next stop to be obeyed and seen", still.get)
+    model.refuse_stop = False
+    wait_for("the next stop to be obeyed and seen", still.get)
 
-    assert age_ns() < 500 * MS
-    run.model.imu_on = False
-    run.until("a judgement that is old", lambda: age_ns() > 600 * MS)
-    run.model.imu_on = True
-    run.until("a new one", lambda: still.get() and age_ns() < 500 * MS)
+    assert now_ns() - judged.get() < 500 * MS
+    model.imu_on = False
+    wait_for("a judgement that is old", lambda: now_ns() - judged.get() > 600 * MS)
+    model.imu_on = True
+    wait_for("a new one", lambda: still.get() and now_ns() - judged.get() < 500 * MS)

@@ -36,7 +36,7 @@ HARMLESS = frozenset(
             "difflib",
         ),
         *("enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex", "stat"),
-        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "zlib"),
+        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
     )
 )
 """Python's own modules that ask no machine."""
@@ -79,7 +79,7 @@ class Loader:
         self._loaded: dict[str, ModuleType] = stand_ins(calls)
         self._unnamed = set(self._loaded)
         """Stand-ins that their package does not know yet."""
-        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open}
+        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open, "print": self._print}
 
     def load(self, name: str) -> Any:
         """A module of failstop's by its name."""
@@ -129,6 +129,9 @@ class Loader:
         if top in HARMLESS:
             return builtins.__import__(name, globals, locals, fromlist, level)
         raise ImportError(f"the simulated machine has no {name}")
+
+    def _print(self, *values: object, **options: Any) -> None:
+        builtins.print(*values, **{"file": self.system["sys"].stdout, **options})
 
     def _open(self, path: Any, mode: str = "r", *_: Any, opener: Any = None, **__: Any) -> Any:
         return File(self.system["os"], path, mode, opener)

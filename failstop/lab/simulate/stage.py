@@ -11,7 +11,7 @@ from typing import Any
 
 from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
-from failstop.lab.machine.robot import MS, Robot
+from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 
@@ -28,7 +28,6 @@ ARM_NS = 8_000 * MS
 """An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
-PERIOD_S = 0.02
 
 
 class Stage:
@@ -41,7 +40,7 @@ class Stage:
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
-        self.time: Any = self.robot.loader.system["time"]
+        self.time = self.robot.time
         self._play = play
         told = SETTINGS.get(play, {})
         self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
@@ -74,11 +73,7 @@ class Stage:
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
-        until_s = self.time.monotonic() + seconds
-        while self.time.monotonic() < until_s:
-            robot.sensed()
-            robot.drive(speed_mps, 0.0, 0.0)
-            self.time.sleep(PERIOD_S)
+        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0))
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -102,8 +97,7 @@ class Stage:
 
     def kill(self, name: str) -> None:
         """SIGKILL a process of the service."""
-        if found := self.robot.named(name):
-            self.machine.die(found, -9)
+        self.robot.kill(name)
 
     def freeze(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long."""
@@ -235,7 +229,7 @@ class Stage:
                     robot.reset()  # what is down starts again by it
                 self.enable(robot)
                 while robot.state.enabled:
-                    self.drive(robot, PERIOD_S)
+                    self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
                 self.witness.tell(f"the last program is told: {error}")
                 self.time.sleep(0.02)
