@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from typing import Any
 
 import pytest
@@ -14,7 +13,6 @@ from tests.support.simulated import Simulated
 
 FOLDER = "/var/lib/failstop/failstop/incidents"
 OLDER = "20260921-143320-gate-died.incident"
-SHOW = Namespace(action="show", id=files.LAST, name="failstop", json=False, all=False)
 NS = 1_000_000_000
 
 
@@ -39,7 +37,7 @@ def saved(service: Simulated, after_s: float, name: str = OLDER) -> None:
     service.lab.machine.root.folder(FOLDER).put(name, file)
 
 
-def stop(service: Simulated, process: str) -> None:
+def replace(service: Simulated, process: str) -> None:
     """This process dies; returns when the service is whole again."""
     pid = service.pids()[process]
     service.die(process)
@@ -48,7 +46,7 @@ def stop(service: Simulated, process: str) -> None:
 
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_stop_that_is_in_no_file(service: Simulated, command: Any, reset: bool) -> None:
-    stop(service, "gate")
+    replace(service, "gate")
     if reset:
         service.robot.reset()
     stop = service.robot.state.last_stop
@@ -62,29 +60,30 @@ def test_a_stop_that_is_in_no_file(service: Simulated, command: Any, reset: bool
 def test_nothing_is_to_come(service: Simulated, command: Any) -> None:
     assert command.unsaved("nobody") is None
     assert command.unsaved("failstop") is None
-    stop(service, "gate")
-    stop(service, "telemetry")
-    assert service.robot.state.last_stop.reason == "telemetry died"
-    assert command.unsaved("failstop") is None, "it belongs to the file of the stop that is latched"
+    service.board.unplug()
+    service.wait_for("the latch", lambda: service.robot.state.estop == "device lost")
+    assert command.unsaved("failstop") is not None
+    service.die("telemetry")
+    service.wait_for("its stop", lambda: service.robot.state.last_stop.reason == "telemetry died")
+    assert command.unsaved("failstop") is None, "it belongs to the file of the one that is latched"
 
 
-def test_its_file_is_waited_for(service: Simulated, command: Any) -> None:
-    stop(service, "gate")
+def test_its_file_is_waited_for(service: Simulated) -> None:
+    replace(service, "gate")
     saved(service, -30.0)
     newer = OLDER.replace("died", "died-2")
-    service.lab.machine.at(service.lab.machine.now_ns + 2 * NS, lambda: saved(service, 0.0, newer))
-    assert command.main(SHOW) == 0
-    assert "Incident 20260921-143320-gate-died-2\n" in service.said
-    assert "in no file" not in service.said
+    service.lab.machine.at(service.now_ns() + 2 * NS, lambda: saved(service, 0.0, newer))
+    code, printed, errors = service.command("incident", "show")
+    assert (code, errors) == (0, "")
+    assert "Incident 20260921-143320-gate-died-2\n" in printed
 
 
-def test_an_older_one_is_not_shown_without_a_word(
-    service: Simulated, command: Any
-) -> None:
-    stop(service, "gate")
+def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: Any) -> None:
+    replace(service, "gate")
     saved(service, -30.0)
-    began_s = service.time.monotonic()
-    assert command.main(SHOW) == 0
-    assert service.time.monotonic() - began_s <= command.SAVED_S
-    assert service.said.startswith("Incident ")
-    assert "failstop: the last stop (gate died) is in no file so far: this is another\n" in service.said
+    began_ns = service.now_ns()
+    code, printed, errors = service.command("incident", "show")
+    assert service.now_ns() - began_ns == pytest.approx(command.SAVED_S * NS, abs=NS // 10)
+    assert code == 0
+    assert printed.startswith("Incident ")
+    assert errors == "failstop: the last stop (gate died) is in no file so far: this is another\n"

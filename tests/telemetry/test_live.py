@@ -36,10 +36,12 @@ def test_bias_charger_log_and_tones_on_a_running_service() -> None:
     service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.LATCH[4:-1])
     wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in service.said)
 
+    service.wait(2.5)
     wait_for("the calibration", lambda: robot.state.gyro_bias.calibrated)
     assert "gyro bias [" in service.said
     wait_for("the bias", lambda: bias_dps() == pytest.approx(0.4, abs=0.15))
 
+    service.wait(2.0)
     wait_for("five lines and their header", lambda: len(lines()) >= 6)
     model.battery_mv += 249
     wait_for("the charger", lambda: robot.state.plugged == "plugged")

@@ -152,7 +152,11 @@ class File:
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)
         self.system, self._text = system, "b" not in mode
-        self._fd: int = opener(path, flags) if opener else system.open(path, flags)
+        self._fd: int
+        if isinstance(path, int):
+            self._fd = path
+        else:
+            self._fd = opener(path, flags) if opener else system.open(path, flags)
 
     def fileno(self) -> int:
         return self._fd

@@ -177,7 +177,7 @@ class Robot:
     def join(self, name: str) -> Process:
         """A program that is the caller's own: its calls are made inline (Machine.join)."""
         me = self.machine.join(name, dict(ENVIRON))
-        self._streams(me)
+        self.streams(me)
         return me
 
     def command(self, words: Sequence[str], each: Callable[[], object] = lambda: None) -> tuple[int, str, str]:
