@@ -20,7 +20,12 @@ PACKAGES = {
 
 def missing(what: str, extra: str) -> str:
     """The message for something that needs an extra which is not there."""
+    return told(what, extra, pip=importlib.util.find_spec("pip") is not None)
+
+
+def told(what: str, extra: str, *, pip: bool) -> str:
+    """The same where there is a `pip`, or none."""
     packages = " ".join(PACKAGES[extra])
-    if importlib.util.find_spec("pip") is None:
+    if not pip:
         return f"{what}, and there is no pip in {sys.prefix}: do it on a machine with failstop's source and {packages}"
     return f"{what}: {shlex.quote(sys.executable)} -m pip install {packages}"
