@@ -7,6 +7,7 @@ import json
 import random
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -113,7 +114,7 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
     """An error in the midst of it says nothing of the wheels."""
 
     class Fails(random.Random):
-        def choice(self, _: object) -> float:
+        def choice(self, seq: Any) -> Any:
             raise OSError("nobody is there")
 
     path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["0.2"]

@@ -306,7 +306,7 @@ def test_a_sensor_that_does_not_move_the_wheels_again_fails_its_path(tmp_path: P
 
     with on_stand(tmp_path) as stand:
         stand.driver.leave()
-        stand.driver = Blind(stand.name)
+        stand.driver = Blind(stand.name, "prove", tuple(stand.settings.interlocks()))
         stand.driver.each = stand.look
         result = one(stand, "scan")
     assert result.verdict == "FAIL"
