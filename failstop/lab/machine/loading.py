@@ -37,7 +37,7 @@ HARMLESS = frozenset(
             "difflib",
         ),
         *("enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex", "stat"),
-        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "zlib"),
+        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
     )
 )
 """Python's own modules that ask no machine."""
@@ -80,7 +80,7 @@ class Loader:
         self._loaded: dict[str, ModuleType] = stand_ins(calls)
         self._unnamed = set(self._loaded)
         """Stand-ins that their package does not know yet."""
-        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open}
+        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open, "print": self._print}
 
     def load(self, name: str) -> Any:
         """A module of failstop's by its name."""
@@ -135,6 +135,9 @@ class Loader:
             return builtins.__import__(name, globals, locals, fromlist, level)
         raise ImportError(f"the simulated machine has no {name}")
 
+    def _print(self, *values: object, **options: Any) -> None:
+        builtins.print(*values, **{"file": self.system["sys"].stdout, **options})
+
     def _open(self, path: Any, mode: str = "r", *_: Any, opener: Any = None, **__: Any) -> Any:
         return File(self.system["os"], path, mode, opener)
 
@@ -155,7 +158,11 @@ class File:
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)
         self.system, self._text = system, "b" not in mode
-        self._fd: int = opener(path, flags) if opener else system.open(path, flags)
+        self._fd: int
+        if isinstance(path, int):
+            self._fd = path
+        else:
+            self._fd = opener(path, flags) if opener else system.open(path, flags)
 
     def fileno(self) -> int:
         return self._fd

@@ -7,7 +7,7 @@ import os
 import posixpath
 from collections.abc import Iterable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
@@ -324,6 +324,10 @@ class Processes(Module):
         parent = self._machine.current.process.parent if self._machine.current else None
         return parent.pid if parent else 1
 
+    def get_terminal_size(self, fd: int = 1) -> NoReturn:
+        self._calls.begin("ioctl", fd)
+        raise OSError(errno.ENOTTY, "not a terminal")
+
     def urandom(self, most: int) -> bytes:
         return self._calls.process("urandom").random_bytes(most)
 
@@ -346,7 +350,6 @@ class Os(Paths, Descriptors, Processes):
         self.sched_getscheduler = lambda pid: os.SCHED_FIFO
         self.sched_getparam = lambda pid: os.sched_param(10)
         self.sched_setscheduler = lambda pid, policy, param: None
-        self.get_terminal_size = lambda fd=0: os.terminal_size((80, 24))
         self.isatty = lambda fd: False
         self.register_at_fork = lambda **_: None
 
