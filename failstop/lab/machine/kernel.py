@@ -142,6 +142,8 @@ class Machine:
         self.current: Thread | None = None
         self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
         """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.refused = 0
+        """Rights that it grants to nobody, as bits of the heartbeat."""
         self.shortened = False
         """The next write takes a half of what it is given."""
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
