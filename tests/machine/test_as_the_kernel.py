@@ -158,7 +158,14 @@ def a_map_is_the_file(on: System, folder: str) -> Story:
     return [*story, bytes(first[99:104])]
 
 
+def a_session_is_killed_as_one(on: System, folder: str) -> Story:
+    pid = on.os.posix_spawn("/bin/sh", ["/bin/sh", "-c", "exec sleep 120"], {}, setsid=True)
+    story: Story = [tried(on.os.kill, -pid, 9), on.os.waitpid(pid, 0) == (pid, 9)]
+    return [*story, tried(on.os.kill, -pid, 9), tried(on.os.kill, pid, 9)]
+
+
 PROGRAMS = (
+    a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
     an_eventfd_counts,
     an_epoll_set_tells_of_levels_and_edges,
@@ -177,6 +184,7 @@ def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_p
 
     real = SimpleNamespace(os=os, select=select, fcntl=fcntl, socket=_socket, mmap=mmap)
     robot = Robot()
+    robot.machine.programs["sh"] = lambda process, argv: robot.machine.block()
     modules = robot.loader.system
     simulated = SimpleNamespace(
         **{name: modules[name] for name in ("os", "select", "fcntl", "mmap")}, socket=modules["_socket"]

@@ -53,7 +53,7 @@ class Scene:
         self.clock = Clock(self.machine)
         self.born: list[Process] = []
         self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
-        self.machine.programs["child.py"] = self._wait
+        self.machine.programs["child.py"] = self.wait
         self.plug()
         self.late = 0
         changed = {"device.path": DEVICE, **(settings or {})}
@@ -76,7 +76,8 @@ class Scene:
         self.has_port(layout.PORT_OWNER)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
-    def _wait(self, process: Process, argv: list[str]) -> int:
+    def wait(self, process: Process, argv: list[str]) -> int:
+        """A program that waits to be killed."""
         self.machine.block()
         return 0
 
@@ -153,6 +154,10 @@ class Scene:
     def starve(self, name: str) -> None:
         """The machine does not run it."""
         self.machine.hold(self.employ(name), 1 << 61, starved=True)
+
+    def running(self, program: str) -> list[Process]:
+        """The living processes of a program."""
+        return [process for process in self.born if process.name == program and not process.dead]
 
     def state(self, name: str) -> str:
         """What the supervisor makes of it."""

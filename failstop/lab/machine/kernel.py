@@ -74,6 +74,8 @@ class Process:
         self.machine = machine
         self.pid = pid
         self.parent = parent
+        self.group = parent.group if parent else pid
+        """Its process group: what is sent to that comes to all in it."""
         self.name = name
         self.environ = environ
         machine.processes[pid] = self
@@ -351,6 +353,15 @@ class Machine:
         if found is None or found.reaped:
             raise ProcessLookupError(errno.ESRCH, "no such process")
         return found
+
+    def named(self, pid: int) -> list[Process]:
+        """The process with this number; below 0: the whole group. Raises ProcessLookupError."""
+        if pid > 0:
+            return [self.living(pid)]
+        group = [each for each in self.processes.values() if each.group == -pid and not each.reaped]
+        if not group:
+            raise ProcessLookupError(errno.ESRCH, "no such process group")
+        return group
 
     def kill(self, process: Process, number: int) -> None:
         """Send a signal."""

@@ -266,7 +266,8 @@ class Processes(Module):
 
     def kill(self, pid: int, number: int) -> None:
         self._calls.process("kill", pid)
-        self._machine.kill(self._machine.living(pid), int(number))
+        for each in self._machine.named(pid):
+            self._machine.kill(each, int(number))
 
     def waitpid(self, pid: int, options: int) -> tuple[int, int]:
         process = self._calls.process("waitpid", pid)
@@ -294,6 +295,7 @@ class Processes(Module):
             return program(child, words) if program else 0
 
         made = self._machine.process(called, run, dict(environ), process)
+        made.group = made.pid if setsid else process.group
         self._inherit(process, made, process.inheritable)
         return made.pid
 
