@@ -66,7 +66,7 @@ class Scene:
         attach = self.load("failstop.shm.segment").attach
         self.view = attach(self.run.memory, layout.SUPERVISOR)
         self.word = self.view.word
-        self._told = self.view.ring_reader("events")
+        self._told, self._box = self.view.ring_reader("events"), self.view.ring_reader("box")
         self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESSES}
         self.port_owner, self.gate, self.telemetry, self.stopper = (
             self.own[name] for name in (layout.PORT_OWNER, layout.GATE, layout.TELEMETRY, layout.STOPPER)
@@ -278,6 +278,13 @@ class Scene:
         if self.word("resets").get() != self.gate.word("resets_asked").get():
             return None
         return told(unpack(self.read("reset"))[2])
+
+    def boxed(self) -> list[tuple[int, bytes]]:
+        """What the black box has of it since the last call, and when that was written."""
+        found = []
+        while entry := self._box.next():
+            found.append((entry[1], entry[2]))
+        return found
 
     def events(self) -> list[dict[str, Any]]:
         """What people were told since the last call."""

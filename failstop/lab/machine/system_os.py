@@ -295,6 +295,7 @@ class Processes(Module):
             return program(child, words) if program else 0
 
         made = self._machine.process(called, run, dict(environ), process)
+        made.argv = words
         made.group = made.pid if setsid else process.group
         self._inherit(process, made, process.inheritable)
         return made.pid
