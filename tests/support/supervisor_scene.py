@@ -145,10 +145,9 @@ class Scene:
         self.supervisor.processes.arm()
         return self.machine.processes[child.pid]
 
-    def dies(self, *names: str) -> None:
-        """Processes that run are killed, and the late news of it has come."""
-        for process in [self.employ(name) for name in names]:
-            self.machine.die(process, -9)
+    def dies(self, who: str | Process, code: int = -9) -> None:
+        """A process dies, and the late news of it has come; by its name one that runs."""
+        self.machine.die(self.employ(who) if isinstance(who, str) else who, code)
         self.now_ns += LATE_NS
 
     def starve(self, name: str) -> None:
