@@ -24,7 +24,8 @@ from tests.support.why import said, told, why
 
 DEVICE = "/dev/ttyACM0"
 RUNTIME_DIR = "/run/failstop/stage"
-TICK_MS = main.TICK_NS // MS
+NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
+"""What is told of a machine that runs everybody."""
 
 
 class Scene:
@@ -45,8 +46,9 @@ class Scene:
         me = self.machine.join(layout.SUPERVISOR, {"HOME": "/root"})
         loader = Loader(self.machine, patches)
         self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
-        for path in ("/dev/shm", "/proc", "/sys/dev/char", "/root", RUNTIME_DIR):
+        for path in ("/dev/shm", "/proc", "/sys/dev/char", "/root", "/proc/self/ns", RUNTIME_DIR):
             self.os.makedirs(path)
+        self.os.close(self.os.open("/proc/self/ns/pid", os.O_CREAT | os.O_WRONLY))
         self.stderr = Null()
         for _ in range(3):
             me.descriptor(Open(self.stderr), 0)
@@ -258,7 +260,7 @@ class Scene:
 
     def waits_for(self) -> str:
         """What motion waits for, as everybody reads."""
-        found: str = self.table("processes")["waiting_for"]
+        found: str = self.table("processes")["waiting_for"] or ""
         return found
 
     def told(self) -> dict[str, Any]:
