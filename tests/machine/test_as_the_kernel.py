@@ -164,7 +164,19 @@ def a_session_is_killed_as_one(on: System, folder: str) -> Story:
     return [*story, tried(on.os.kill, -pid, 9), tried(on.os.kill, pid, 9)]
 
 
+def a_mask_takes_rights_away(on: System, folder: str) -> Story:
+    before = on.os.umask(0o27)
+    story: Story = [on.os.umask(0o27)]
+    on.os.close(on.os.open(f"{folder}/file", os.O_RDWR | os.O_CREAT, 0o666))
+    on.os.mkfifo(f"{folder}/pipe", 0o622)
+    on.os.mkdir(f"{folder}/folder", 0o777)
+    on.os.umask(before)
+    on.os.chmod(f"{folder}/folder", 0o777)
+    return [*story, *(oct(on.os.stat(f"{folder}/{name}").st_mode) for name in ("file", "pipe", "folder"))]
+
+
 PROGRAMS = (
+    a_mask_takes_rights_away,
     a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
     an_eventfd_counts,

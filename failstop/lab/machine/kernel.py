@@ -102,6 +102,7 @@ class Process:
         """Pidfds."""
         self.sys_path: list[str] = []
         self.argv: list[str] = []
+        self.umask = 0o22
         self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:

@@ -199,7 +199,7 @@ class SharedMemory:
         process, folder = calls.process("shm_open", name), shared_folder(calls)
         if name.lstrip("/") in folder.names:
             raise Error("there is one of this name")
-        made = Regular(mode)
+        made = Regular(mode & ~process.umask)
         folder.put(name.lstrip("/"), made)
         self.fd = process.descriptor(Open(made))
 

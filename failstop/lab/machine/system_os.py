@@ -90,7 +90,7 @@ class Paths(Module):
         above, name = self._calls.walk(process, path, dir_fd)
         node = self._found(above, name, flags, path)
         if node is None:
-            node = Regular(mode & 0o777)
+            node = Regular(mode & 0o777 & ~process.umask)
             above.put(name, node)
         if flags & os.O_DIRECTORY and not isinstance(node, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
@@ -134,9 +134,11 @@ class Paths(Module):
         return list(node.names)
 
     def _put(self, call: str, path: str, node: Node, dir_fd: int | None) -> None:
-        above, name = self._calls.walk(self._calls.process(call, path), path, dir_fd)
+        process = self._calls.process(call, path)
+        above, name = self._calls.walk(process, path, dir_fd)
         if name in above.names:
             raise FileExistsError(errno.EEXIST, "file exists", path)
+        node.mode &= ~process.umask
         above.put(name, node)
         if isinstance(node, Directory):
             node.above = above
@@ -185,7 +187,8 @@ class Paths(Module):
     fchmod = chmod
 
     def chown(self, path: Any, uid: int, gid: int, *, dir_fd: int | None = None) -> None:
-        self._calls.node(self._calls.process("chown", path), path, dir_fd)
+        node = self._calls.node(self._calls.process("chown", path), path, dir_fd)
+        node.uid, node.gid = (new if new >= 0 else old for new, old in ((uid, node.uid), (gid, node.gid)))
 
     fchown = chown
 
@@ -317,6 +320,11 @@ class Processes(Module):
     def _exit(self, code: int) -> None:
         self._machine.die(self._calls.process("exit"), code)
 
+    def umask(self, mask: int) -> int:
+        process = self._calls.process("umask")
+        before, process.umask = process.umask, mask
+        return before
+
     def getpid(self) -> int:
         return self._machine.current.process.pid if self._machine.current else 0
 
@@ -341,7 +349,6 @@ class Os(Paths, Descriptors, Processes):
         for name in ("getuid", "geteuid", "getgid", "getegid"):
             setattr(self, name, lambda: 0)
         self.getgroups = lambda: [0]
-        self.umask = lambda mask: 0o22
         self.uname = lambda: SimpleNamespace(machine="x86_64", sysname="Linux", release="6.1", nodename="simulated")
         self.sched_getscheduler = lambda pid: os.SCHED_FIFO
         self.sched_getparam = lambda pid: os.sched_param(10)
