@@ -411,6 +411,13 @@ class Machine:
         self._runnable.extend(process.parked)
         process.parked = []
 
+    def collecting(self) -> bool:
+        """True in a call of the garbage collector's, which comes in the middle of anything: it is no process's."""
+        try:
+            return self.current is None or getcurrent() is not self.current.greenlet
+        except RuntimeError:  # of a greenlet that is being collected itself
+            return True
+
     def call(self, name: str, *about: Any) -> Process:
         """Begin a call of the system: returns the process that makes it."""
         thread = self.current

@@ -116,7 +116,8 @@ class Robot:
             self.board.port.unplug()
             self.board.port = None
 
-    def _streams(self, process: Process) -> None:
+    def streams(self, process: Process) -> None:
+        """Give a process its standard streams: `stderr` hears what it writes there."""
         for _ in range(3):
             process.descriptor(Open(self.stderr), 0)
 
@@ -136,7 +137,7 @@ class Robot:
         """Start the service by `failstop run`, which stops first and then becomes the supervisor."""
 
         def body(process: Process) -> int:
-            self._streams(process)
+            self.streams(process)
             run, refused = self.loader.load("failstop.cli.commands.run"), self.loader.load("failstop.api.errors")
             try:
                 run.main(Namespace(config=SETTINGS, device=DEVICE, name="failstop"))
@@ -152,7 +153,7 @@ class Robot:
         """Start a client's program: `body` is called with the module `failstop` of that machine."""
 
         def run(process: Process) -> int:
-            self._streams(process)
+            self.streams(process)
             process.argv = [name]
             body(self.loader.load("failstop"))
             return 0

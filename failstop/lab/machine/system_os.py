@@ -197,6 +197,8 @@ class Descriptors(Module):
     """The calls that take a descriptor, or make one."""
 
     def close(self, fd: int) -> None:
+        if self._machine.collecting():
+            return
         process = self._calls.process("close", fd)
         self._calls.opened(process, fd)
         process.close(fd)
