@@ -7,7 +7,7 @@ import os
 import posixpath
 from collections.abc import Iterable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
@@ -327,6 +327,9 @@ class Processes(Module):
         before, process.umask = process.umask, mask
         return before
 
+    def get_terminal_size(self, fd: int = 1) -> NoReturn:
+        raise OSError(errno.ENOTTY, "not a terminal")
+
     def getpid(self) -> int:
         return self._machine.current.process.pid if self._machine.current else 0
 
@@ -355,7 +358,6 @@ class Os(Paths, Descriptors, Processes):
         self.sched_getscheduler = lambda pid: os.SCHED_FIFO
         self.sched_getparam = lambda pid: os.sched_param(10)
         self.sched_setscheduler = lambda pid, policy, param: None
-        self.get_terminal_size = lambda fd=0: os.terminal_size((80, 24))
         self.isatty = lambda fd: False
         self.register_at_fork = lambda **_: None
 
