@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.kernel import Process
 from failstop.policy import causes
 from failstop.procs.loop import GONE
 from failstop.shm import layout, records

@@ -48,7 +48,9 @@ def test_requests_without_end_are_bounded_and_counted_and_take_nobody_s_room(sce
             request(scene, asked, "stop_again" if tick % 2 else "stop_also")
             asked += 1
             if tick % 1000 == 999:
-                scene.run.events.tell("stop_again", "stopped again: gate died", {"reason": "gate died", "latched": "key1"})
+                scene.run.events.tell(
+                    "stop_again", "stopped again: gate died", {"reason": "gate died", "latched": "key1"}
+                )
                 scene.run.events.tell("stop", "STOP latched: stop request: x", {"reason": "stop request: x"})
             if tick % 20 == 19:
                 said += flush(scene)

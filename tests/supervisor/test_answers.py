@@ -289,7 +289,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene) -> None:
     assert scene.events() == []
     scene.turn(ANSWER_NS)
     assert seen == [[]]
-    assert [event["text"] for event in scene.events()][0] == "from before"
+    assert scene.events()[0]["text"] == "from before"
 
 
 def watched(scene: Scene) -> Any:

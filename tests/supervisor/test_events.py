@@ -15,8 +15,8 @@ import pytest
 
 from failstop.supervisor import kinds
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Outbox, journal_entry, pack, say
-from tests.support.supervisor_scene import Scene
 from tests.supervisor.streams import stderr_is
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture

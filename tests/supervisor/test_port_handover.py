@@ -152,9 +152,7 @@ def test_its_loss_and_its_return_are_told_once_each(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(("number", "lost"), [(0, False), (1, True), (2, False)])
-def test_what_the_port_owner_says_of_another_port_is_no_loss_of_this_one(
-    scene: Scene, number: int, lost: bool
-) -> None:
+def test_what_the_port_owner_says_of_another_port_is_no_loss_of_this_one(scene: Scene, number: int, lost: bool) -> None:
     """It may be late, and speak of the one before."""
     scene.has_port(layout.PORT_OWNER, number, records.PORT_LOST)
     turn(scene)

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.lab.machine.kernel import LATE_NS, Process
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS

@@ -65,7 +65,9 @@ def test_who_is_to_answer_an_epoch_is_woken(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", list(BY_NAME))
-def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answered_for(whole: Scene, name: str) -> None:
+def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answered_for(
+    whole: Scene, name: str
+) -> None:
     process, deadline_ns = whole.employ(name), BY_NAME[name].deadline_ns
     lived: list[bool] = []
     whole.wire.on_bytes = lambda data: lived.append(not process.dead)
