@@ -46,9 +46,9 @@ class Scene:
         me = self.machine.join(layout.SUPERVISOR, {"HOME": "/root"})
         loader = Loader(self.machine, patches)
         self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
-        for path in ("/dev/shm", "/proc", "/sys/dev/char", "/root", "/proc/self/ns", RUNTIME_DIR):
+        for path in ("/dev/shm", "/sys/dev/char", "/root", RUNTIME_DIR):
             self.os.makedirs(path)
-        self.os.close(self.os.open("/proc/self/ns/pid", os.O_CREAT | os.O_WRONLY))
+        self.write("/proc/self/ns/pid", "")
         self.stderr = Null()
         for _ in range(3):
             me.descriptor(Open(self.stderr), 0)
@@ -93,6 +93,19 @@ class Scene:
         devices = self.machine.root.names["dev"]
         assert isinstance(devices, Directory)
         self.wire = Wire(self.machine, devices, 0)
+
+    @property
+    def me(self) -> Process:
+        """The supervisor's own process, in which the test is."""
+        assert self.machine.inline
+        return self.machine.inline.process
+
+    def write(self, path: str, text: str) -> None:
+        """Make a file."""
+        self.os.makedirs(os.path.dirname(path))
+        fd = self.os.open(path, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+        self.os.write(fd, text.encode())
+        self.os.close(fd)
 
     # Time.
 
@@ -313,8 +326,7 @@ class Scene:
 
     def open_fds(self) -> set[int]:
         """The descriptors that the supervisor has."""
-        assert self.machine.inline
-        return set(self.machine.inline.process.files)
+        return set(self.me.files)
 
     def refuse(self, call: str, error: Exception, when: Callable[..., bool] = lambda *about: True) -> None:
         """From now on that call of the system fails, of the supervisor."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import heapq
+import os
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -103,6 +104,8 @@ class Process:
         self.sys_path: list[str] = []
         self.argv: list[str] = []
         self.umask = 0o22
+        self.most_files = 1 << 20
+        """A descriptor is below this (RLIMIT_NOFILE)."""
         self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:
@@ -110,6 +113,8 @@ class Process:
         fd = lowest
         while fd in self.files:
             fd += 1
+        if fd >= self.most_files:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
         self.files[fd] = opened
         opened.references += 1
         return fd
