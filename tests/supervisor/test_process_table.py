@@ -114,7 +114,7 @@ def test_what_a_process_is_told_on_its_command_line(scene: Scene, processes: Any
         assert arguments[3].endswith("/supervisor/child.py")
         assert os.path.exists(arguments[3])
         assert arguments[4] == row.name
-        run, me = scene.run, scene.machine.inline.process
+        run, me = scene.run, scene.me
         words = [f"name={run.name}", f"run={run.incarnation:x}", f"dir={run.runtime_dir}", f"parent={me.pid}"]
         numbers = run.descriptors(row.name, -1)
         given = [f"{key}={numbers[key]}" for key in row.descriptors]

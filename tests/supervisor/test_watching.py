@@ -189,8 +189,7 @@ def test_from_when_on_it_was_held_up(scene: Scene, gap_ns: int, was_ready: bool,
 
 def suspended(scene: Scene) -> None:
     """A signal has let it go on."""
-    assert scene.machine.inline
-    scene.machine.inline.process.continued = True
+    scene.me.continued = True
 
 
 @pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HELD_UP_NS])

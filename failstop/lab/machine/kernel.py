@@ -75,7 +75,7 @@ class Process:
         self.machine = machine
         self.pid = pid
         self.parent = parent
-        self.group = parent.group if parent else pid
+        self.group: int = parent.group if parent else pid
         """Its process group: what is sent to that comes to all in it."""
         self.name = name
         self.environ = environ
