@@ -20,7 +20,6 @@ import posix_ipc
 
 from failstop.procs.loop import READ, Loop
 from failstop.procs.port_owner.main import TICK_NS
-from failstop.procs.world import World
 from failstop.shm import segment
 from failstop.shm.bell import EventBell
 from failstop.shm.layout import BY_NAME
@@ -73,7 +72,7 @@ class RingAndBell:
         """What the port owner does: wait for the set until the next tick, clear the bell, drain the ring."""
         reader = segment.attach(self._instance, "gate", 1).ring_reader("frames")
         bell = self._bell
-        loop = Loop(World())
+        loop = Loop()
         loop.watch(bell.fd, READ)
         loop.watch(self._silent.fd, READ)
 
@@ -165,7 +164,7 @@ class PosixQueueInLoop(PosixQueue):
         """Wait for the set until the next tick, then mq_receive."""
         queue = posix_ipc.MessageQueue(self._queue.name)
         queue.block = False
-        loop = Loop(World())
+        loop = Loop()
         loop.watch(queue.mqd, READ)
 
         def receive() -> bytes:

@@ -53,7 +53,7 @@ _I8 = Struct("<b")
 _READ_POSITION = 0x05
 _PINGED_SERVOS = 4
 
-# What the value of a servo's reply looks like, by function and sub-command.
+# The form of the value in a servo's reply, by function and sub-command.
 _VALUES = {
     (PWM_SERVO, _READ_POSITION): _U16,
     (PWM_SERVO, 0x09): _I8,

@@ -1,4 +1,5 @@
-"""What every frame to and from the controller board has in common: functions, head, CRC, and checks of values.
+"""Framing: the parts that all frames to and from the controller board share: functions, head, CRC, and checks of
+values.
 
 A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts the data alone and the CRC
 covers func, len and data (vendor protocol description).

@@ -1,4 +1,4 @@
-"""What gate, port owner, stopper and supervisor need of a motor board, and the one that is built in.
+"""Interface: the things that gate, port owner, stopper and supervisor need of a motor board; and the built-in board.
 
 A second board is a second class with all of these, in a module of its own (docs/dev/porting.md).
 """

@@ -99,7 +99,7 @@ def open_if_there(path: str) -> int:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """What was written to the port and the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
+    """Bytes written to the port that the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
     1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
@@ -141,7 +141,7 @@ def release_exclusive(descriptor: int) -> None:
 
 
 def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
-    # What stat() saw may have been replaced before open(); only a terminal answers this.
+    # The file that stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
     # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
     # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
@@ -158,7 +158,7 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
         _set_raw(descriptor, before, _OTHER_SPEED)
     _set_raw(descriptor, before, _SPEED)
     _check_raw(path, descriptor)
-    # What somebody has stopped (TCOOFF), or what a ^S had while the terminal still took it for one, would keep every
+    # A port that somebody has stopped (TCOOFF), or that a ^S stopped while it was still a terminal, would keep every
     # byte to itself. It costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
     # DTR on and RTS off is the board's safe state. Opening raised both; DTR first, because DTR off while RTS is on

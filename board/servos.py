@@ -38,7 +38,7 @@ PULSES_PER_REVOLUTION = 1500
 LONGEST_MOVE_MS = 60
 
 HELD_NS = 2_000_000
-"""What a stop may have to wait for the servos' bus."""
+"""The longest that a stop may have to wait for the servos' bus."""
 MOVE_NS = 870_000
 """Ten bytes on that bus, for each servo."""
 STOP_NS = 520_000
@@ -65,7 +65,7 @@ def bus_ns(func: int, data: bytes) -> int:
 
 
 def frame_ns(frame: bytes) -> int:
-    """The same of a whole frame."""
+    """The time that a whole frame takes on the bus, in ns."""
     return bus_ns(frame[2], frame[4:-1])
 
 
@@ -161,7 +161,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
 
 
 def _move_fault(data: bytes, longest_ms: int) -> str:
-    """What is wrong with the data of a move but for its servos; "" when nothing is."""
+    """The fault in the data of a move, its servos aside; "" when there is none."""
     if len(data) <= _MOVES_AT or len(data) != _MOVES_AT + 3 * data[3]:
         return "a count that is not its data's"
     duration_ms: int = _U16.unpack_from(data, 1)[0]

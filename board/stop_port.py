@@ -18,7 +18,7 @@ from failstop.board.interface import BOARD
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    pass
 
 TRIES = 3
 DRAIN_S = 0.1
@@ -29,20 +29,17 @@ LOOK_S = 0.0005
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_stop", "_unsent_bytes", "_writing", "errno", "fd", "lost", "unsent")
+    __slots__ = ("_stop", "_writing", "errno", "fd", "lost", "unsent")
 
-    def __init__(
-        self, fd: int, servos: tuple[int, ...] = (), unsent_bytes: Callable[[int], int] = port.unsent_bytes
-    ) -> None:
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
         burst or not at all."""
-        self._unsent_bytes = unsent_bytes
         self._stop = BOARD.burst_with(servos)
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
         self.unsent = b""
-        """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
+        """Bytes of one burst or frame that the kernel has not accepted yet."""
         self._writing = _thread.allocate_lock()
         """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
 
@@ -93,7 +90,7 @@ class StopPort:
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
             try:
-                if self.flush() and not self._unsent_bytes(self.fd):
+                if self.flush() and not port.unsent_bytes(self.fd):
                     return True
             except OSError as error:
                 self.lost, self.errno = True, error.errno or 0

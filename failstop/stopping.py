@@ -15,7 +15,7 @@ import os
 import select
 import time
 
-from failstop.board.port import PortError, open_port, unsent_bytes
+from failstop.board.port import PortError, open_port
 from failstop.board.stop_port import StopPort
 
 RETRY_S = 0.02
@@ -60,7 +60,7 @@ def stop(
 def write(path: str, servos: tuple[int, ...] = ()) -> None:
     """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
     servos, see it drained, close. Raises PortError."""
-    stop_port = StopPort(open_port(path, exclusive=False), servos, unsent_bytes)
+    stop_port = StopPort(open_port(path, exclusive=False), servos)
     try:
         stop_port.burst()
         if not stop_port.drain():

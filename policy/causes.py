@@ -22,11 +22,11 @@ ROOM = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Who asks for a stop writes this for what it will know soon, and completes its cause by asking once more."""
+"""The place of a name that is not known yet: the asker completes its cause by asking once more."""
 RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
-"""Who notices what clients do."""
+"""The process that notices the acts of clients."""
 NUMBER_BYTES = 2
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
@@ -107,7 +107,7 @@ def unpack(payload: bytes) -> Cause:
         raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
     kind = BY_NUMBER[number]
     texts = payload[NUMBER_BYTES:].decode("utf-8", "replace").split(BETWEEN)
-    # What was cut off is empty.
+    # Parameters that were cut off are empty.
     texts += [""] * (len(kind.parameters) - len(texts))
     pairs = zip(kind.parameters, texts, strict=False)
     return Cause(kind, tuple(text if of is str else of(text or 0) for (_, of), text in pairs))
@@ -124,7 +124,7 @@ def filled(template: str, arguments: dict[str, Value]) -> str:
 
 
 def read(payload: bytes) -> Cause:
-    """The same, and UNKNOWN for what is damaged: a stop is one whatever its cause."""
+    """A cause of packed bytes, UNKNOWN where they are damaged: a stop is one whatever its cause."""
     try:
         return unpack(payload)
     except ValueError:

@@ -34,7 +34,7 @@ class Wheels:
         self._wheels = [(signs[wheel] * self._turns_per_m, *WAYS[wheel]) for wheel in map(ids.index, IDS)]
         """By wire id."""
         self.axes = (1.0, sideways, 1.0)
-        """What it can follow of (vx, vy, wz): a limit times this is the limit that holds."""
+        """Factors of (vx, vy, wz) that the wheels can follow: a limit times its factor is the limit that holds."""
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""

@@ -65,4 +65,4 @@ PROCESSES = (
 
 BY_NAME = {row.name: row for row in PROCESSES}
 ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
-"""What each process does, as the end of a sentence."""
+"""The job of each process, as the end of a sentence."""

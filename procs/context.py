@@ -8,15 +8,16 @@ It travels in the command line, where `ps` shows it, and for the settings in one
 from __future__ import annotations
 
 import os
+from time import monotonic_ns
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
 from failstop.procs.loop import Loop
-from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, STOPPING, Heartbeat
+from failstop.shm.lifeline import EarlyNews
 from failstop.shm.segment import Segment
 
 TYPE_CHECKING = False
@@ -29,7 +30,6 @@ class Context:
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.process = process
-        self.world = World()
         self.instance = words.pop("name")
         self.incarnation = int(words.pop("run"), 16)
         self.memory = segment.memory(self.instance, self.incarnation)
@@ -49,19 +49,19 @@ class Context:
         self.own = segment.attach(self.memory, process, self.incarnation, write=True)
         lifelines = segment.attach(self.memory, "lifelines", self.incarnation, write=True)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
-        self.early = self.world.early_news(lifelines)
-        self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())
+        self.early = EarlyNews(lifelines)
+        self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
         """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it. Then
         handle one wake-up after the other, until a turn is False."""
         rights.settle()
-        self.heartbeat.state(RUNNING, self.world.now_ns())
+        self.heartbeat.state(RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()
         ready: dict[int, int] = {}
         while turn(ready) is not False:
             ready = loop.wait(longest_ns)
-        self.heartbeat.state(STOPPING, self.world.now_ns())
+        self.heartbeat.state(STOPPING, monotonic_ns())
 
     def fd(self, key: str) -> int:
         """An inherited descriptor; -1 when there is none, as with a port that is not open."""

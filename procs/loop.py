@@ -12,8 +12,7 @@ costs about 0.12 ms of processor time (60 us of the kernel's, and as much in col
 from __future__ import annotations
 
 import select
-
-from failstop.procs.world import World
+from time import monotonic_ns
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
@@ -56,10 +55,9 @@ class Timer:
 class Loop:
     """One process's set of descriptors, and its timers."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self) -> None:
         self._timers: list[Timer] = []
-        self._now_ns, self._select = world.now_ns, world.select
-        self._epoll = world.epoll()
+        self._epoll = select.epoll()
         self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
 
@@ -76,7 +74,7 @@ class Loop:
 
     def readable(self, fd: int) -> bool:
         """True when a descriptor, in the set or not, can be read now."""
-        return bool(self._select((fd,), (), (), 0)[0])
+        return bool(select.select((fd,), (), (), 0)[0])
 
     def timer(self) -> Timer:
         """One more point in time to wait for; for as long as the loop lives."""
@@ -89,10 +87,10 @@ class Loop:
 
     def wait(self, longest_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready, a timer has come, or this time is over; return {fd: what has come}."""
-        left_ns = self.due_ns() - self._now_ns()
+        left_ns = self.due_ns() - monotonic_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
             return dict(self._poll(longest_ns * 1e-9))
         left_ns = min(left_ns, longest_ns)
-        if left_ns <= 0 or self._select(self._set, (), (), left_ns * 1e-9)[0]:
+        if left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]:
             return dict(self._poll(0))
         return {}

@@ -1,4 +1,4 @@
-"""Whom port owner and stopper watch: the supervisor, and each other process from when the supervisor names it."""
+"""Peers: the processes that the port owner and the stopper watch for death."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Parent:
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort | None = None) -> None:
         """`line`: of the supervisor's futexes, to wait on; `port`: as a peer's."""
-        self.life = context.world.lifeline(context.parent)
+        self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
         """When its death was noticed; 0: it lives."""
@@ -72,7 +72,6 @@ class Peer:
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
-        self._lifeline = context.world.lifeline
         self._early = context.early
         self._stop = port.early_stop
         self._priority = BY_NAME[name].priority
@@ -94,7 +93,7 @@ class Peer:
             died = self.life.pid if self.life and self.life.dead() else 0
             self.drop()
             try:
-                self.life = self._lifeline(pid)
+                self.life = Lifeline(pid)
             except ProcessLookupError:
                 return died
             self._loop.watch(self.life.fd, READ)

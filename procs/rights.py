@@ -34,8 +34,8 @@ it is not heeded where a program takes the dumps (core(5)). SIGSEGV to stop fram
 core_pattern: 30 to 37 ms, without the dump 0.5 to 1.5."""
 
 DESCRIPTORS = 64
-"""What the supervisor has open at most: 47 with every process, segment and bell, 5 of a dead run's, 2 for each of 4
-savers, and those that a look at a file takes."""
+"""Descriptors that the supervisor has open at most: 47 with every process, segment and bell, 5 of a dead run's, 2 for
+each of 4 savers, and those that a look at a file takes."""
 STACK_BYTES = 256 * 1024
 """Room for the stack of each process. With 48 KB a process of the service was ended by SIGSEGV, with 64 KB all of them
 ran; this leaves a factor of four."""
@@ -143,7 +143,7 @@ def _take(which: int, least: int, told: Callable[[int], str]) -> None:
 
 
 def no_descriptors(most: int) -> str:
-    """What people are told where RLIMIT_NOFILE, `most`, is too low."""
+    """Advice where RLIMIT_NOFILE, `most`, is too low."""
     return (
         f"RLIMIT_NOFILE is {most}, and {DESCRIPTORS} open files are needed: raise it (`ulimit -n 1024`, or "
         "LimitNOFILE= of a systemd unit)"
@@ -151,7 +151,7 @@ def no_descriptors(most: int) -> str:
 
 
 def no_stack(most: int) -> str:
-    """What people are told where RLIMIT_STACK, `most` bytes, is too low."""
+    """Advice where RLIMIT_STACK, `most` bytes, is too low."""
     return (
         f"RLIMIT_STACK is {most // 1024} KB, and {STACK_BYTES // 1024} KB are needed: raise it (`ulimit -s 8192`, or "
         "LimitSTACK= of a systemd unit)"

@@ -21,7 +21,7 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import HeartbeatReader
 
 LONGEST_NS = 5_000_000_000
-"""Who is silent for longer than this beyond its deadline is replaced, whatever the machine does."""
+"""A process silent for longer than this beyond its deadline is replaced, whatever the machine does."""
 _CPU_CLOCK = 2
 """clock_gettime(2): a process's clock is ~pid << 3 with the kind in the lowest bits, here the exact time run."""
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 SECONDS = 60
-"""What each ring is made for, at the rates of its writer's defaults."""
+"""The time that each ring covers, at the rates of its writer's defaults."""
 GATE_CELLS = 3072
 """A tick each, 50 a second."""
 WIRE_CELLS = 4096
@@ -74,8 +74,8 @@ BOARD: dict[int, Shape] = {
     PAD: records.PAD,
     SERVO: records.SERVO,
 }
-"""What telemetry has decoded, by the kind that is its first byte. An IMU sample is as it is published: corrected, the
-rate less its bias."""
+"""Reports that telemetry has decoded, by the kind that is their first byte. An IMU sample is as it is published:
+corrected, the rate less its bias."""
 BOARD_BYTES = 1 + max(shape.most for shape in BOARD.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -83,7 +83,7 @@ _AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
-    """What fits a float of four bytes: a client's command may be any double. NaN, beyond neither bound, stays."""
+    """The nearest value that a float of four bytes can hold: a client's command may be any double. NaN stays."""
     return min(max(value, -3e38), 3e38)
 
 
@@ -93,7 +93,7 @@ def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
 
 
 def pack_board(kind: int, *values: float | None) -> bytes:
-    """What came from the board, with the values of its kind in BOARD."""
+    """A report of the board, with the values of its kind in BOARD."""
     return bytes((kind,)) + BOARD[kind].pack(*values)
 
 
@@ -105,7 +105,7 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """What the arm is to do, for whom: of each servo where it is to be in the end (trajectory), where now (follow), in
+    """The arm's aim, and whose it is: of each servo where it is to be in the end (trajectory), where now (follow), in
     pulses, or its rate (jog), in pulses/s."""
     aims = aims[:MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)

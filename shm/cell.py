@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class View(Protocol):
-        """What a reader or writer needs of a segment: one slice copy out, one slice assignment in."""
+        """Memory as a reader or writer uses it: one slice copy out, one slice assignment in."""
 
         def __getitem__(self, where: slice, /) -> bytes: ...
 
@@ -266,7 +266,7 @@ class RingReader(_Cells):
         self._old = b""
 
     def _check(self, raw: bytes) -> Entry | None:
-        """What a copy of the next entry's cell holds; what is whole but belongs in another cell is damage too."""
+        """The entry in a copy of the next cell; one that is whole but belongs in another cell is damage too."""
         entry = check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._cells:
             return None

@@ -41,7 +41,7 @@ def open_own(path: str, flags: int = os.O_RDONLY) -> int:
     try:
         found = os.fstat(fd)
         owners = (os.geteuid(), os.stat(os.path.dirname(path) or ".").st_uid)
-        # Whoever runs this may be more than the folder's owner: a second name may be that of anybody's file.
+        # The caller may have more rights than the folder's owner: a second name may be that of anybody's file.
         if found.st_nlink > 1 or found.st_uid not in owners:
             raise OSError(EPERM, "a file of somebody else's, or with another name: move it away", path)
     except OSError:

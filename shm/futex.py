@@ -152,7 +152,7 @@ def proven() -> bool:
     programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
     fd = os.memfd_create("proof")
     word = None
-    kept: list[object] = []  # what the kernel looks into; None: it was refused
+    kept: list[object] = []  # memory that the kernel looks into; None: it was refused
     try:
         os.ftruncate(fd, mmap.PAGESIZE)
         word = Futex(fd, 0, write=True)

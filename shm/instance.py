@@ -48,17 +48,18 @@ def check_name(name: str) -> str:
 
 
 def option(name: str) -> str:
-    """What a command of failstop needs to mean this instance: " --name NAME", and nothing for the default one."""
+    """The option by which a command of failstop means this instance: " --name NAME", and nothing for the default
+    one."""
     return "" if name == DEFAULT_NAME else f" --name {name}"
 
 
 def bases() -> list[str]:
-    """What runtime directories are in, of whichever instance, the best first."""
+    """The folders that runtime directories of all instances are in, the best first."""
     user = os.getuid()
     session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
     found = [root.at("/run/failstop"), os.path.join(session, "failstop")]
-    # Whoever has no session, in a container for one, has nothing that is private. Others may be there first, and be in
-    # the way then; never root's.
+    # A user without a session, as in a container, has no private folder. In a shared one others may have been there
+    # first, and be in the way; never in root's.
     return [*found, f"{SHARED}-{user}"] if user else found
 
 

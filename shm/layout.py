@@ -21,7 +21,7 @@ SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
-"""What gate and telemetry tell people at once, at most (packing.py)."""
+"""The most that gate and telemetry tell people at once (packing.py)."""
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
@@ -139,15 +139,15 @@ SEGMENTS = (
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("latch", records.LATCH, "gate, clients"),  # what is latched, or was last
+            _latest("latch", records.LATCH, "gate, clients"),  # the latch, or the one before
             _word("resets", "gate"),  # the number of the newest reset that was decided
-            _latest("reset", records.REPLY, "gate"),  # what became of it (policy/reply.py)
+            _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/reply.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
-            _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
+            _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
-            _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
+            _ring("events", 512, 256, "clients"),  # events for people (msgpack, supervisor/events.py)
             _ring("box", box.OF_BEATS, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
     ),
@@ -182,10 +182,10 @@ SEGMENTS = (
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
-            _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/remarks.py)
+            _latest("said", 4096, "clients"),  # remarks of clients on themselves (msgpack, procs/gate/remarks.py)
             *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
-            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # what the arm is to do, for whom (box.py)
+            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # the arm's aims, and whose (box.py)
         ),
     ),
     SegmentSpec(
@@ -209,7 +209,7 @@ SEGMENTS = (
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
-            _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # what it decoded (box.py)
+            _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # the reports that it decoded (box.py)
         ),
     ),
     SegmentSpec(

@@ -41,7 +41,7 @@ def give_way() -> None:
 
 
 def pid_namespace() -> int:
-    """Which namespace this process's pid is of: in another one it is nobody's, or somebody else's. 0: not known."""
+    """The namespace of this process's pid: in another one the number is nobody's, or somebody else's. 0: not known."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino
     except OSError:
@@ -160,7 +160,7 @@ class EarlyNews:
                 life.demote()
                 give_way()
             self.bell.ring()
-            # Whoever hears it needs the interpreter now: what is left to do here would cost it three hand-overs of the
-            # lock, 0.1 to 0.2 ms (traced).
+            # The thread that hears it needs the interpreter now: the rest of this one would cost it three hand-overs of
+            # the lock, 0.1 to 0.2 ms (traced).
             sleep(_QUIET_S)
         word.close()

@@ -31,8 +31,8 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """What `whole` makes of text and fields, packed into `room` bytes: texts are cut, as little as it takes, and fields
-    that still do not fit are left out."""
+    """Text and fields, made one by `whole` and packed into `room` bytes: texts are cut, as little as it takes, and
+    fields that still do not fit are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {
@@ -45,7 +45,7 @@ def fitting(
 
 
 class Note(Data):
-    """What gate or telemetry has to tell people, on its way to the supervisor, which makes an event of it. A msgpack
+    """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
     list: kind (supervisor/kinds.py), level (empty: the kind's own), text, fields."""
 
     kind: str

@@ -31,12 +31,12 @@ ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
 FLEET = "fleet:"
-"""What the name of who asks begins with where a stop of the whole fleet is passed on."""
+"""The begin of the asker's name where a stop of the whole fleet is passed on."""
 CAUSE = "{cause}"
 """In the text of a reply: the place of the cause's own."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""What such words end with where they were cut."""
+"""The end of such words where they were cut."""
 
 NOBODY = 0
 """No client's session."""
@@ -81,7 +81,7 @@ PAD_MODES = ("locked", "drive", "joint")
 
 
 class Tail(Data):
-    """What follows the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
+    """The part behind the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
     many bytes there are, at most and at least."""
 
     pack: Callable[..., bytes]
@@ -277,11 +277,11 @@ counter-clockwise), whether a person drives, the source, which is never cut: it 
 HELD: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""What a client session asserts now: names of interlocks, never cut, or none for "the sensor delivered"."""
+"""The assertions of a client session: names of interlocks, never cut, or none for "the sensor delivered"."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
-"""What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
+"""A line of a client session on itself: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""Who holds a client slot: a random session number, the pid it says it has and in which namespace of pids
+"""The holder of a client slot: a random session number, the pid it says it has and in which namespace of pids
 (lifeline.pid_namespace), its name."""
 LEFT: Payload[int] = Payload("<Q")
 """The goodbye of the session that has left a client slot in order."""
@@ -322,15 +322,15 @@ PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
 """The gamepad's last frame: a bit a button, the hat, raw axes lx, ly, rx, ry of -128..127; its mode, an index of
 PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
-"""What the gamepad's sticks command: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
+"""The command of the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")
-"""What the gamepad asks of the arm: which joint, by its place in the settings, and the share of its speed, -1 to 1."""
+"""The gamepad's wish for the arm: a joint, by its place in the settings, and a share of its speed, -1 to 1."""
 PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
-"""What telemetry asks the gate for: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
+"""A request of telemetry to the gate: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """What the port owner's record says of the port with this number; PORT_CLOSED when it is not about that one."""
+    """The state of the port with this number by the port owner's record; PORT_CLOSED when that is about another."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -39,7 +39,7 @@ class AttachError(Exception):
 
 
 def memory(instance: str, incarnation: int) -> str:
-    """What a run's segments are named after."""
+    """The name that a run's segments share."""
     return f"{instance}.{incarnation:016x}"
 
 

@@ -34,8 +34,8 @@ class Word:
 
 
 class Barrier:
-    """What this thread has loaded and stored before it, everyone sees before what it loads and stores after it. Of one
-    thread, which alone calls it. Takes 0.2 us, and no memory.
+    """A full fence: everyone sees the loads and stores of this thread before it ahead of those after it. Of one thread,
+    which alone calls it. Takes 0.2 us, and no memory.
 
     Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass the store before it.
     No library gives Python a fence. But to release a lock is a store-release, to acquire one a load-acquire, and no

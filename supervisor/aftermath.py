@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from time import monotonic_ns, time
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes
@@ -16,6 +17,7 @@ from failstop.policy.causes import Cause
 from failstop.shm import layout, records
 from failstop.shm.packing import pack
 from failstop.shm.words import Barrier
+from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNASKED, UNPROVEN, Link, Stop
@@ -114,7 +116,7 @@ class Aftermath:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        stop.follow(self._after_ns, self._run.world.now_ns(), self._run.world.unix_s())
+        stop.follow(self._after_ns, monotonic_ns(), time())
         self._last = stop
         self._publish(stop)
 
@@ -189,7 +191,7 @@ class Aftermath:
         ended hangs, and must not keep this stop from its own."""
         for pid in self._command_pids:
             try:
-                self._run.world.kill(-pid, signal.SIGKILL)
+                os.kill(-pid, signal.SIGKILL)
                 how = "killed"
             except OSError as error:  # of another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
@@ -197,7 +199,7 @@ class Aftermath:
             self._tell_command(text, "hangs", pid=pid)
         self._command_ran = True
         try:
-            pid = self._run.world.spawn(["/bin/sh", "-c", self._command], os.environ)
+            pid = starter.spawn(["/bin/sh", "-c", self._command], os.environ)
         except OSError as error:
             self._tell_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
         else:
@@ -206,7 +208,7 @@ class Aftermath:
 
     def _reap_command(self) -> None:
         for pid in tuple(self._command_pids):
-            if (code := self._run.world.reap(pid)) is not None:
+            if (code := starter.reap(pid)) is not None:
                 self._command_pids.remove(pid)
                 self._tell_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
 

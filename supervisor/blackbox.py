@@ -9,11 +9,13 @@ from __future__ import annotations
 import _socket
 import contextlib
 import os
+from time import monotonic_ns
 
 import msgpack
 
 from failstop.shm import box, layout, records
-from failstop.supervisor.starter import environment, script_command
+from failstop.shm.lifeline import Lifeline
+from failstop.supervisor.starter import environment, reap, script_command, spawn
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # for the saver, which has a constant of here and needs no more
@@ -39,7 +41,7 @@ class BlackBox:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._now_ns, self._world, self._events = run.world.now_ns, run.world, run.events
+        self._events = run.events
         self._on = run.settings.on("incidents.save")
         keep, max_mb = int(run.settings["incidents.keep"]), int(run.settings["incidents.max_mb"])
         self._words = {"name": run.name, "keep": keep, "max_mb": max_mb}
@@ -49,7 +51,7 @@ class BlackBox:
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
-        """And when that was seen."""
+        """The time at which that silence was seen."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
         self._savers: dict[int, _socket.socket] = {}
@@ -64,7 +66,7 @@ class BlackBox:
 
     def latched(self, stop: Stop, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
-        self._sample(self._now_ns())
+        self._sample(monotonic_ns())
         if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
@@ -96,7 +98,7 @@ class BlackBox:
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESSES):
-            self._for_dead_run = self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left)
+            self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
         while left:
             os.close(left.popitem()[1])
 
@@ -115,7 +117,7 @@ class BlackBox:
             listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
             words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
             arguments = script_command(("incidents", "saver.py"), words=words)
-            pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
+            pid = spawn(arguments, self._environment, [theirs, *fds.values()])
             self._savers[pid] = ends.pop(0)
         except OSError as error:
             pid = 0
@@ -131,7 +133,7 @@ class BlackBox:
 
     def _reap(self) -> None:
         for pid, saver in tuple(self._savers.items()):
-            if (code := self._world.reap(pid)) is not None:
+            if (code := reap(pid)) is not None:
                 try:
                     told = msgpack.unpackb(saver.recv(4096))
                 except (OSError, ValueError):
@@ -159,14 +161,14 @@ class BlackBox:
         """The end of the service, its stops written: what is being saved is saved now."""
         while self._waiting:
             self._save_live()
-        until_ns = self._now_ns() + round(FINISH_S * 1e9)
+        until_ns = monotonic_ns() + round(FINISH_S * 1e9)
         for pid in self._savers:
             self._hasten(pid)
             try:
-                life = self._world.lifeline(pid)
+                life = Lifeline(pid)
             except OSError:
                 continue
-            life.wait(max(0, until_ns - self._now_ns()) * 1e-9)
+            life.wait(max(0, until_ns - monotonic_ns()) * 1e-9)
             life.close()
         self._reap()
         self._events.flush()

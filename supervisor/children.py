@@ -7,9 +7,9 @@ import signal
 
 from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.world import World
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
+from failstop.supervisor import starter
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
@@ -27,7 +27,7 @@ FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
 ALIVE = (STARTING, RUNNING, HUNG, FENCED)
 
-# What happens to it. SPARED: it is silent, which the machine explains; BEATS: again, after that.
+# Events of a process. SPARED: it is silent, which the machine explains; BEATS: again, after that.
 STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = EVENTS = range(9)
 
 NEXT = {
@@ -39,8 +39,8 @@ NEXT = {
     FENCED: {BEATS: FENCED, DIED: DEAD},  # just before its end
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""What each state becomes. What is not here cannot happen, and would leave the state as it is: the supervisor must not
-die of it."""
+"""The next state, by state and event. An event that is not here cannot happen, and would leave the state as it is: the
+supervisor must not die of it."""
 
 
 class Fence:
@@ -74,7 +74,7 @@ class Fence:
         return f"{name} was fenced: {', '.join(steps)}"
 
     def fields(self) -> dict[str, float]:
-        """The same for programs: us from the notice."""
+        """Its times for programs: us from the notice."""
         times = {f"{step}_us": self._us(step) for step, _ in self.STEPS if self._times_ns[step]}
         return {"silent_ms": round(self._silent_ns / 1e6, 1), **times}
 
@@ -84,7 +84,6 @@ class Child:
 
     def __init__(
         self,
-        world: World,
         row: Process,
         beat: HeartbeatReader,
         restart: Timer,
@@ -93,7 +92,6 @@ class Child:
     ) -> None:
         """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
         machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
-        self._world = world
         self.row = row
         self.beat = beat
         self._limits = limits
@@ -193,7 +191,7 @@ class Child:
     def reap(self) -> str:
         """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
         debugger holds it."""
-        if (code := self._world.reap(self.pid)) is None:
+        if (code := starter.reap(self.pid)) is None:
             return ""
         self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
         if self.life:

@@ -9,7 +9,6 @@ import signal
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
-from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
 from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
@@ -19,29 +18,29 @@ from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify
 
 SUPERVISOR_COMM = "fs:supervisor"
-"""What the kernel shows as the supervisor's name."""
+"""The supervisor's name as the kernel shows it."""
 
 
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
-    # What a parent may have left, and exec hands on: without SIGCHLD no child can be collected, and what is blocked
-    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that. SIGCONT lets a suspended
-    # process go on all the same, and is asked for (World.continued): a handler might run after the turn that needs it.
+    # A parent may have left signals ignored or blocked, and exec hands that on: without SIGCHLD no child can be
+    # collected, and a blocked signal can't end the service. SIGHUP stays ignored where it is: a user of nohup wants
+    # that. SIGCONT lets a suspended process go on all the same, and is asked for (main.py): a handler might run after
+    # the turn that needs it.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
-    world = World()
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
-    port = OwnPort(fd, settings.servos(), world.unsent_bytes)
+    port = OwnPort(fd, settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         rights.take_descriptors()
-        run = Run(world, settings, words["name"], words["dir"], journal, words["again"])
+        run = Run(settings, words["name"], words["dir"], journal, words["again"])
         supervisor = _found(run, port, notify)
     except (AttachError, InstanceError, OSError) as error:
-        events = Events(world, words["name"], journal=journal)
+        events = Events(words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
         events.flush()
         port.drain()

@@ -10,9 +10,9 @@ import os
 import select
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from time import monotonic_ns, time
 
 from failstop.policy import causes
-from failstop.procs.world import World
 from failstop.shm import instance, layout
 from failstop.shm.cell import RingWriter
 from failstop.shm.packing import fitting
@@ -32,10 +32,10 @@ CUTS = ((280, 280), (200, 60), (120, 24))
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
+"""Events that anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""What is told in a minute of each kind and level, whoever brings it about: a dozen stops a second for half of it."""
+"""Bytes told in a minute of each kind and level: a dozen stops a second for half of it."""
 ASKED_BYTES = 8192
 """Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
 
@@ -79,9 +79,8 @@ class Outbox:
 class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
-    def __init__(self, world: World, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
+    def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
         """`name`: the instance's."""
-        self._now_ns, self._unix_s = world.now_ns, world.unix_s
         self._name = name
         self._ring = ring
         self._journal = journal
@@ -98,9 +97,9 @@ class Events:
         None is left out."""
         known = BY_NAME.get(kind) or BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
-        now_ns, level = self._now_ns(), level if level in LEVELS else known.level
+        now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
         if len(self._waiting) < MOST_WAITING:
-            self._waiting.append((now_ns, self._unix_s(), known.name, level, text, given))
+            self._waiting.append((now_ns, time(), known.name, level, text, given))
         else:
             self._left_out[known.name, level, _asked(known.name, given)] += 1
 

@@ -10,7 +10,7 @@ import os
 LEAST_COLUMNS = 40
 """Below this a hanging indent leaves too little."""
 PREFIX = "failstop: "
-"""What the lines of the service and the errors of the commands begin with."""
+"""The begin of the service's lines and of the commands' errors."""
 JOINED = "\0"
 """In the place of a space that is no place to break at."""
 
@@ -31,7 +31,7 @@ def fold(text: str, width: int, indent: int) -> str:
 
 
 def _words(text: str, room: int) -> list[str]:
-    """What may not be broken: words, and commands in backquotes with what is written against them."""
+    """The pieces that may not be broken: words, and commands in backquotes with what is written against them."""
     parts = text.split("`")
     parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     found: list[str] = []

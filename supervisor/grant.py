@@ -39,7 +39,7 @@ CONTAINER_VARIABLE = "container"
 
 
 def advice(*, realtime: bool, managed: bool) -> str:
-    """What people are told to do when this process is late, the command in backquotes; `realtime`: it has the rights;
+    """Advice for when this process is late, the command in backquotes; `realtime`: it has the rights;
     `managed`: a service manager has started it."""
     if realtime:
         return GRANTED
@@ -63,7 +63,7 @@ def without(settings: Settings) -> float:
 
 
 def cost(lease_s: float) -> str:
-    """What a service without real-time rights pays for its lease, as a clause."""
+    """The price that a service without real-time rights pays for its lease, as a clause."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {BY_NAME[PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
@@ -72,7 +72,8 @@ def cost(lease_s: float) -> str:
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
-    """What was not `granted` (heartbeat bits), and what people are told of each; `lease_s`: the one in force."""
+    """The rights that were not `granted` (heartbeat bits), with a text for people on each; `lease_s`: the one in
+    force."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]

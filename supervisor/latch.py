@@ -16,7 +16,7 @@ from failstop.supervisor.stops import Stop
 
 
 class Latch:
-    """What is latched, since which epoch; the newest stop, latched or not. Pure."""
+    """The latched stop, and since which epoch; the newest stop, latched or not. Pure."""
 
     def __init__(self) -> None:
         self.stop: Stop | None = None

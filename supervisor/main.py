@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+from time import monotonic_ns, sleep
 
 import msgpack
 
@@ -44,9 +45,9 @@ EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
 LATE_NS = 150_000_000
-"""Who beats ten times a second, and was silent for this long, was held up."""
+"""A client that beats ten times a second, and was silent for this long, was held up."""
 HELD_UP_NS = 250_000_000
-"""And one that was silent for this long stops: nobody has watched."""
+"""After a gap this long the supervisor stops the robot: nothing was watching it."""
 HEAR_NS = 300_000_000
 """How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
 ping may be 50 ms away (schedule.py)."""
@@ -54,16 +55,19 @@ END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
 
+def _continued() -> bool:
+    """True when a signal has let this process go on since the last call, which takes SIGCONT to be blocked."""
+    return signal.sigtimedwait((signal.SIGCONT,), 0) is not None
+
+
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
-        self._now_ns, self._sleep, self._kill = run.world.now_ns, run.world.sleep, run.world.kill
-        self._starved = run.world.starved
         self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
-        self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
+        self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, monotonic_ns())
         self._advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
@@ -92,7 +96,7 @@ class Supervisor:
         """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
-        self._turned_ns = self._watched_ns = self._now_ns()
+        self._turned_ns = self._watched_ns = monotonic_ns()
         self._suspended_ns = 0
         """How long a signal has suspended it since its last turn; 0: none has."""
         self._tried_ns = 0
@@ -116,7 +120,7 @@ class Supervisor:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
@@ -140,7 +144,7 @@ class Supervisor:
         """Sleep until something has happened, or it is time to look whether something has; returns what is ready."""
         for _ in range(BEATS_ALONE):
             ready = self.loop.wait(TICK_NS)
-            now_ns = self._now_ns()
+            now_ns = monotonic_ns()
             late = now_ns - self._turned_ns >= EXCUSE_NS
             if ready or late or self._unanswered or now_ns >= self.loop.due_ns():
                 return ready
@@ -151,7 +155,7 @@ class Supervisor:
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
         gap_ns = now_ns - self._turned_ns
-        self._suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and self._run.world.continued() else 0
+        self._suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and _continued() else 0
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0
@@ -166,7 +170,7 @@ class Supervisor:
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         written = self._port.burst()
-        self._tried_ns = self._now_ns()
+        self._tried_ns = monotonic_ns()
         return self._wrote(self._tried_ns) if written else 0
 
     def _wrote(self, written_ns: int) -> int:
@@ -223,7 +227,7 @@ class Supervisor:
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         if self._port.fd < 0 or asks.state != RUNNING or hears.state != RUNNING:
             return False
-        # Who was held up comes late to an answer. While motion is enabled that is no excuse.
+        # A process that was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._motion()
 
@@ -246,11 +250,11 @@ class Supervisor:
         """Stops that came together, if any, for which the port owner is given a moment to answer."""
         if not stops:
             return
-        self.epochs.raise_for(stops, self._now_ns())
-        self._owed_ns = self._owed_ns or self._now_ns()
+        self.epochs.raise_for(stops, monotonic_ns())
+        self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
-            self._answer_by.set(self._now_ns() + ANSWER_NS)
+            self._answer_by.set(monotonic_ns() + ANSWER_NS)
         latch = self.epochs.latch
         if latch.stop and latch.since == self.epoch:
             self.aftermath.latched(latch.stop)
@@ -300,7 +304,7 @@ class Supervisor:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
-                is_starved = self._starved(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
+                is_starved = starved.look(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
                 silent_ns = now_ns - child.heard_ns()
                 if now_ns >= child.overdue_ns():  # else it has just beaten
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
@@ -328,15 +332,15 @@ class Supervisor:
                 self._raise_epoch([stop])
             return
         # Killed before the burst: a port owner that wakes up between the two could write one frame more.
-        self._kill(child.pid, signal.SIGKILL)
-        kill_ns = self._now_ns()
+        os.kill(child.pid, signal.SIGKILL)
+        kill_ns = monotonic_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])
         child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
         child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
-        """What motion waits for, and the service manager's part."""
+        """Publish what motion waits for, and serve the service manager."""
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
@@ -350,17 +354,17 @@ class Supervisor:
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
-        self._raise_epoch([Stop(self._now_ns(), layout.SUPERVISOR, causes.STOPPING())])
+        self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
         while self._unanswered:
             self.loop.wait(HURRY_NS)
-            self._follow_answer(self._now_ns())
+            self._follow_answer(monotonic_ns())
         heard_ns = self._hear()
         link = self.aftermath.link.state
         self.status.notify.stopping("the stop is written; ending every process")
-        self.heartbeat.state(heartbeat.STOPPING, self._now_ns())
+        self.heartbeat.state(heartbeat.STOPPING, monotonic_ns())
         for child in reversed(self.children):
             child.kill(END_S)
-        self._follow_port({}, self._now_ns())  # it may have come back meanwhile
+        self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
         self.aftermath.ended(heard_ns, link, written=written, sent=sent)
@@ -371,13 +375,13 @@ class Supervisor:
     def _hear(self) -> int:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
         ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that ask and listen must live for it."""
-        until_ns = self._now_ns() + (0 if self.aftermath.link.state == UNASKED else HEAR_NS)
-        while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
+        until_ns = monotonic_ns() + (0 if self.aftermath.link.state == UNASKED else HEAR_NS)
+        while self._stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
             sent_ns, arrival_ns = self.aftermath.heard
             if sent_ns >= self._stop_ns:
                 return arrival_ns - self._stop_ns
             self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
-            self._sleep(HURRY_NS / 1e9)
+            sleep(HURRY_NS / 1e9)
         return 0

@@ -21,11 +21,9 @@ class OwnPort(StopPort):
 
     __slots__ = ("number", "stopped")
 
-    def __init__(
-        self, fd: int, servos: tuple[int, ...] = (), unsent_bytes: Callable[[int], int] = port.unsent_bytes
-    ) -> None:
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
-        super().__init__(fd, servos, unsent_bytes)
+        super().__init__(fd, servos)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
         self.number = 1
@@ -59,7 +57,7 @@ class OwnPort(StopPort):
         """True while the kernel holds bytes that it has taken and not passed on, of whoever; False too where the port
         can't say."""
         try:
-            return self.fd >= 0 and self._unsent_bytes(self.fd) > 0
+            return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError:
             return False
 

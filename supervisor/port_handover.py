@@ -9,12 +9,12 @@ from __future__ import annotations
 import _thread
 import os
 import signal
+from time import monotonic_ns, sleep
 
 from failstop.board.finder import Finder
 from failstop.board.stop_port import StopPort
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
-from failstop.procs.world import World
 from failstop.shm import layout, records
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port import OwnPort
@@ -35,9 +35,8 @@ class Opener:
     returned something, and the loop's else.
     """
 
-    def __init__(self, world: World, finder: Finder, bell: EventBell) -> None:
+    def __init__(self, finder: Finder, bell: EventBell) -> None:
         """`bell` rings when the port is open."""
-        self._now_ns, self._sleep = world.now_ns, world.sleep
         self.finder = finder
         self._bell = bell
         self._asked = _thread.allocate_lock()
@@ -63,10 +62,10 @@ class Opener:
         """One look. A descriptor number was kept for it: those that are free now may be gone by then."""
         if self._spare >= 0:
             os.close(self._spare)
-        fd = self.finder.open(self._now_ns())
+        fd = self.finder.open(monotonic_ns())
         if fd >= 0:
             written = StopPort(fd).burst()
-            self._found = (fd, self._now_ns() if written else 0)
+            self._found = (fd, monotonic_ns() if written else 0)
             self._bell.ring()
         self._reserve()
         return fd >= 0
@@ -84,7 +83,7 @@ class Opener:
         while True:
             self._asked.acquire()
             while not self.attempt():
-                self._sleep(LOOK_NS / 1e9)
+                sleep(LOOK_NS / 1e9)
 
 
 class PortHandover:
@@ -92,7 +91,7 @@ class PortHandover:
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
-        self.opener = Opener(run.world, Finder(run.settings.text("device.path")), run.bells[layout.SUPERVISOR])
+        self.opener = Opener(Finder(run.settings.text("device.path")), run.bells[layout.SUPERVISOR])
         self.opener.finder.learn(port.fd)
         self._loop = run.loop
         self._processes = processes
@@ -149,7 +148,7 @@ class PortHandover:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """What the port owner says of the port that is open here."""
+        """The state that the port owner gives for the port that is open here."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:

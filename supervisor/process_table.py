@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+from time import monotonic_ns
 
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.shm.packing import Note
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
@@ -30,21 +32,19 @@ class ProcessTable:
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
         """Holds the supervisor's own block from here on. `advice`: what to do against starving, for people."""
         self._run, self._port = run, port
-        self._world, self._now_ns = run.world, run.world.now_ns
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
         lifelines = segment.attach(run.memory, "lifelines", run.incarnation, write=True)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
-        self.early = run.world.early_news(lifelines)
+        self.early = EarlyNews(lifelines)
         self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir, "parent": os.getpid()}
         self._environment = starter.environment(run.settings)
         restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
         limits = int(run.settings["restart.deaths"]), *restart
         lease_ns = run.settings.ns("gate.lease_s")
         self.children = [
-            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns)
-            for row in PROCESSES
+            Child(row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns) for row in PROCESSES
         ]
         self._advice = advice
         self._starved_told_ns = self._starved_ns = self._starved_times = self._starved_ms = 0
@@ -133,19 +133,19 @@ class ProcessTable:
         name, block, pid, life = child.row.name, self._free_block(), 0, None
         try:
             pid = self._spawn(child.row, block)
-            life = self._world.lifeline(pid)
+            life = Lifeline(pid)
             self._loop.watch(life.fd, READ)
         except OSError as error:
             if pid:  # out of descriptors: without its pidfd nobody would know of its death
-                self._world.kill(pid, signal.SIGKILL)
-                self._world.reap(pid, 0)
+                os.kill(pid, signal.SIGKILL)
+                starter.reap(pid, 0)
             if life:
                 life.close()
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
-            child.restart.set(self._now_ns() + TRY_AGAIN_NS)
+            child.restart.set(monotonic_ns() + TRY_AGAIN_NS)
         else:
-            child.started(life, block, self._now_ns())
+            child.started(life, block, monotonic_ns())
             self._life_words[name].set(records.life(pid, block))
             self._tell_watchers()
 
@@ -156,7 +156,7 @@ class ProcessTable:
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}
         arguments = starter.script_command(starter.CHILD, row.name, words=words)
-        return self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
+        return starter.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def pass_notes(self) -> None:
         """Remarks that the processes have for people."""
@@ -195,7 +195,7 @@ class ProcessTable:
     def starved_record(self) -> dict[str, object]:
         """For clients: the longest silence that the machine explains, of those that are shown, and the number of all in
         this run."""
-        self._forget_starved(self._now_ns())
+        self._forget_starved(monotonic_ns())
         shown = {"longest_ms": self._starved_ms, "process": self._starved} if self._starved else None
         return {"starved": shown, "starved_times": self._starved_times}
 

@@ -18,7 +18,6 @@ from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.loop import Loop
-from failstop.procs.world import World
 from failstop.shm import bell, claim, instance, layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.lifeline import pid_namespace
@@ -27,10 +26,10 @@ from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events, Outbox
 
 GROUP = "failstop"
-"""Whoever is in this group may drive; everyone may stop."""
+"""The group whose members may drive; everyone may stop."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""What the service can go on without."""
+"""Shared memory that the service can go on without."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
@@ -49,7 +48,6 @@ class Run:
 
     def __init__(
         self,
-        world: World,
         settings: Settings,
         name: str,
         runtime_dir: str,
@@ -59,7 +57,6 @@ class Run:
         """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
         publish(). Raises segment.AttachError, instance.InstanceError, OSError, and leaves a dead run's memory then, and
         nothing else."""
-        self.world = world
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
@@ -67,7 +64,7 @@ class Run:
         """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segment.memory(name, self.incarnation)
-        """What the segments are named after."""
+        """The name that the segments share."""
         self._refuse_living()
         self._dead = segment.dead_runs(name)
         self.left = segment.open_all(self._dead[-1]) if self._dead else {}
@@ -81,15 +78,15 @@ class Run:
             self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
             self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
             self._tell_settings()
-            self.loop = Loop(world)
+            self.loop = Loop()
         except BaseException:
             self.remove()
             raise
-        self.events = Events(world, name, self.own.ring_writer("events"), journal)
+        self.events = Events(name, self.own.ring_writer("events"), journal)
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:
-        """Whatever became of the lock's file: what a living run has is not taken from it."""
+        """Refuse to start beside a living run, also where its lock's file is gone."""
         try:
             incarnation, _ = instance.run(self.runtime_dir)
         except instance.NoService:

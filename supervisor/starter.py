@@ -1,4 +1,5 @@
-"""Starting processes, the supervisor itself among them: which interpreter, with what on its command line.
+"""Starting processes, the supervisor itself among them: which interpreter, with what on its command line. Their end is
+collected here too.
 
 `-I -S` and the search path handed over: the site module, and a virtual environment's hooks with it, cost a small
 process more than all of its own imports.
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.shm import root
@@ -22,7 +23,7 @@ C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Of this environment: where the runtime directory and the files of the telemetry are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""
+"""Variables of the service manager: it speaks with the supervisor alone, which takes them out of its environment."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
@@ -36,6 +37,25 @@ def environment(settings: Settings) -> dict[str, str]:
     path = dict.fromkeys([os.path.dirname(_PACKAGE), *filter(os.path.isabs, sys.path)])
     found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), **C_LIBRARY}
     return found | {name: os.environ[name] for name in PASSED_ON if name in os.environ}
+
+
+def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
+    """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
+    for fd in passed:
+        os.set_inheritable(fd, True)
+    try:
+        # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children in
+        # it, they would all die or freeze at once, with nobody left to stop the wheels.
+        return os.posix_spawn(arguments[0], arguments, environ, setsid=True, setsigmask=())
+    finally:
+        for fd in passed:
+            os.set_inheritable(fd, False)
+
+
+def reap(pid: int, options: int = os.WNOHANG) -> int | None:
+    """The exit code of a child that has ended, negative the signal that killed it; None: it can't be collected yet."""
+    found, status = os.waitpid(pid, options)
+    return os.waitstatus_to_exitcode(status) if found else None
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:

@@ -36,11 +36,11 @@ UNDYING_NS = 10_000_000_000
 OWED_NS = 2_000_000_000
 """The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
 WAITED_NS = 2_000_000_000
-"""What motion waits for is told of after this long: a restart takes a fraction of it."""
+"""A wait of motion is told of after this long: a restart takes a fraction of it."""
 TELL_EVERY_NS = 100_000_000
 """Its line is made this often: what is in it of the gate is new at every tick while something drives."""
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
-"""What the service manager hands over; for the supervisor alone."""
+"""Variables of the service manager, for the supervisor alone."""
 STATUS_CHARACTERS = 200
 
 
@@ -70,8 +70,8 @@ class Notify(Outbox):
         return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
 
     def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
-        """What is new, and the watchdog's beat when it is due and the supervisor does its job. `ready`:
-        the service has been, once."""
+        """Tell the service manager the news, and the watchdog's beat when it is due and the supervisor does its job.
+        `ready`: the service has been, once."""
         lines = ["READY=1"] if ready and not self._told_ready else []
         if status != self._said:
             lines.append(f"STATUS={_one_line(status)}")
@@ -116,7 +116,7 @@ class Status:
         """Why the supervisor does not do its job: the watchdog is left to bite."""
 
     def missing(self, *, stopping: bool) -> str:
-        """What motion is still waiting for; empty when nothing. `stopping`: a stop is not answered yet."""
+        """The thing that motion still waits for; empty when nothing. `stopping`: a stop is not answered yet."""
         absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
         if not absent and not self._handover.complete():
             return "the port"

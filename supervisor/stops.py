@@ -54,8 +54,8 @@ def wheels_seen(seconds: float) -> str:
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """What others notice as a silence of the supervisor, by what that knows itself: it was suspended for so long (0: it
-    was not)."""
+    """The better cause of a silence of the supervisor that others noticed: it knows that it was suspended for so long
+    (0: it was not)."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
@@ -71,7 +71,7 @@ class Stop:
         self.written_ns = written_ns
         """When its burst was handed to the kernel; 0: not known, or not written."""
         self.by = ""
-        """Who wrote it; empty while nobody has answered it."""
+        """The process that wrote it; empty while none has answered it."""
         self.epoch = 0
         """That was raised for it."""
         self.behind: Stop | None = None
@@ -90,7 +90,7 @@ class Stop:
         self._was_still = True
         self._looked_ns = self._after_ns = self._again_ns = 0
         self._since_ns = t_ns
-        """What the board is given to obey and to answer counts from here."""
+        """The time from which the board's obedience and its answer are counted."""
 
     @property
     def unstill(self) -> bool:
@@ -154,7 +154,7 @@ class Stop:
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """What the IMU says: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
+        """Take the IMU's word: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
         True when they should be still and are not, and again each time they have had as long: stop again."""
         self._looked_ns = self._looked_ns or now_ns
         if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
@@ -184,7 +184,7 @@ class Stop:
         return not before
 
     def outcome(self, link: str) -> str:
-        """What became of it, for the journal; `link`: what the board's answers prove."""
+        """The outcome, for the journal; `link`: what the board's answers prove."""
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
         heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
         if self.observed_ns is None:
@@ -194,7 +194,7 @@ class Stop:
         return f"{self.cause}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:
-        """The same for programs."""
+        """The outcome, for programs."""
         seen = "unknown" if self.observed_ns is None else "still"
         return {
             **self.cause.fields(),
@@ -206,7 +206,7 @@ class Stop:
         }
 
     def as_record(self) -> dict[str, object]:
-        """What clients see."""
+        """The stop as clients see it."""
         return {
             "cause": self.cause.pack(),
             "latched": (self.behind or self).cause.pack(),
@@ -227,7 +227,7 @@ class Stop:
 
 
 class Link:
-    """What is known of one opened port's board: does it hear what is written to it? Pure.
+    """Link: whether the board at one opened port hears what is written to it. Pure.
 
     unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
     alive      it answers

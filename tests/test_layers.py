@@ -1,5 +1,5 @@
-"""The rooms point one way: whoever reads one of them needs no other but those below it. A process asks no machine but
-its World. The face is no larger than it has to be."""
+"""The rooms point one way: a reader of one needs no other but those below it. The core asks the machine by what
+the simulated machine has too. The face is no larger than it has to be."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import HARMLESS, Loader
 
 ROOT = Path(__file__).resolve().parent.parent
 BELOW = {
@@ -22,17 +25,8 @@ BELOW = {
 EVERYBODYS = {"version"}
 FEATURES = {"fleet", "web", "ros2", "lab"}
 """What a robot may do without, each with its commands."""
-MACHINE = {
-    "time": {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"},
-    "os": {"fork", "kill", "killpg", "pidfd_open", "posix_spawn", "posix_spawnp", "wait", "waitid", "waitpid"},
-    "select": {"epoll", "poll", "select"},
-    "port": {"unsent_bytes"},
-}
-"""What a World is asked for instead, by module."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-WITHOUT_A_WORLD = {"procs/world.py", "supervisor/child.py", "supervisor/events.py", "supervisor/port.py"}
-"""The world itself; what is said on stderr; the first burst of a run, before there is a process to hand one to."""
 
 
 def modules(room: str) -> list[Path]:
@@ -103,22 +97,20 @@ def test_the_command_line_knows_features_by_the_names_of_their_commands_alone() 
     assert not wrong
 
 
-def asked(path: Path) -> set[str]:
-    """What a module asks the machine itself."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            module = node.module.rpartition(".")[2]
-            found |= {f"{module}.{name.name}" for name in node.names if name.name in MACHINE.get(module, ())}
-        elif isinstance(node, ast.Attribute) and node.attr in MACHINE.get(ast.unparse(node.value), ()):
-            found.add(ast.unparse(node))
-    return found
+def from_outside(path: Path) -> Iterator[str]:
+    """The top names that a module imports beside failstop's, but for types."""
+    for node in at_run_time(ast.parse(path.read_text())):
+        names = [name.name for name in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+        yield from (name.partition(".")[0] for name in names)
 
 
-def test_a_process_asks_no_machine_but_its_world() -> None:
-    named = {str(path.relative_to(ROOT)): asked(path) for room in ("procs", "supervisor") for path in modules(room)}
-    assert {path: found for path, found in named.items() if found and path not in WITHOUT_A_WORLD} == {}
-    assert all(named[path] for path in WITHOUT_A_WORLD)
+def test_the_core_asks_the_system_by_modules_that_the_simulated_machine_has() -> None:
+    known = HARMLESS | {name.partition(".")[0] for name in Loader(Machine()).system} | {"failstop"}
+    below = {ROOT / "shm/futex.py", ROOT / "procs/rights.py", ROOT / "procs/starved.py"}
+    paths = {path for room in BELOW for path in modules(room)} - below
+    wrong = [(str(path.relative_to(ROOT)), name) for path in paths for name in from_outside(path) if name not in known]
+    assert not wrong
 
 
 def at_run_time(tree: ast.AST) -> Iterator[ast.AST]:

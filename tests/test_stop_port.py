@@ -5,14 +5,18 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from failstop.board import codec, stop_port
+from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.loading import Loader
 from tests.support.ptys import Board, Pty, new_pty
-from tests.support.stand_ins import Time, before_write
+from tests.support.stage import MS, Wire
+from tests.support.stand_ins import before_write
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 REFUSED = None
@@ -154,32 +158,45 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
         assert (own.fd, own.lost) == (-1, True)
 
 
-@pytest.mark.parametrize(
-    ("held", "rest", "drained", "waited_s"),
-    [
-        ([0], b"", True, 0.0),
-        ([1280, 1280, 0], b"", True, 0.001),
-        ([1280], b"", False, DRAIN_S),
-        ([None], b"", False, 0.0),
-        ([0], BURST[-7:], True, 0.0),
-    ],
-    ids=["nothing", "soon", "never", "gone", "what is left is written first"],
-)
-def test_what_was_written_is_waited_for_but_not_for_ever(
-    pty: Pty, monkeypatch: pytest.MonkeyPatch, held: list[int | None], rest: bytes, drained: bool, waited_s: float
-) -> None:
-    def unsent_bytes(fd: int) -> int:
-        assert fd == pty.slave
-        left = held.pop(0) if len(held) > 1 else held[0]
-        if left is None:
-            raise OSError(errno.EIO, "gone")
-        return left
+def simulated() -> tuple[Machine, Wire, Any]:
+    """A stop port on a machine whose calls take no time."""
+    machine = Machine(step_ns=0, look_ns=0)
+    machine.join("stop")
+    wire, loader = Wire(machine), Loader(machine)
+    fd = loader.system["os"].open(wire.link, os.O_RDWR)
+    return machine, wire, loader.load("failstop.board.stop_port").StopPort(fd)
 
-    clock = Time()
-    monkeypatch.setattr(stop_port, "time", clock)
-    own = StopPort(pty.slave, (), unsent_bytes)
+
+@pytest.mark.parametrize(
+    ("held", "free_after_ms", "rest", "drained", "waited_ms"),
+    [
+        (0, None, b"", True, 0),
+        (1280, 1, b"", True, 1),
+        (1280, None, b"", False, round(DRAIN_S * 1000)),
+        (0, None, BURST[-7:], True, 0),
+    ],
+    ids=["nothing", "soon", "never", "the unsent rest is written first"],
+)
+def test_a_drain_waits_for_the_bytes_under_way_but_not_for_ever(
+    held: int, free_after_ms: int | None, rest: bytes, drained: bool, waited_ms: int
+) -> None:
+    machine, wire, own = simulated()
+    wire.port.held += bytes(held)
+    wire.port.drains = not held
+    if free_after_ms is not None:
+        machine.at(machine.now_ns + free_after_ms * MS, wire.port.drain)
     own.unsent = rest
+    began_ns = machine.now_ns
     assert own.drain() is drained
-    assert clock.now_s - 1000.0 == pytest.approx(waited_s, abs=0.002)
-    assert own.lost is (held == [None])
-    assert pty.read() == rest
+    assert machine.now_ns - began_ns == pytest.approx(waited_ms * MS, abs=MS)
+    assert not own.lost
+    assert wire.read() == bytes(held) + rest
+
+
+def test_a_drain_of_a_port_that_has_gone_says_so_at_once() -> None:
+    machine, wire, own = simulated()
+    wire.unplug()
+    began_ns = machine.now_ns
+    assert not own.drain()
+    assert machine.now_ns == began_ns
+    assert own.lost

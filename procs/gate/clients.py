@@ -34,13 +34,14 @@ RECORDS = {
     "attended": records.HELD,
     "said": records.SAID,
 }
-"""What a slot holds besides its hello; in each the session that wrote it comes first."""
+"""The records of a slot besides its hello; in each the session that wrote it comes first."""
 ONCE = ("command", "request", "arm_goal")
 """Those that are acted on when they are new."""
 
 
 def seen(reader: LatestReader) -> int:
-    """What a restarted gate finds already there is not new: its predecessor may have acted on it."""
+    """The number of the newest entry. A restarted gate takes none that is there for new: its predecessor may have acted
+    on it."""
     entry = reader.read()
     return entry[0] if entry else 0
 
@@ -102,7 +103,7 @@ class Slot:
         return self._believed(name, self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The same, once."""
+        """The newest record of this name, once."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -132,7 +133,7 @@ class Slot:
         return (t_ns, _bounded(names[0], NAME_BYTES)) if names else None
 
     def said(self) -> tuple[int, str, str] | None:
-        """What this session said last, for people: when, what it sees, what is wrong; None: nothing yet."""
+        """The last words of this session for people: when, what it sees, what is wrong; None: nothing yet."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, _bounded(sees, SAID_BYTES), _bounded(wrong, SAID_BYTES)
@@ -177,8 +178,8 @@ class ClientTable:
             self._look(slot, now_ns)
 
     def lives_ended(self, ready: dict[int, int], now_ns: int) -> None:
-        """Whose lifeline has told of its death has gone, even while the kernel takes its memory down, and even if a
-        process that it forked still holds the claim."""
+        """Drop each client whose lifeline has told of its death, even while the kernel takes its memory down, and even
+        if a process that it forked still holds the claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 self._leave(slot, now_ns)

@@ -45,7 +45,7 @@ class ScanGate:
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """What people are told when the block comes or goes, with the sensor's age; else None. While something else
+        """The news for people when the block comes or goes, with the sensor's age; else None. While something else
         holds the wheels a silent sensor is not back."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
@@ -93,7 +93,7 @@ class Attendance:
         self._lease_ns = lease_ns
         self._there: dict[int, tuple[int, str]] = {}
         self._last = ("", LEFT)
-        """Who was there last, and how that ended."""
+        """The last operator, and how that one's presence ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
         """An operator was there at `t_ns`; a proof that is older than the last one of this operator, or than the lease,
@@ -111,7 +111,7 @@ class Attendance:
             self._last = found[1], LEFT
 
     def names(self, now_ns: int) -> list[str]:
-        """Who is there now; who is not any more is forgotten."""
+        """The operators that are there; others are forgotten."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]

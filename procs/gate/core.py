@@ -39,7 +39,7 @@ MOST_IGNORED = 64
 
 
 class GateCore:
-    """What the gate knows: enabled, the latch, who commands what, the velocity now."""
+    """The gate's knowledge: enabled, the latch, the sources and their commands, the velocity."""
 
     def __init__(self, settings: Settings, kinematics: Wheels, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
@@ -56,7 +56,7 @@ class GateCore:
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.latch: Cause | None = None
-        """What is latched by the supervisor's word, or by its own until the supervisor has answered that."""
+        """The latch by the supervisor's word, or by the gate's own until the supervisor has answered that."""
         self._stopped_in = 0
         """The epoch in which it stopped by itself; answered once the epoch is newer."""
         self.epoch = 0
@@ -64,7 +64,7 @@ class GateCore:
         self.velocity = REST
         self.speeds = STILL
         self.notes: list[Note] = []
-        """What people are told, in order; whoever passes them on empties the list."""
+        """Notes for people, in order; the shell, which passes them on, empties the list."""
         self._left_off = LeftOff(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
@@ -155,7 +155,7 @@ class GateCore:
         return True
 
     def follow(self, latched: Cause | None, epoch: int) -> None:
-        """What the supervisor has latched by now, in this epoch."""
+        """Follow the supervisor's latch, in this epoch."""
         if latched:
             self.stand_still()
         if latched or epoch > self._stopped_in:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
@@ -69,10 +70,9 @@ class Gate:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        self._now_ns = context.world.now_ns
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
@@ -98,7 +98,7 @@ class Gate:
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
 
     def _attach(self, context: Context) -> None:
-        """What it publishes, and whom it wakes for it."""
+        """Make the writers of its records, and the bells that it rings."""
         own = context.own
         self._frames = own.ring_writer("frames")
         self._stops = own.ring_writer("stops")
@@ -110,7 +110,7 @@ class Gate:
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """What it reads, and what wakes it."""
+        """Make the readers of others' records, and watch what wakes it."""
         supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_heart = HeartbeatReader(supervisor)
@@ -124,7 +124,7 @@ class Gate:
             self.loop.watch(fd, READ)
 
     def follow_latch(self) -> None:
-        """What is latched, by the supervisor's word, which a gate that was restarted reads too."""
+        """Read the supervisor's latch, as a gate that was restarted does too."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self.raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -133,7 +133,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         self.requests.follow_resets(now_ns)
@@ -197,7 +197,7 @@ class Gate:
             self.stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
-        """What clients say of themselves, passed on unjudged."""
+        """Pass on clients' remarks on themselves, unjudged."""
         rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
         if (notes := self._said.follow(rows, now_ns)) is not None:
             self.core.notes += notes
@@ -273,7 +273,7 @@ class Gate:
             self._step(now_ns)
 
     def client_holds(self, slot: Slot, now_ns: int) -> None:
-        """What a client keeps asserting: the sensor's deliveries, interlocks."""
+        """Take a client's assertions: the sensor's deliveries, interlocks."""
         core = self.core
         if sensed := slot.latest("sensed"):
             core.scan.deliver(sensed[0], now_ns)

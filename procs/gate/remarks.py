@@ -33,8 +33,8 @@ and then."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """What a request has changed, or that it was refused; None when it has changed nothing. `enabled`: as it was before
-    it."""
+    """A note of a request's effect, or of its refusal; None when it has changed nothing. `enabled`: as it was
+    before."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -82,8 +82,8 @@ def disabled_by_death(driver: Command) -> Note:
 
 
 class LeftOff:
-    """Who drove and left off: the wheels stand, and nothing is latched. What a person ends has a budget of its own: it
-    must not hide the news of a program that fails."""
+    """News of a source that drove and left off: the wheels stand, and nothing is latched. News of a person's end has a
+    budget of its own: it must not hide the news of a program that fails."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)

@@ -25,11 +25,11 @@ GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES
 """Requests after which something may move, and what each gives way to that was asked for after it and came before it;
 and all to a stop."""
 Asked = tuple[Slot | None, int, int, int]
-"""Who asks for a reset: its slot (None: the gamepad), its session, the number of its request; and when it was made."""
+"""The asker of a reset: its slot (None: the gamepad), its session, the number of its request; and when it was made."""
 
 
 class Requests:
-    """What was asked for and done, the resets that wait, and who was told what."""
+    """Requests of clients, the resets that wait, and the answers given."""
 
     def __init__(self, gate: Gate, context: Context, now_ns: int) -> None:
         own, supervisor = context.own, context.segment("supervisor")
@@ -151,7 +151,8 @@ class Requests:
         self._gate.supervisor_bell.ring()
 
     def follow_resets(self, now_ns: int) -> None:
-        """What the supervisor has decided: follow it, then tell who asked, who may have asked the gate before."""
+        """Follow the supervisor's decision on a reset, then tell the asker, who may have asked the gate before this
+        one."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         if self._resets_seen == seen:
             return

@@ -105,7 +105,7 @@ class Sources:
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """Who drives and who waits, highest first, for people."""
+        """The source that drives and those that wait, highest first, for people."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for source in self._rank:

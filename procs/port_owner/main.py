@@ -5,6 +5,8 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 
 from __future__ import annotations
 
+from time import monotonic_ns
+
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
@@ -15,7 +17,7 @@ from failstop.procs.port_owner import admission, schedule
 from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
 from failstop.procs.port_owner.schedule import Pings, Repeats
 from failstop.procs.port_owner.wire import Wire
-from failstop.procs.world import SuspendWatch
+from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, layout, records
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
@@ -39,15 +41,14 @@ class PortOwner:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        self._now_ns = context.world.now_ns
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = ServoBus(settings.servos())
-        self.repeats = Repeats(self.loop.timer(), self._now_ns())
+        self.repeats = Repeats(self.loop.timer(), monotonic_ns())
         ping = self.loop.timer() if BOARD.pings else Timer()
-        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, self._now_ns())
-        self.suspend = SuspendWatch(context.world.gained_ns)
+        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
+        self.suspend = SuspendWatch()
         self._pipe_rests = self.loop.timer()
         """Until then, after a request."""
         self._lapse = self.loop.timer()
@@ -57,7 +58,7 @@ class PortOwner:
         self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
         self._bytes_alone: dict[int, int] | None = None
-        """What is ready when the board has sent something, and nothing else has happened."""
+        """The news of a wake-up at which the board has sent something, and nothing else has happened."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -65,17 +66,17 @@ class PortOwner:
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self._watched = (-1, 0)
-        self.wire = Wire(context.fd("port"), context.world, self.bus.servos)
+        self.wire = Wire(context.fd("port"), self.bus.servos)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
         self._burst()
         self._stopped_word.set(self.epoch)
         self.wire.keep(context.own.ring_writer("box"))
-        self._publish_port(self._now_ns())
+        self._publish_port(monotonic_ns())
 
     def _attach(self, context: Context) -> None:
-        """What it publishes, and whom it wakes for it."""
+        """Make the writers of its records, and the bells that it rings."""
         own = context.own
         self._number, self._path = context.port_number, context.settings.text("device.path")
         self._stopped_word = own.word("stopped_epoch")
@@ -89,7 +90,7 @@ class PortOwner:
         self._telemetry_bell = context.bell("telemetry_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """What it reads, and what wakes it."""
+        """Make the readers of others' records, and watch what wakes it."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
@@ -107,7 +108,7 @@ class PortOwner:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
         most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if ready == self._bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
             self._serve_port(ready, now_ns)
             return True
@@ -132,10 +133,10 @@ class PortOwner:
     def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
         self.wire.burst()
-        self._own_stop(cause_ns, self._now_ns(), cause)
+        self._own_stop(cause_ns, monotonic_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
-        """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
+        """Account for a burst for a cause of its own. The epoch is the one in force, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch)
@@ -146,10 +147,10 @@ class PortOwner:
     def _burst(self) -> None:
         """A stop that is no cause: for one that the supervisor knows, or that the gate has made."""
         self.wire.burst()
-        self._stopped(self._now_ns())
+        self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
+        """Account for a burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._lapse.set(NEVER)
@@ -174,7 +175,7 @@ class PortOwner:
         stays in the pipe, and no motion is admitted before it has been looked at.
         """
         self.wire.burst()
-        written_ns = self._now_ns()
+        written_ns = monotonic_ns()
         give_way()
         line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
         self._own_stop(now_ns, written_ns, causes.requested(line))
@@ -191,7 +192,7 @@ class PortOwner:
         """Buttons and keys, which telemetry has decoded."""
         while entry := self._causes.next():
             self.wire.burst()
-            self._own_stop(entry[1], self._now_ns(), causes.read(entry[2]))
+            self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         self.wire.heed()
@@ -200,7 +201,7 @@ class PortOwner:
         if not dead and not orphaned:
             return
         self.wire.burst()
-        written_ns = self._now_ns()
+        written_ns = monotonic_ns()
         # First, whoever's news came first: others die with it.
         if orphaned or (not self._parent.orphaned_ns and self._parent.life.dead()):
             self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
@@ -277,7 +278,7 @@ class PortOwner:
     def _gate_stop(self) -> None:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
@@ -285,7 +286,7 @@ class PortOwner:
         """As for motion, one after the other; the first that has to wait holds up those behind it."""
         due_ns = NEVER
         while self.bus.waiting:
-            move, now_ns = self.bus.waiting[0], self._now_ns()
+            move, now_ns = self.bus.waiting[0], monotonic_ns()
             verdict = self._decide(move, now_ns, self.bus)
             if verdict == admission.WRITE:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
@@ -304,7 +305,7 @@ class PortOwner:
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
         elif (
@@ -328,7 +329,7 @@ class PortOwner:
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _obey(self, verdict: int | Cause, now_ns: int) -> None:
-        """What is not written."""
+        """Act on a frame that is not written."""
         if verdict == admission.BURST:
             self._burst()
         elif verdict == admission.REQUEST:
@@ -337,7 +338,7 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: Motion) -> None:
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.WRITE:
             self._write_motion(motion)
@@ -350,7 +351,7 @@ class PortOwner:
         starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         frame = motion[0]
         if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
@@ -392,7 +393,7 @@ class PortOwner:
                 self._port_lost(now_ns)
             fd, self._number, self._path = sent
             self.wire.adopt(fd)
-            self._stopped(self._now_ns())
+            self._stopped(monotonic_ns())
             self._publish_port(now_ns)
 
     def _watch_port(self) -> None:
@@ -433,7 +434,7 @@ class PortOwner:
         """The time is that before the write: an answer never seems to come before its question."""
         if not self.pings.due(now_ns):
             return
-        asked_ns = self._now_ns()
+        asked_ns = monotonic_ns()
         if self.wire.frame(BOARD.pings[self.pings.index], backlog=PING_BACKLOG):
             self._ping_words[self.pings.index].set(asked_ns)
             self.pings.sent(asked_ns)

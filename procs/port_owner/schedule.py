@@ -26,7 +26,7 @@ second to start, and until it has heard one nobody knows whether the board does.
 
 
 class Repeats:
-    """What is written again after the last stop, and when; `due`: of what is next."""
+    """Repeats of the last stop; `due`: when the next one is written."""
 
     def __init__(self, due: Timer, now_ns: int) -> None:
         self._bursts = 0

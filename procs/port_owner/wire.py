@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import select
 
 from failstop.board.interface import BOARD
+from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
-from failstop.procs.world import World
 from failstop.shm import box
 from failstop.shm.cell import RingWriter
 
@@ -17,9 +18,8 @@ DRAIN_NS = 100_000_000
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
-    def __init__(self, fd: int, world: World, servos: tuple[int, ...] = ()) -> None:
-        super().__init__(fd, servos, world.unsent_bytes)
-        self._select = world.select
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        super().__init__(fd, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
         """How much the kernel took of each early stop that the loop has not heeded yet."""
@@ -65,7 +65,7 @@ class Wire(StopPort):
         """True while the kernel holds bytes, of whoever; a port that can't say has gone. How many is not asked: their
         unit is the driver's."""
         try:
-            held = self._unsent_bytes(self.fd) > 0
+            held = unsent_bytes(self.fd) > 0
         except OSError:
             self.lost = True
             held = False
@@ -107,10 +107,10 @@ class Wire(StopPort):
         return now_ns - self._held_since_ns >= DRAIN_NS
 
     def _has_room(self) -> bool:
-        return bool(self._select((), (self.fd,), (), 0)[1])
+        return bool(select.select((), (self.fd,), (), 0)[1])
 
     def read(self) -> bytes:
-        """What the board sent; empty when nothing waits."""
+        """Bytes that the board sent; empty when none wait."""
         try:
             data = os.read(self.fd, 4096)
         except BlockingIOError:

@@ -11,6 +11,8 @@ its way. It waits for the port owner's answer, but not long.
 
 from __future__ import annotations
 
+from time import monotonic_ns
+
 from failstop.board.stop_port import StopPort
 from failstop.procs import starved
 from failstop.procs.context import Context
@@ -35,11 +37,10 @@ class Stopper:
     def __init__(self, context: Context) -> None:
         supervisor = context.segment("supervisor")
         port_owner = context.segment("port_owner")
-        self._now_ns, self._starved = context.world.now_ns, context.world.starved
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self._epoch_word = supervisor.word("epoch")
-        self._port = StopPort(context.fd("port"), context.settings.servos(), context.world.unsent_bytes)
+        self._port = StopPort(context.fd("port"), context.settings.servos())
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
@@ -51,7 +52,7 @@ class Stopper:
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)
-        self._turned_ns = self._excused_ns = self._now_ns()
+        self._turned_ns = self._excused_ns = monotonic_ns()
         self._parent = Parent(context, self.loop, 1)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
@@ -63,7 +64,7 @@ class Stopper:
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if now_ns - self._turned_ns > HELD_UP_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
@@ -106,7 +107,7 @@ class Stopper:
 
     def _write(self) -> None:
         if self._port.burst():
-            self._written_word.set(self._now_ns())
+            self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
@@ -134,8 +135,8 @@ class Stopper:
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Whom the supervisor names. One that has fallen silent gets one burst, and is fenced; one that the machine
-        starves is given as long again, while it moves nothing."""
+        """Watch the port owner that the supervisor names. A silent one gets one burst, and is fenced; one that the
+        machine starves is given as long again, while it moves nothing."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         self._hang.set(self._hangs_ns())
@@ -154,7 +155,7 @@ class Stopper:
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
         # The word last: what the port owner was about to write when it was looked at has been told by then.
-        is_starved = self._starved(life.pid, heart, HANG_NS, self._port_owner_bell)
+        is_starved = starved.look(life.pid, heart, HANG_NS, self._port_owner_bell)
         self._barrier()
         return is_starved and not self._port_owner_moving.get()
 
@@ -169,7 +170,7 @@ class Stopper:
         return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
 
     def _adopt_port(self, ready: dict[int, int]) -> None:
-        """Or the one that it had, where that is closed by now."""
+        """Take a port that the supervisor has opened, or its own again where that is closed."""
         while sent := self._parent.new_port(ready, self._number + (self._port.fd >= 0)):
             self.close_port()
             fd, self._number, _ = sent

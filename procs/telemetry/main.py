@@ -4,6 +4,7 @@ owner, the pad's sticks and its reset become requests for the gate."""
 from __future__ import annotations
 
 import os
+from time import monotonic_ns, time
 
 import msgpack
 
@@ -41,7 +42,7 @@ REST = (0.0, 0.0, 0.0)
 
 
 class GateState:
-    """What telemetry goes by of the gate's published state: whether the wheels are told to turn, may turn, are stopped.
+    """The gate's published state, as telemetry uses it: whether the wheels are told to turn, may turn, are stopped.
     Before the first: motion is disabled, the wheels stand, nothing is latched."""
 
     def __init__(self, reader: LatestReader) -> None:
@@ -100,9 +101,8 @@ class Telemetry:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        self._now_ns, self._unix_s = context.world.now_ns, context.world.unix_s
         self.heartbeat = context.heartbeat
-        self.loop = Loop(context.world)
+        self.loop = Loop()
         self._decoder = decoder.Decoder()
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
@@ -124,12 +124,12 @@ class Telemetry:
         self._watch_others(context)
         self._publish_still()
         self._inherit(context.own)
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         self._gate.read(now_ns)
         self._follow_gate(now_ns)
 
     def _attach(self, context: Context) -> None:
-        """What it publishes, and whom it wakes for it."""
+        """Make the writers of its records, and the bells that it rings."""
         own = context.own
         latest = ("imu", "bias", "odometry", "battery", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
@@ -144,7 +144,7 @@ class Telemetry:
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """What it reads, what it does with each report of the board, and what wakes it."""
+        """Make the readers of others' records and the table of the board's reports, and watch what wakes it."""
         port_owner = context.segment("port_owner")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._received = port_owner.ring_reader("received")
@@ -174,7 +174,7 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad)
 
     def _known_charger_state(self) -> int:
-        """What the run before this one has seen last."""
+        """The charger's state as the run before this one saw it last."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNKNOWN
 
@@ -182,7 +182,7 @@ class Telemetry:
         """Handle one wake-up."""
         if ready:
             self._bell.clear()
-        now_ns = self._now_ns()
+        now_ns = monotonic_ns()
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         while entry := self._received.next():
@@ -199,7 +199,7 @@ class Telemetry:
         self.heartbeat.beat(now_ns, self._epoch_word.get())
 
     def _follow_gate(self, now_ns: int) -> None:
-        """What the gate does now, for all who go by it."""
+        """Follow the gate's state with everything that depends on it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
         self._note_gyro(self._gyro.follow(gate.commanded, now_ns))
@@ -228,7 +228,7 @@ class Telemetry:
         self._judged_word.set(self._still.judged_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """What has no frame of its own to come with."""
+        """Publish the records that come with no frame of the board."""
         if now_ns - self._odometry_ns >= ODOMETRY_NS:
             # From when it was due: between IMU samples 9 ms apart it would else go out at every third, at 37 Hz.
             self._odometry_ns = max(self._odometry_ns + ODOMETRY_NS, now_ns - ODOMETRY_NS // 2)
@@ -299,7 +299,7 @@ class Telemetry:
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_board(box.BATTERY, millivolts, self._charger.state), t_ns)
-            if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
+            if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, data: bytes, t_ns: int) -> None:

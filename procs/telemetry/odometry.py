@@ -54,5 +54,5 @@ class Odometry:
 
 
 def wrapped(angle_rad: float) -> float:
-    """The same direction, from -pi to pi."""
+    """An angle's equal from -pi to pi."""
     return remainder(angle_rad, 2 * pi)

@@ -43,8 +43,8 @@ TUCK = buzzer(2000, 50, OFF_MS, 4)
 
 
 class PadNews:
-    """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, a joint to turn
-    with a share of its speed or None, and whether to request a reset."""
+    """The meaning of one frame: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, a joint to
+    turn with a share of its speed or None, and whether to request a reset."""
 
     __slots__ = ("arm", "cause", "command", "reset")
 
@@ -58,7 +58,7 @@ class PadNews:
 
 
 class Pad:
-    """What is remembered from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
+    """The gamepad's state from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -66,7 +66,7 @@ class Pad:
         self._lockout_ns = settings.ns("pad.mode_lockout_s")
         self._reset_hold_ns = settings.ns("pad.reset_hold_s")
         self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
-        """What a stick at its end commands."""
+        """The command of a stick at its end."""
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0

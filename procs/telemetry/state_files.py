@@ -48,7 +48,7 @@ def append_line(path: str, header: str, line: str) -> None:
     fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
         size = os.fstat(fd).st_size
-        # What a power cut has left of a line gets its end, so that it spoils no other.
+        # A line that a power cut has cut gets its end, so that it spoils no other.
         torn = size > 0 and os.pread(fd, 1, size - 1) != b"\n"
         data = (("\n" if torn else "" if size else header) + line).encode()
         if os.write(fd, data) != len(data):
@@ -75,7 +75,7 @@ class StateFiles:
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         self._notes: SimpleQueue[str] = SimpleQueue()
         self._failing: dict[str, str] = {}
-        """What could not be done last time, and why; the thread's own."""
+        """The last attempt that failed, and why; the thread's own."""
         self.running = False
         """Whether the thread is there."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Node, Null, Open, Port, Regular
+from failstop.lab.machine.files import Node, Null, Open, Port, Regular
 from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.sim.model import BoardModel, Frame
@@ -82,23 +82,13 @@ class Robot:
         self.plug()
         self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
 
-    def _folder(self, path: str, mode: int = 0o755) -> Directory:
-        here = self.machine.root
-        for part in filter(None, path.split("/")):
-            if part not in here.names:
-                here.put(part, Directory(mode, here))
-            found = here.names[part]
-            assert isinstance(found, Directory)
-            here = found
-        return here
-
     def _make_files(self, settings: Mapping[str, object]) -> None:
         for path in ("/dev/shm", "/run", "/var/lib/failstop", "/root", "/sys/dev/char", "/proc"):
-            self._folder(path)
-        self._folder("/dev").put("null", Null())
+            self.machine.root.folder(path)
+        self.machine.root.folder("/dev").put("null", Null())
         file = Regular(0o644)
         file.put("".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items()).encode(), 0)
-        self._folder("/etc").put("failstop.toml", file)
+        self.machine.root.folder("/etc").put("failstop.toml", file)
 
     def plug(self) -> Port:
         """Plug the board in, under its own name."""
@@ -106,18 +96,18 @@ class Robot:
         self._numbers += 1
         port.board = self.board
         self.board.port = port
-        self._folder("/dev").put("ttyACM0", port)
+        self.machine.root.folder("/dev").put("ttyACM0", port)
         return port
 
-    def unplug(self) -> None:
-        """Pull the plug."""
+    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
+        """Pull the plug; `late_ns` as in Port.unplug."""
         if self.board.port:
-            self._folder("/dev").drop("ttyACM0")
-            self.board.port.unplug()
+            self.machine.root.folder("/dev").drop("ttyACM0")
+            self.board.port.unplug(late_ns)
             self.board.port = None
 
     def streams(self, process: Process) -> None:
-        """Give a process its standard streams: `stderr` hears what it writes there."""
+        """Give a process its standard streams."""
         for _ in range(3):
             process.descriptor(Open(self.stderr), 0)
 

@@ -1,0 +1,36 @@
+"""Suspend: a sleep of the machine, after which no frame and no command looks too old, since CLOCK_MONOTONIC stood
+still."""
+
+from __future__ import annotations
+
+import time
+
+SLEPT_NS = 50_000_000
+"""Less than this is no sleep: the two clocks are read one after the other, and a process may be held up between."""
+
+
+def gained_ns() -> int:
+    """The time that CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, in ns: all that was slept since the machine started."""
+    before_ns = time.monotonic_ns()
+    boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    # The later reading, so that being held up in between makes the result too small and never looks like a sleep.
+    return boot_ns - max(before_ns, time.monotonic_ns())
+
+
+class SuspendWatch:
+    """The time that the machine had slept when it was asked last."""
+
+    def __init__(self) -> None:
+        # A reading that was held up is too small: the best of three.
+        self._gained_ns = max(gained_ns() for _ in range(3))
+
+    def slept_ns(self) -> int:
+        """The time slept since the last call, in ns; 0 when there was no sleep."""
+        now_ns = gained_ns()
+        slept_ns = now_ns - self._gained_ns
+        if slept_ns < SLEPT_NS:
+            # A reading that was held up is too small: the best one so far is the truth.
+            self._gained_ns = max(self._gained_ns, now_ns)
+            return 0
+        self._gained_ns = now_ns
+        return slept_ns
