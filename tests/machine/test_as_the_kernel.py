@@ -169,7 +169,26 @@ def a_map_is_the_file(on: System, folder: str) -> Story:
     return [*story, bytes(first[99:104])]
 
 
+def a_session_is_killed_as_one(on: System, folder: str) -> Story:
+    pid = on.os.posix_spawn("/bin/sh", ["/bin/sh", "-c", "exec sleep 120"], {}, setsid=True)
+    story: Story = [tried(on.os.kill, -pid, 9), on.os.waitpid(pid, 0) == (pid, 9)]
+    return [*story, tried(on.os.kill, -pid, 9), tried(on.os.kill, pid, 9)]
+
+
+def a_mask_takes_rights_away(on: System, folder: str) -> Story:
+    before = on.os.umask(0o27)
+    story: Story = [on.os.umask(0o27)]
+    on.os.close(on.os.open(f"{folder}/file", os.O_RDWR | os.O_CREAT, 0o666))
+    on.os.mkfifo(f"{folder}/pipe", 0o622)
+    on.os.mkdir(f"{folder}/folder", 0o777)
+    on.os.umask(before)
+    on.os.chmod(f"{folder}/folder", 0o777)
+    return [*story, *(oct(on.os.stat(f"{folder}/{name}").st_mode) for name in ("file", "pipe", "folder"))]
+
+
 PROGRAMS = (
+    a_mask_takes_rights_away,
+    a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
     an_eventfd_counts,
     an_epoll_set_tells_of_levels_and_edges,
@@ -189,6 +208,7 @@ def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_p
 
     real = SimpleNamespace(os=os, select=select, fcntl=fcntl, socket=_socket, mmap=mmap)
     robot = Robot()
+    robot.machine.programs["sh"] = lambda process, argv: robot.machine.block()
     modules = robot.loader.system
     simulated = SimpleNamespace(
         **{name: modules[name] for name in ("os", "select", "fcntl", "mmap")}, socket=modules["_socket"]

@@ -77,6 +77,11 @@ class Wire:
         self.port.drains = False
         self.port.held += bytes(self.port.ROOM - len(self.port.held))
 
+    def hold(self) -> None:
+        """The kernel has bytes for the port, and passes nothing on until it drains."""
+        self.port.drains = False
+        self.port.held += b"\0"
+
     def unplug(self) -> None:
         """The board goes: the port is hung up."""
         if not self.port.gone:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import heapq
+import os
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -76,6 +77,8 @@ class Process:
         self.machine = machine
         self.pid = pid
         self.parent = parent
+        self.group: int = parent.group if parent else pid
+        """Its process group: what is sent to that comes to all in it."""
         self.name = name
         self.environ = environ
         machine.processes[pid] = self
@@ -104,6 +107,9 @@ class Process:
         """Pidfds."""
         self.sys_path: list[str] = []
         self.argv: list[str] = []
+        self.umask = 0o22
+        self.most_files = 1 << 20
+        """A descriptor is below this (RLIMIT_NOFILE)."""
         self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:
@@ -111,6 +117,8 @@ class Process:
         fd = lowest
         while fd in self.files:
             fd += 1
+        if fd >= self.most_files:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
         self.files[fd] = opened
         opened.references += 1
         return fd
@@ -146,6 +154,8 @@ class Machine:
         self.current: Thread | None = None
         self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
         """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.refused = 0
+        """Rights that it grants to nobody, as bits of the heartbeat."""
         self.shortened = False
         """The next write takes a half of what it is given."""
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
@@ -368,6 +378,15 @@ class Machine:
             raise ProcessLookupError(errno.ESRCH, "no such process")
         return found
 
+    def addressed(self, pid: int) -> list[Process]:
+        """The process with this number; below 0: the whole group. Raises ProcessLookupError."""
+        if pid > 0:
+            return [self.living(pid)]
+        group = [each for each in self.processes.values() if each.group == -pid and not each.reaped]
+        if not group:
+            raise ProcessLookupError(errno.ESRCH, "no such process group")
+        return group
+
     def kill(self, process: Process, number: int) -> None:
         """Send a signal."""
         if process.dead:
@@ -414,6 +433,13 @@ class Machine:
         process.starved = False
         self._runnable.extend(process.parked)
         process.parked = []
+
+    def collecting(self) -> bool:
+        """True in a call of the garbage collector's, which comes in the middle of anything: it is no process's."""
+        try:
+            return self.current is None or getcurrent() is not self.current.greenlet
+        except RuntimeError:  # of a greenlet that is being collected itself
+            return True
 
     def point(self, name: str) -> None:
         """A place between two calls at which something may happen, where a process runs at all."""

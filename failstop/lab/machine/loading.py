@@ -174,6 +174,9 @@ class File:
     def readline(self, most: int = 1 << 30) -> Any:
         return self.read(most).partition("\n")[0]
 
+    def __iter__(self) -> Any:
+        return iter(self.read().splitlines(keepends=True))
+
     def write(self, data: Any) -> int:
         written: int = self.system.write(self._fd, data.encode() if self._text else data)
         return written

@@ -11,7 +11,7 @@ import termios
 from typing import Any
 
 from failstop.lab.machine.calls import Calls, Module, constants
-from failstop.lab.machine.files import Directory, Fifo, Open, Port, Regular, Socket
+from failstop.lab.machine.files import IN, Directory, Fifo, Open, Port, Regular, Socket
 from failstop.lab.machine.kernel import Process
 
 WHOLE = -1
@@ -108,12 +108,14 @@ class SimulatedSocket:
     def __init__(self, calls: Calls, fd: int) -> None:
         self._calls = calls
         self._fd = fd
+        self._blocking = True
 
     def fileno(self) -> int:
         return self._fd
 
     def setblocking(self, blocking: bool) -> None:
-        """Nothing here waits in a socket."""
+        """Whether recv() waits; no other call does."""
+        self._blocking = blocking
 
     def _own(self, call: str) -> tuple[Process, Open, Socket]:
         process = self._calls.process(call, self._fd)
@@ -140,7 +142,9 @@ class SimulatedSocket:
         return self._own("write")[2].send(data)
 
     def recv(self, most: int) -> bytes:
-        return self._own("read")[2].take(most)[0]
+        _, opened, node = self._own("read")
+        self._calls.wait_for((opened,), lambda: node.mask(opened) & IN, None if self._blocking else 0)
+        return node.take(most)[0]
 
     def shutdown(self, how: int) -> None:
         peer = self._own("shutdown")[2].peer
@@ -195,7 +199,7 @@ class SharedMemory:
         process, folder = calls.process("shm_open", name), shared_folder(calls)
         if name.lstrip("/") in folder.names:
             raise Error("there is one of this name")
-        made = Regular(mode)
+        made = Regular(mode & ~process.umask)
         folder.put(name.lstrip("/"), made)
         self.fd = process.descriptor(Open(made))
 

@@ -92,7 +92,7 @@ class Paths(Module):
         above, name = self._calls.walk(process, path, dir_fd)
         node = self._found(above, name, flags, path)
         if node is None:
-            node = Regular(mode & 0o777)
+            node = Regular(mode & 0o777 & ~process.umask)
             above.put(name, node)
         if flags & os.O_DIRECTORY and not isinstance(node, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
@@ -136,9 +136,11 @@ class Paths(Module):
         return list(node.names)
 
     def _put(self, call: str, path: str, node: Node, dir_fd: int | None) -> None:
-        above, name = self._calls.walk(self._calls.process(call, path), path, dir_fd)
+        process = self._calls.process(call, path)
+        above, name = self._calls.walk(process, path, dir_fd)
         if name in above.names:
             raise FileExistsError(errno.EEXIST, "file exists", path)
+        node.mode &= ~process.umask
         above.put(name, node)
         if isinstance(node, Directory):
             node.above = above
@@ -187,7 +189,8 @@ class Paths(Module):
     fchmod = chmod
 
     def chown(self, path: Any, uid: int, gid: int, *, dir_fd: int | None = None) -> None:
-        self._calls.node(self._calls.process("chown", path), path, dir_fd)
+        node = self._calls.node(self._calls.process("chown", path), path, dir_fd)
+        node.uid, node.gid = (new if new >= 0 else old for new, old in ((uid, node.uid), (gid, node.gid)))
 
     fchown = chown
 
@@ -196,6 +199,8 @@ class Descriptors(Module):
     """The calls that take a descriptor, or make one."""
 
     def close(self, fd: int) -> None:
+        if self._machine.collecting():
+            return
         process = self._calls.process("close", fd)
         self._calls.opened(process, fd)
         process.close(fd)
@@ -269,7 +274,8 @@ class Processes(Module):
 
     def kill(self, pid: int, number: int) -> None:
         self._calls.process("kill", pid)
-        self._machine.kill(self._machine.living(pid), int(number))
+        for each in self._machine.addressed(pid):
+            self._machine.kill(each, int(number))
 
     def waitpid(self, pid: int, options: int) -> tuple[int, int]:
         process = self._calls.process("waitpid", pid)
@@ -297,6 +303,8 @@ class Processes(Module):
             return program(child, words) if program else 0
 
         made = self._machine.process(called, run, dict(environ), process, START_NS)
+        made.argv = words
+        made.group = made.pid if setsid else process.group
         self._inherit(process, made, process.inheritable)
         return made.pid
 
@@ -316,6 +324,14 @@ class Processes(Module):
 
     def _exit(self, code: int) -> None:
         self._machine.die(self._calls.process("exit"), code)
+
+    def umask(self, mask: int) -> int:
+        process = self._calls.process("umask")
+        before, process.umask = process.umask, mask
+        return before
+
+    def get_terminal_size(self, fd: int = 1) -> NoReturn:
+        raise OSError(errno.ENOTTY, "not a terminal")
 
     def getpid(self) -> int:
         return self._machine.current.process.pid if self._machine.current else 0
@@ -345,7 +361,6 @@ class Os(Paths, Descriptors, Processes):
         for name in ("getuid", "geteuid", "getgid", "getegid"):
             setattr(self, name, lambda: 0)
         self.getgroups = lambda: [0]
-        self.umask = lambda mask: 0o22
         self.uname = lambda: SimpleNamespace(machine="x86_64", sysname="Linux", release="6.1", nodename="simulated")
         self.sched_getscheduler = lambda pid: os.SCHED_FIFO
         self.sched_getparam = lambda pid: os.sched_param(10)
