@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.shm import segment
+
+from . import simulated
 
 _numbers = itertools.count()
 
@@ -19,6 +22,12 @@ def name() -> Iterator[str]:
     unique = f"t{os.getpid()}x{next(_numbers)}"
     yield unique
     segment.unlink_all(unique)
+
+
+@pytest.fixture
+def on() -> SimpleNamespace:
+    """A simulated machine, with failstop's modules as the test's process has them."""
+    return simulated.machine()
 
 
 @pytest.fixture

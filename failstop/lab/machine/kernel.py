@@ -28,6 +28,7 @@ SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 
 IGNORED = (SIGCHLD, SIGCONT)
 """Signals that do nothing by default."""
 FIRST_PID = 100
+SCHED_FIFO = 1
 FOREVER_NS = 1 << 61
 
 
@@ -46,7 +47,10 @@ class Death(BaseException):
 class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
-    __slots__ = ("body", "greenlet", "number", "process", "ready", "robust", "started", "token", "waiting", "woken")
+    __slots__ = (
+        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "started", "token", "waiting"),
+        "woken",
+    )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
         """`hub`: the greenlet of a thread that runs inline."""
@@ -58,6 +62,8 @@ class Thread:
         """Of a thread that runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
+        self.scheduling = (SCHED_FIFO, 10)
+        """Policy and priority: every process of a service has real-time rights here."""
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
         self.waiting = False
@@ -98,6 +104,7 @@ class Process:
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
+        self.uid, self.gid, self.umask = (parent.uid, parent.gid, parent.umask) if parent else (0, 0, 0o22)
         self.sys_path: list[str] = []
         self.argv: list[str] = []
         self._random = pid
@@ -210,7 +217,7 @@ class Machine:
             self.current = thread
 
     def join(self, name: str, environ: dict[str, str] | None = None) -> Process:
-        """A process whose main thread is the caller: its calls are made inline, and the machine runs while they block."""
+        """A process whose main thread is the caller: its calls are made inline; while they block, the machine runs."""
         made = Process(self, self._take_pid(), None, name, environ or {})
         self.current = self.inline = Thread(made, lambda: None, made.pid, self.hub)
         made.threads.append(self.inline)
@@ -342,6 +349,11 @@ class Machine:
             pidfd.notify()
         if process.parent:
             self.kill(process.parent, SIGCHLD)
+
+    def threads(self) -> dict[int, Thread]:
+        """All threads of all living processes, by number."""
+        living = [each for each in self.processes.values() if not each.dead]
+        return {thread.number: thread for process in living for thread in process.threads}
 
     def living(self, pid: int) -> Process:
         """The process with this number, until it is reaped. Raises ProcessLookupError."""

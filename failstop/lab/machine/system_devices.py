@@ -10,6 +10,7 @@ import struct
 import termios
 from typing import Any
 
+from failstop.lab.machine import users
 from failstop.lab.machine.calls import Calls, Module, constants
 from failstop.lab.machine.files import Directory, Fifo, Open, Port, Regular, Socket
 from failstop.lab.machine.kernel import Process
@@ -195,7 +196,7 @@ class SharedMemory:
         process, folder = calls.process("shm_open", name), shared_folder(calls)
         if name.lstrip("/") in folder.names:
             raise Error("there is one of this name")
-        made = Regular(mode)
+        made = users.made(process, Regular(mode))
         folder.put(name.lstrip("/"), made)
         self.fd = process.descriptor(Open(made))
 
@@ -219,10 +220,11 @@ class PosixIpc(Module):
         return SharedMemory(self._calls, name, mode)
 
     def unlink_shared_memory(self, name: str) -> None:
-        self._calls.process("unlink", name)
+        process = self._calls.process("unlink", name)
         folder = shared_folder(self._calls)
         if name.lstrip("/") not in folder.names:
             raise Error("no such name")
+        users.check_drop(process, folder, folder.names[name.lstrip("/")], name)
         folder.drop(name.lstrip("/"))
 
 
