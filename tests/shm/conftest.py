@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.shm import segment
+from failstop.shm.segment import Segment
 
 from . import simulated
+from .dying import RUN, lifelines
 
 _numbers = itertools.count()
 
@@ -22,6 +24,13 @@ def name() -> Iterator[str]:
     unique = f"t{os.getpid()}x{next(_numbers)}"
     yield unique
     segment.unlink_all(unique)
+
+
+@pytest.fixture
+def held(name: str) -> Segment:
+    """The lines of every block, as one of the service's processes sees them."""
+    segment.create(name, "lifelines", RUN).close()
+    return lifelines(name)
 
 
 @pytest.fixture
