@@ -20,7 +20,7 @@ from failstop.shm.segment import Segment
 from tests.support.children import NOBODY, Child, call, needs_root
 from tests.support.waiting import until
 
-from .dying import Send, Wait, asleep, ends, holding, lifelines
+from .dying import Send, Wait, asleep, holding, lifelines
 
 OWNER_DIED = 1 << 30
 GET_ROBUST_LIST = {"x86_64": 274, "aarch64": 100}.get(os.uname().machine, -1)

@@ -18,7 +18,6 @@ from failstop.shm.futex import Futex
 from failstop.shm.segment import Segment
 from failstop.shm.words import LINE_BYTES
 from tests.support.children import call
-from tests.support.waiting import until
 
 from .dying import ends, threads
 

@@ -160,7 +160,7 @@ def test_a_trap_in_the_shared_place_is_refused(on: SimpleNamespace, bases: list[
             put(on, place)
         elif trap != "other user's":
             on.os.symlink("/tmp/nowhere" if trap == "dangling link" else "/tmp/target", place)
-    with pytest.raises(on.instance.InstanceError, match="^no runtime directory for 'robot'") as refused:
+    with pytest.raises(on.instance.InstanceError, match=r"^no runtime directory for 'robot'") as refused:
         on.instances.make_runtime_dir("robot")
     assert bases[2] in str(refused.value)
     assert "\n" not in str(refused.value)

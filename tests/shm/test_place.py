@@ -138,7 +138,7 @@ def test_a_stranger_s_service_is_none_and_find_says_why(folder: Any) -> None:
     give(on, OTHER, BASE, FOLDER, STOP, CLAIMS)
     on.own.environ["XDG_RUNTIME_DIR"] = "/srv"
     for uid in (0, NOBODY):
-        with user(on, uid), pytest.raises(on.instance.NoService, match="^no service named 'robot' is running") as none:
+        with user(on, uid), pytest.raises(on.instance.NoService, match=r"^no service named 'robot' is running") as none:
             on.instance.find("robot")
         assert f"; {BASE} belongs to uid {OTHER}: not trusted" in str(none.value)
     with user(on, OTHER):

@@ -224,7 +224,10 @@ class PosixIpc(Module):
         folder = shared_folder(self._calls)
         if name.lstrip("/") not in folder.names:
             raise Error("no such name")
-        users.check_drop(process, folder, folder.names[name.lstrip("/")], name)
+        node = folder.names[name.lstrip("/")]
+        users.check_drop(process, folder, node, name)
+        if isinstance(node, Directory):
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", name)
         folder.drop(name.lstrip("/"))
 
 
