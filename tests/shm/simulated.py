@@ -30,7 +30,9 @@ def machine() -> SimpleNamespace:
         loader.system["os"].makedirs(path)
         loader.system["os"].chmod(path, mode)
     modules = {name.rpartition(".")[2]: loader.load(f"failstop.{name}") for name in MODULES}
-    return SimpleNamespace(machine=made, own=made.inline.process, load=loader.load, os=loader.system["os"], **modules)
+    return SimpleNamespace(
+        machine=made, own=made.inline.process, load=loader.load, system=loader.system, os=loader.system["os"], **modules
+    )
 
 
 @contextlib.contextmanager

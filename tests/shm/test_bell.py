@@ -170,7 +170,7 @@ def ends(on: SimpleNamespace) -> tuple[int, int]:
 
 
 def test_messages_arrive_whole_and_in_order(on: SimpleNamespace, ends: tuple[int, int]) -> None:
-    (reading, writing), system = ends, on.load("failstop.procs.loop").select
+    (reading, writing), system = ends, on.system["select"]
     assert on.bell.take(reading) == b""
     assert not rings(reading, system)
     assert on.bell.send(writing, b"one\n")
@@ -190,7 +190,7 @@ def test_a_full_pipe_says_so_and_rings(on: SimpleNamespace, ends: tuple[int, int
         while on.bell.send(writing, b"x" * size):
             pass
     assert on.bell.send(writing, b"stop\n") is False
-    assert rings(reading, on.load("failstop.procs.loop").select)
+    assert rings(reading, on.system["select"])
     while on.bell.take(reading):
         pass
     assert on.bell.send(writing, b"stop\n") is True
@@ -229,7 +229,7 @@ def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
 ) -> None:
     reading, writing = ends
     on.os.close(writing)
-    poll = on.load("failstop.procs.loop").select.epoll()
+    poll = on.system["select"].epoll()
     poll.register(reading, select.EPOLLIN)
     for number in range(4):
 

@@ -68,8 +68,8 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
 
     class Recording(segment.Segment):
         def word(self, of: str) -> Word:
-            word = super().word(of)
             place = self.spec.offsets[of]
+            assert self.mapped is not None
 
             class Recorded(Word):
                 def set(self, value: int) -> None:
@@ -77,9 +77,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
                     order.append(place)
                     assert not seen.running(78)
 
-            recorded = Recorded.__new__(Recorded)
-            recorded._words, recorded._index = word._words, word._index
-            return recorded
+            return Recorded(self.mapped, place)
 
     Heartbeat(Recording(own.spec, own.incarnation, own.mapped), 78, 0, 20_000)
     names = [name for place in order for name, at in own.spec.offsets.items() if at == place]

@@ -184,13 +184,13 @@ def test_deaths_one_after_the_other_in_the_same_cell() -> None:
 
 
 class Overtaken(Memory):
-    """A view whose first copy is overtaken: `meanwhile` runs when the copy has come to its byte `at`."""
+    """A view one copy of which is overtaken: `meanwhile` runs when the copy has come to its byte `at`."""
 
-    def __init__(self, memory: Memory, at: int, meanwhile: Callable[[], object]) -> None:
+    def __init__(self, memory: Memory, at: int) -> None:
         super().__init__(0)
         self.memory = memory
         self.at = at
-        self.meanwhile: Callable[[], object] | None = meanwhile
+        self.meanwhile: Callable[[], object] | None = None
 
     def __getitem__(self, where: slice) -> bytes:
         early = self.memory[where]
@@ -219,9 +219,10 @@ def test_a_copy_that_is_overtaken_gives_a_value_and_none_older_than_seen(writes:
             with pytest.raises(Death):
                 write(writer, 3 + writes, 40)
 
-        reader = LatestReader(memory, AT, 40, SEED)
+        view = Overtaken(memory, at)
+        reader = LatestReader(view, AT, 40, SEED)
         assert reader.read() == (3, time_of(3), payload_of(3, 40))
-        reader._view = Overtaken(memory, at, meanwhile)
+        view.meanwhile = meanwhile
         entry = reader.read()
         assert entry is not None
         assert entry[0] >= 3

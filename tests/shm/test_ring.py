@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from failstop.shm import cell
@@ -25,9 +23,6 @@ from .rings import (
     ring_memory,
     writer_of,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 def test_empty() -> None:

@@ -9,7 +9,6 @@ import random
 import signal
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,10 +19,6 @@ from failstop.shm.segment import AttachError, Segment
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
-
-if TYPE_CHECKING:
-    pass
-
 from .written import CLIENT_NAMES, RUN, Written, path_of
 
 
@@ -120,7 +115,9 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     own = segment.attach(name, of, RUN, write=True)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
-    writers = [own.latest_writer(name) for name, record in own.spec.records.items() if record.kind == "latest"]
+    writers = {
+        own.latest_writer(name): record.capacity for name, record in own.spec.records.items() if record.kind == "latest"
+    }
     fd = os.open(path_of(name, of), os.O_RDWR)
     watch = os.pidfd_open(child.pid)
     try:
@@ -128,9 +125,8 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
         limit = time.monotonic() + 30
         while time.monotonic() < limit and os.waitid(os.P_PIDFD, watch, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             seq += 1
-            for writer in writers:
-                payload = payload_of(writer._seq + 1, min(40, writer._capacity))
-                writer.write(payload, time_of(writer._seq + 1))
+            for writer, capacity in writers.items():
+                assert writer.write(payload_of(seq, min(40, capacity)), time_of(seq)) == seq
             if dice.random() < 0.3:
                 os.ftruncate(fd, dice.choice([0, 0, size, dice.randrange(size)]))
             if dice.random() < 0.3:
