@@ -20,6 +20,7 @@ from .rings import (
     place,
     put,
     reader_of,
+    ring,
     ring_memory,
     writer_of,
 )
@@ -35,8 +36,7 @@ def test_empty() -> None:
 
 
 def test_order_over_many_laps() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    _, writer, reader = ring()
     for _ in range(5 * CELLS):
         put(writer, 3)
         assert drain(reader) == [writer.seq - 2, writer.seq - 1, writer.seq]
@@ -45,8 +45,7 @@ def test_order_over_many_laps() -> None:
 
 
 def test_one_store_a_put_and_one_copy_a_look() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     memory.copies.clear()
     put(writer, 2)
     put(writer, 1, size=5)
@@ -58,8 +57,7 @@ def test_one_store_a_put_and_one_copy_a_look() -> None:
 
 def test_an_idle_ring_costs_one_copy_a_look() -> None:
     """Looking through the whole ring is for damage only, not for a ring in which nothing is new."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     for _ in range(3 * CELLS):
         memory.copies.clear()
         assert reader.next() is None
@@ -69,8 +67,7 @@ def test_an_idle_ring_costs_one_copy_a_look() -> None:
 
 
 def test_too_large_a_payload_changes_nothing() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, 3)
     held = bytes(memory.data)
     with pytest.raises(cell.PayloadTooLarge):
@@ -83,8 +80,7 @@ def test_too_large_a_payload_changes_nothing() -> None:
 @pytest.mark.parametrize("read", range(CELLS + 2))
 @pytest.mark.parametrize("ahead", [*range(1, 3 * CELLS + 2), 10 * CELLS])
 def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    _, writer, reader = ring()
     put(writer, read)
     drained = drain(reader)
     reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
@@ -128,8 +124,7 @@ def test_many_readers_do_not_know_of_each_other() -> None:
 
 
 def test_a_lone_cell_is_a_ring_too() -> None:
-    memory = ring_memory(1)
-    writer, reader = writer_of(memory, 1), reader_of(memory, 1)
+    _, writer, reader = ring(1)
     put(writer)
     assert drain(reader) == [1]
     put(writer, 5)
@@ -156,8 +151,7 @@ def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
 
 
 def test_a_chain_of_deaths_in_one_cell() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, CELLS + 2)
     drain(reader)
     for cut in range(SIZE):
@@ -181,8 +175,7 @@ def test_from_the_oldest_after_a_death_in_mid_write() -> None:
 
 def test_a_slow_reader_after_a_death_in_mid_write() -> None:
     """The same, for a reader that was a whole lap behind."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, CELLS)
     die_writing(memory, writer)
     assert drain(reader) == list(range(2, CELLS + 1))
@@ -209,8 +202,7 @@ def test_damage_loses_only_what_was_damaged(spoiled: tuple[int, ...], first: int
 
 def test_a_zeroed_cell_of_the_first_lap_holds_up_no_longer_than_that_lap() -> None:
     """The one damage that looks like a cell never used; the next lap ends it, and it is counted."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, 4)
     damage(memory, 2, zero=True)
     assert drain(reader) == [1]
@@ -220,8 +212,7 @@ def test_a_zeroed_cell_of_the_first_lap_holds_up_no_longer_than_that_lap() -> No
 
 
 def test_damage_to_the_newest_waits_for_what_comes() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, CELLS + 3)
     drain(reader)
     lost = reader.lost
@@ -240,8 +231,7 @@ def test_a_cell_copied_over_another_is_damage() -> None:
         for target in range(2, 6):
             if source == target:
                 continue
-            memory = ring_memory()
-            writer, reader = writer_of(memory), reader_of(memory)
+            memory, writer, reader = ring()
             put(writer, 6)
             memory.data[place(target) : place(target) + SIZE] = memory.data[place(source) : place(source) + SIZE]
             assert drain(reader) == [seq for seq in range(1, 7) if seq != target]
@@ -298,8 +288,7 @@ def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
 @pytest.mark.parametrize("cells", [1, 2, 3, 8, 64])
 def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(cells: int, puts: int) -> None:
     """While the reader copies one cell the writer overwrites the oldest ones: one call must still come to an end."""
-    memory = ring_memory(cells)
-    writer, reader = writer_of(memory, cells), reader_of(memory, cells)
+    memory, writer, reader = ring(cells)
     put(writer, 5 * cells)
     memory.before_copy = lambda: put(writer, puts)
     last = 0

@@ -19,7 +19,8 @@ from failstop.shm.segment import AttachError, Segment
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
-from .written import CLIENT_NAMES, RUN, Written, path_of
+from .segments import RUN, path_of
+from .written import CLIENT_NAMES, Written
 
 
 @pytest.mark.parametrize("of", CLIENT_NAMES)
