@@ -210,6 +210,7 @@ def test_nothing_stays_open(folder: Any) -> None:
     for path in ("link", "absent"):
         with pytest.raises(OSError, match=r"is a link|No such file"):
             on.place.opened(f"{FOLDER}/{path}", os.O_RDONLY)
-    with pytest.raises(on.place.Untrusted, match="is no FIFO: remove it"):
-        on.place.opened(CLAIMS, os.O_WRONLY, pipe=True)
+    for path, pipe, kind in ((CLAIMS, True, "FIFO"), (STOP, False, "regular file")):
+        with pytest.raises(on.place.Untrusted, match=f"is no {kind}: remove it"):
+            on.place.opened(path, os.O_RDWR, pipe=pipe)
     assert open_fds(on) == before

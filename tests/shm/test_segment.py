@@ -7,7 +7,7 @@ import fcntl
 import os
 import stat
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +15,7 @@ import pytest
 
 from failstop.shm import segment
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, PROCESSES
+from failstop.shm.segment import Segment
 from tests.support.children import NOBODY, Child
 
 from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
@@ -112,22 +113,24 @@ def test_a_reader_s_mapping_can_not_be_written(name: str, of: str) -> None:
     assert Path(path_of(name, of)).read_bytes() == before
 
 
-def test_a_reader_of_a_client_s_segment_can_not_write_it(name: str) -> None:
+Slot = tuple[Segment, Segment]
+
+
+@pytest.fixture
+def slot(name: str) -> Iterator[Slot]:
+    """A client's segment, as the client has it and as the service does."""
     segment.create(name, "client.0", RUN).close()
-    seen = segment.read_client_slot(name, 0, RUN)
-    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
-        seen.latest_writer("hello").write(b"x")
+    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    yield own, seen
+    own.close()
     seen.close()
 
 
-def test_client_segments_are_not_mapped(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    for seen in (segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)):
-        assert seen.mapped is None
-        path = os.path.realpath(path_of(name, "client.0"))
-        with open("/proc/self/maps") as maps:
-            assert path not in maps.read()
-        seen.close()
+def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: str, slot: Slot) -> None:
+    assert path_of(name, "client.0") not in Path("/proc/self/maps").read_text()
+    assert [each.mapped for each in slot] == [None, None]
+    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+        slot[1].latest_writer("hello").write(b"x")
 
 
 CLIENT_RECORDS = [
@@ -135,21 +138,17 @@ CLIENT_RECORDS = [
 ]
 
 
-def test_a_goodbye_outlives_the_next_holder_s_begin(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+def test_a_goodbye_outlives_the_next_holder_s_begin(slot: Slot) -> None:
+    own, seen = slot
     own.latest_writer("left").write(b"goodbye", 1)
     own.wipe()
     assert seen.latest_reader("left").read() == (1, 1, b"goodbye")
     assert own.latest_writer("left").write(b"another", 2) == 2
-    own.close()
-    seen.close()
 
 
-def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
+def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str, slot: Slot) -> None:
     new = Path(path_of(name, "client.0")).read_bytes()
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    own, seen = slot
     for record in CLIENT_RECORDS:
         own.latest_writer(record).write(b"before", 1)
     own.wipe()
@@ -158,8 +157,6 @@ def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
         assert seen.latest_reader(record).read() is None
         assert own.latest_writer(record).write(b"new", 1) == 1
         assert seen.latest_reader(record).read() == (1, 1, b"new")
-    own.close()
-    seen.close()
 
 
 def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
@@ -175,9 +172,8 @@ def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
         none.close()
 
 
-def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    own = segment.attach(name, "client.0", RUN, write=True)
+def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(slot: Slot) -> None:
+    own, _ = slot
     writer, number = own.latest_writer("hello"), own.fileno()
     own.close()
     assert own.fileno() == -1

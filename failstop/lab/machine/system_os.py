@@ -220,6 +220,8 @@ class Paths(Module):
     def chown(self, path: Any, uid: int, gid: int, *, dir_fd: int | None = None) -> None:
         process = self._calls.process("chown", path)
         node = self._calls.node(process, path, dir_fd)
+        if min(uid, gid) < -1:
+            raise OverflowError("a number below -1 is no user's and no group's")
         users.check_owner(process, node, gid, uid)
         node.uid, node.gid = uid if uid >= 0 else node.uid, gid if gid >= 0 else node.gid
 
