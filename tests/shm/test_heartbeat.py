@@ -32,12 +32,8 @@ def test_beats(name: str) -> None:
     assert not seen.running(78)
     for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
         beats.beat(now_ns, epoch=i * 100)
-        assert (seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (
-            now_ns,
-            i,
-            i * 100,
-            worst_ns,
-        )
+        told = seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()
+        assert told == (now_ns, i, i * 100, worst_ns)
     assert seen.age_ns(1_100) == 40
     assert seen.age_ns(1_000) == 0
     beats.state(STOPPING, 2_000)

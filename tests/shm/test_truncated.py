@@ -29,17 +29,8 @@ def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
     written = Written(name, of, dice)
     try:
         resident = written.readers()
-        sizes = [
-            0,
-            1,
-            23,
-            24,
-            127,
-            128,
-            129,
-            written.spec.size - 1,
-            *(dice.randrange(written.spec.size) for _ in range(60)),
-        ]
+        sizes = [0, 1, 23, 24, 127, 128, 129, written.spec.size - 1]
+        sizes += [dice.randrange(written.spec.size) for _ in range(60)]
         for size in sizes:
             os.ftruncate(written.fd, size)
             written.read_all(resident)
