@@ -373,6 +373,10 @@ def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
     before = open_fds(on)
     with refusing(on, "pwrite", errno.EFBIG), pytest.raises(OSError, match="File too large"):
         on.instance.publish(path, 8)
+    on.machine.shortened = True
+    with pytest.raises(OSError, match="No space left on device") as full:
+        on.instance.publish(path, 8)
+    assert (full.value.errno, full.value.filename) == (errno.ENOSPC, on.instance.run_path(path))
     assert on.instance.run(path) == (7, USER)
     on.os.unlink(f"{on.instance.run_path(path)}.new")
     on.os.symlink(bases[0], f"{on.instance.run_path(path)}.new")

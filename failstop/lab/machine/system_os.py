@@ -247,8 +247,12 @@ class Descriptors(Module):
 
     def write(self, fd: int, data: bytes) -> int:
         opened = self._calls.begin("write", fd, data)
-        most, self._machine.shortened = self._machine.shortened, False
-        return opened.node.write(opened, bytes(data[: max(1, len(data) // 2)] if most else data))
+        return opened.node.write(opened, self._taken(data))
+
+    def _taken(self, data: bytes) -> bytes:
+        """What a write takes of its data."""
+        short, self._machine.shortened = self._machine.shortened, False
+        return bytes(data[: max(1, len(data) // 2)] if short else data)
 
     def pread(self, fd: int, most: int, at: int) -> bytes:
         node = self._calls.begin("pread", fd).node
@@ -258,8 +262,9 @@ class Descriptors(Module):
         node = self._calls.begin("pwrite", fd).node
         if not isinstance(node, Regular):
             raise OSError(errno.ESPIPE, "not a file")
-        node.put(bytes(data), at)
-        return len(data)
+        taken = self._taken(data)
+        node.put(taken, at)
+        return len(taken)
 
     def _regular(self, call: str, fd: int) -> Regular:
         node = self._calls.begin(call, fd).node
