@@ -65,7 +65,7 @@ def story(system: Any, folder: str) -> list[object]:
 
 def modes(system: Any, folder: str) -> list[object]:
     """Whose what is left is."""
-    found = []
+    found: list[object] = []
     for place in sorted(system.listdir(folder)):
         for name in sorted(system.listdir(f"{folder}/{place}")):
             status = system.stat(f"{folder}/{place}/{name}")

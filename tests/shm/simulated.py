@@ -23,7 +23,7 @@ S = 1_000_000_000
 def machine() -> SimpleNamespace:
     """Its modules by the last part of their names. The test runs as root."""
     made = Machine(step_ns=0, look_ns=0)
-    made.join("test")
+    own = made.join("test")
     loader = Loader(made)
     made.root.put("proc", ProcessFolder(made))
     for path, mode in (("/dev/shm", 0o1777), ("/run", 0o755), ("/tmp", 0o1777)):
@@ -31,7 +31,7 @@ def machine() -> SimpleNamespace:
         loader.system["os"].chmod(path, mode)
     modules = {name.rpartition(".")[2]: loader.load(f"failstop.{name}") for name in MODULES}
     return SimpleNamespace(
-        machine=made, own=made.inline.process, load=loader.load, system=loader.system, os=loader.system["os"], **modules
+        machine=made, own=own, load=loader.load, system=loader.system, os=loader.system["os"], **modules
     )
 
 

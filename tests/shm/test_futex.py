@@ -213,7 +213,8 @@ def test_a_kernel_that_tells_of_the_end_a_while_later_is_proven_and_one_that_nev
     monkeypatch: pytest.MonkeyPatch, looks: int
 ) -> None:
     """The last as gVisor's, which takes the list and marks nothing: it is waited for for a second."""
-    told, seen = Futex.told, []
+    told = Futex.told
+    seen: list[bool] = []
 
     def look(word: Futex) -> bool:
         seen.append(len(seen) >= looks and told(word))

@@ -104,7 +104,9 @@ class Process:
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
-        self.uid, self.gid, self.umask = (parent.uid, parent.gid, parent.umask) if parent else (0, 0, 0o22)
+        self.uid: int = parent.uid if parent else 0
+        self.gid: int = parent.gid if parent else 0
+        self.umask: int = parent.umask if parent else 0o22
         self.sys_path: list[str] = []
         self.argv: list[str] = []
         self._random = pid

@@ -366,7 +366,8 @@ class Processes(Module):
 
     def umask(self, mask: int) -> int:
         process = self._calls.process("umask")
-        before, process.umask = process.umask, mask
+        before = process.umask
+        process.umask = mask
         return before
 
     def _thread(self, number: int) -> Thread:
