@@ -27,7 +27,7 @@ def name() -> Iterator[str]:
 
 
 @pytest.fixture
-def held(name: str) -> Segment:
+def lines(name: str) -> Segment:
     """The lines of every block, as one of the service's processes sees them."""
     segment.create(name, "lifelines", RUN).close()
     return lifelines(name)

@@ -23,14 +23,14 @@ from .simulated import living, refusing
 
 
 @pytest.fixture
-def news(held: Segment) -> Iterator[EarlyNews]:
-    made = EarlyNews(held)
+def news(lines: Segment) -> Iterator[EarlyNews]:
+    made = EarlyNews(lines)
     yield made
     os.close(made.bell.fd)
 
 
 @pytest.mark.parametrize("block", [0, 1, BLOCKS - 1])
-def test_every_watcher_gets_the_early_news(name: str, held: Segment, block: int) -> None:
+def test_every_watcher_gets_the_early_news(name: str, lines: Segment, block: int) -> None:
     """Through the futex and the bell: the pidfd is not even polled. A block is used again, the last holder's mark in
     it."""
     for _ in range(5):
@@ -61,10 +61,10 @@ def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, news: EarlyNe
         life.close()
 
 
-def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, held: Segment) -> None:
+def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, lines: Segment) -> None:
     with holding(name, 3) as holder:
         life = Lifeline()
-        life.early = held.futex("held", 3 * PER_BLOCK)
+        life.early = lines.futex("held", 3 * PER_BLOCK)
         assert not life.dead()
         holder.kill()
         assert not life.marked
@@ -138,9 +138,9 @@ def refuse_above(on: SimpleNamespace, own: int) -> None:
 
 
 @needs_root
-def test_real_time_rights_are_remembered_for_the_threads(name: str, held: Segment) -> None:
+def test_real_time_rights_are_remembered_for_the_threads(name: str, lines: Segment) -> None:
     with scheduled(os.SCHED_FIFO, 5):
-        news = EarlyNews(held)
+        news = EarlyNews(lines)
     with holding(name, 2) as holder:
         life, before = Lifeline(holder.pid), threads()
         news.arm(life, 2, 0, lambda: None, 6)
@@ -153,7 +153,7 @@ def test_real_time_rights_are_remembered_for_the_threads(name: str, held: Segmen
     os.close(news.bell.fd)
 
 
-def test_no_news_while_the_holder_lives(name: str, held: Segment) -> None:
+def test_no_news_while_the_holder_lives(name: str, lines: Segment) -> None:
     with holding(name, 3) as holder, watching(name, holder.pid, 3, 0) as watcher:
         other = Lifeline(watcher.pid)
         os.kill(holder.pid, signal.SIGSTOP)
@@ -164,7 +164,7 @@ def test_no_news_while_the_holder_lives(name: str, held: Segment) -> None:
         other.close()
 
 
-def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, held: Segment) -> None:
+def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, lines: Segment) -> None:
     with holding(name, 6) as holder:
         for _ in range(3):
             with watching(name, holder.pid, 6, 0) as first:
@@ -174,11 +174,11 @@ def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, held: Segm
             assert last.result() == (True, True, True)
 
 
-def test_blocks_do_not_touch_each_other(name: str, held: Segment) -> None:
+def test_blocks_do_not_touch_each_other(name: str, lines: Segment) -> None:
     with holding(name, 0), holding(name, 2), holding(name, 1) as holder:
         holder.kill()
         for _ in range(2):
-            assert held.futex("held", PER_BLOCK).wait_for_death() is True, "the mark stays for who comes late"
+            assert lines.futex("held", PER_BLOCK).wait_for_death() is True, "the mark stays for who comes late"
         with watching(name, os.getpid(), 0, 0) as watcher:
             other = Lifeline(watcher.pid)
             assert not rung(other.fd, 0.05)
@@ -233,7 +233,7 @@ def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, news: EarlyNews) -
 
 
 def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(
-    name: str, held: Segment, news: EarlyNews
+    name: str, lines: Segment, news: EarlyNews
 ) -> None:
     """By one line alone; the pidfd is that of this process, which lives."""
 
@@ -245,7 +245,7 @@ def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(
     with Child(work) as holder:
         assert holder.receive() == "held"
         life = Lifeline(os.getpid())
-        news.watch(life, held)
+        news.watch(life, lines)
         holder.kill()
         assert rung(news.bell.fd)
         assert life.marked

@@ -26,12 +26,12 @@ OWNER_DIED = 1 << 30
 GET_ROBUST_LIST = {"x86_64": 274, "aarch64": 100}.get(os.uname().machine, -1)
 
 
-def held_by_thread(held: Segment, line: int = 0) -> Callable[[], None]:
+def held_by_thread(lines: Segment, line: int = 0) -> Callable[[], None]:
     """A thread holds this line until what is returned is called."""
     let_go, ready = threading.Event(), threading.Event()
 
     def work() -> None:
-        kept = held.futex("held", line, write=True).hold()
+        kept = lines.futex("held", line, write=True).hold()
         ready.set()
         let_go.wait()
         futex.let_go()
@@ -43,42 +43,42 @@ def held_by_thread(held: Segment, line: int = 0) -> Callable[[], None]:
     return lambda: (let_go.set(), thread.join())[1]
 
 
-def test_what_nobody_holds_is_no_death(held: Segment) -> None:
+def test_what_nobody_holds_is_no_death(lines: Segment) -> None:
     for line in range(PER_BLOCK):
-        assert held.futex("held", line).wait_for_death() is False
+        assert lines.futex("held", line).wait_for_death() is False
 
 
 @pytest.mark.parametrize("line", [-1, BLOCKS * PER_BLOCK])
-def test_there_is_no_line_beyond_the_record(held: Segment, line: int) -> None:
+def test_there_is_no_line_beyond_the_record(lines: Segment, line: int) -> None:
     with pytest.raises(IndexError, match=rf"held has {BLOCKS * PER_BLOCK} lines, none is {line}$"):
-        held.futex("held", line)
+        lines.futex("held", line)
 
 
-def test_a_futex_needs_the_file(held: Segment) -> None:
-    held.close()
+def test_a_futex_needs_the_file(lines: Segment) -> None:
+    lines.close()
     with pytest.raises(TypeError, match="needs the file"):
-        held.futex("held")
+        lines.futex("held")
 
 
-def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(held: Segment) -> None:
+def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(lines: Segment) -> None:
     first = (BLOCKS - 2) * PER_BLOCK  # not in the file's first page
-    word = held.futex("held", first, write=True)
+    word = lines.futex("held", first, write=True)
     kept: list[object] = []
     thread = threading.Thread(target=lambda: kept.append(word.hold(PER_BLOCK)))
     thread.start()
     thread.join()
-    lines = [held.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
+    lines = [lines.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
     until(lambda: not any(line.held() for line in lines), "the kernel has marked them")
     assert [line.wait_for_death() for line in lines] == [False, *[True] * PER_BLOCK, False]
     assert kept != [None]
 
 
-def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_it(name: str, held: Segment) -> None:
+def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_it(name: str, lines: Segment) -> None:
     def mapped() -> list[str]:
         maps = Path("/proc/self/maps").read_text().splitlines()
         return [line.split()[1] for line in maps if line.endswith(segment.path_of(name, "lifelines"))]
 
-    watching, holding = held.futex("held"), held.futex("held", write=True)
+    watching, holding = lines.futex("held"), lines.futex("held", write=True)
     assert sorted(mapped()) == ["r--s", "rw-s"]
     holding.close()
     assert mapped() == ["r--s"]
@@ -86,32 +86,32 @@ def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_
     assert mapped() == []
 
 
-def test_what_can_not_be_mapped_is_an_error(name: str, held: Segment) -> None:
+def test_what_can_not_be_mapped_is_an_error(name: str, lines: Segment) -> None:
     with open(segment.path_of(name, "lifelines"), "rb") as file:
         Futex(file.fileno(), 0, write=False).close()
         with pytest.raises(PermissionError, match="a futex can't be mapped"):
             Futex(file.fileno(), 0, write=True)
 
 
-def test_a_file_that_was_closed_meanwhile_holds_nothing(held: Segment) -> None:
-    let_go, word = held_by_thread(held), held.futex("held")
+def test_a_file_that_was_closed_meanwhile_holds_nothing(lines: Segment) -> None:
+    let_go, word = held_by_thread(lines), lines.futex("held")
     assert word.held(), "without a number the first line is meant"
-    held.close()
+    lines.close()
     assert not word.held()
     assert word.wait_for_death() is False
     let_go()
 
 
 @pytest.mark.parametrize("happens", ["death", "cut"])
-def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, held: Segment, happens: str) -> None:
+def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, lines: Segment, happens: str) -> None:
     """A death; or the file is cut, which is nobody's death."""
-    let_go, word, at = held_by_thread(held), held.futex("held"), held.spec.offsets["held"]
+    let_go, word, at = held_by_thread(lines), lines.futex("held"), lines.spec.offsets["held"]
     looks: list[bool] = []
 
     def wanted() -> bool:
         if not looks and happens == "death":
-            value = int.from_bytes(os.pread(held.fileno(), 4, at), "little") | OWNER_DIED
-            os.pwrite(held.fileno(), value.to_bytes(4, "little"), at)
+            value = int.from_bytes(os.pread(lines.fileno(), 4, at), "little") | OWNER_DIED
+            os.pwrite(lines.fileno(), value.to_bytes(4, "little"), at)
         elif not looks:
             os.truncate(segment.path_of(name, "lifelines"), 0)
         looks.append(True)
@@ -122,9 +122,9 @@ def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, held: Seg
     let_go()
 
 
-def test_a_truncated_file_is_nobody_s_death(name: str, held: Segment) -> None:
+def test_a_truncated_file_is_nobody_s_death(name: str, lines: Segment) -> None:
     """And no SIGBUS: a client may cut its own slot."""
-    word = held.futex("held", 40)
+    word = lines.futex("held", 40)
     with holding(name, 20):
         os.truncate(segment.path_of(name, "lifelines"), 0)
         assert word.wait_for_death() is False
@@ -146,12 +146,12 @@ class Waiter(threading.Thread):
         self.told = self.word.wait_for_death(lambda: self.wanted)
 
 
-def test_one_that_has_missed_its_call_takes_the_news_from_nobody(name: str, held: Segment) -> None:
+def test_one_that_has_missed_its_call_takes_the_news_from_nobody(name: str, lines: Segment) -> None:
     """The kernel wakes one alone, who has waited for longest."""
     with holding(name, 5) as holder:
-        left = Waiter(held.futex("held", 5 * PER_BLOCK))
+        left = Waiter(lines.futex("held", 5 * PER_BLOCK))
         left.wanted = False
-        other = Waiter(held.futex("held", 5 * PER_BLOCK))
+        other = Waiter(lines.futex("held", 5 * PER_BLOCK))
         holder.kill()
         until(lambda: not other.is_alive(), "the news")
         assert other.told is True
@@ -159,9 +159,9 @@ def test_one_that_has_missed_its_call_takes_the_news_from_nobody(name: str, held
         assert left.told is False
 
 
-def test_who_waits_sleeps(held: Segment) -> None:
-    let_go = held_by_thread(held)
-    waiter = Waiter(held.futex("held"))
+def test_who_waits_sleeps(lines: Segment) -> None:
+    let_go = held_by_thread(lines)
+    waiter = Waiter(lines.futex("held"))
     clock = time.pthread_getcpuclockid(waiter.ident)  # type: ignore[arg-type]
     before_s, until_ns = time.clock_gettime(clock), time.monotonic_ns() + 200_000_000
     until(lambda: time.monotonic_ns() >= until_ns, "the time to have passed")
@@ -171,7 +171,7 @@ def test_who_waits_sleeps(held: Segment) -> None:
     let_go()
 
 
-def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, held: Segment) -> None:
+def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, lines: Segment) -> None:
     """Which the pidfd waits for. This process may be held up longer than that takes: then it tries again."""
 
     def large(send: Send, wait: Wait) -> None:
@@ -186,7 +186,7 @@ def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str
         with Child(large) as child:
             assert child.receive() == "here"
             life = Lifeline(child.pid)
-            child_dies = held.futex("held", 30)
+            child_dies = lines.futex("held", 30)
             os.kill(child.pid, 9)
             assert child_dies.wait_for_death()
             first = first or not life.dead()
@@ -197,12 +197,12 @@ def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str
 
 
 def test_where_the_kernel_can_t_nothing_is_held_and_nothing_proven(
-    held: Segment, monkeypatch: pytest.MonkeyPatch
+    lines: Segment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As under qemu's user mode, which has no robust lists."""
     assert futex.proven()
     monkeypatch.setattr(futex, "_SET_ROBUST_LIST", -1)
-    word = held.futex("held", 50, write=True)
+    word = lines.futex("held", 50, write=True)
     assert word.hold() is None
     assert not word.held()
     assert not futex.proven()
@@ -260,12 +260,12 @@ def test_a_machine_without_a_thread_to_spare_proves_nothing() -> None:
     assert call(attempt, NOBODY) == (False, True)
 
 
-def test_a_word_that_can_t_be_written_is_not_looked_into_later(held: Segment) -> None:
+def test_a_word_that_can_t_be_written_is_not_looked_into_later(lines: Segment) -> None:
     """What the kernel was given to look into is taken back before its memory is."""
 
     def attempt() -> tuple[bool, bool]:
         head, size = ctypes.c_void_p(), ctypes.c_size_t()
-        word = held.futex("held", 70, write=True)
+        word = lines.futex("held", 70, write=True)
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
         with pytest.raises(OSError, match="File too large"):
             word.hold()

@@ -22,13 +22,13 @@ from tests.support.children import call
 from .dying import ends, threads
 
 
-def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
+def test_a_thread_of_its_own_holds_and_lets_go(lines: Segment) -> None:
     """Held by a thread that ends before the process does; and given back by another one than took it."""
-    word = held.futex("held", 20)
+    word = lines.futex("held", 20)
     with ends() as before:
-        one = HeldByThread(held.futex("held", 20, write=True))
+        one = HeldByThread(lines.futex("held", 20, write=True))
         assert word.held()
-        assert not held.futex("held", 21).held(), "one line alone"
+        assert not lines.futex("held", 21).held(), "one line alone"
         assert len(threads()) == len(before) + 1
         one.let_go()
     assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
@@ -56,7 +56,7 @@ def raising_at_alarm() -> Iterator[threading.Event]:
         signal.signal(signal.SIGALRM, before)
 
 
-def test_an_exception_of_a_signal_s_handler_leaves_no_thread(held: Segment) -> None:
+def test_an_exception_of_a_signal_s_handler_leaves_no_thread(lines: Segment) -> None:
     """It comes while the thread has begun and does not hold the word yet; then the caller gives the file back."""
     descriptors, may_hold = len(os.listdir("/proc/self/fd")), threading.Event()
     with ends() as before:
@@ -71,30 +71,30 @@ def test_an_exception_of_a_signal_s_handler_leaves_no_thread(held: Segment) -> N
                     assert may_hold.wait(20.0)
                     return super().hold(lines)
 
-            word = Slow(held.fileno(), held.spec.offsets["held"] + 40 * LINE_BYTES, write=True)
+            word = Slow(lines.fileno(), lines.spec.offsets["held"] + 40 * LINE_BYTES, write=True)
             with pytest.raises(Interrupted):
                 HeldByThread(word)
         assert len(threads()) == len(before) + 1, "its thread has begun"
-        held.close()
+        lines.close()
         other = os.open(os.devnull, os.O_RDONLY)  # the file that has the number now
         may_hold.set()
     os.close(other)
     assert len(os.listdir("/proc/self/fd")) == descriptors - 1, "the caller's"
 
 
-def test_the_thread_of_what_nobody_refers_to_ends(held: Segment) -> None:
+def test_the_thread_of_what_nobody_refers_to_ends(lines: Segment) -> None:
     """As where the exception comes when it is made, and nobody has it yet."""
     with ends() as before:
-        one = HeldByThread(held.futex("held", 41, write=True))
+        one = HeldByThread(lines.futex("held", 41, write=True))
         assert len(threads()) == len(before) + 1
         del one
 
 
-def test_whatever_moment_the_exception_comes_at_no_thread_is_left(held: Segment) -> None:
+def test_whatever_moment_the_exception_comes_at_no_thread_is_left(lines: Segment) -> None:
     interrupted = 0
     with ends():
         for number in range(200):
-            word = held.futex("held", 42, write=True)
+            word = lines.futex("held", 42, write=True)
             with raising_at_alarm():
                 try:
                     signal.setitimer(signal.ITIMER_REAL, 5e-6 + number * 2e-6)
@@ -126,11 +126,11 @@ def test_that_thread_dies_first_where_the_process_may_have_it_so(on: SimpleNames
 
 
 @pytest.mark.timeout(20)
-def test_a_word_that_can_t_be_written_keeps_nobody_waiting(held: Segment) -> None:
+def test_a_word_that_can_t_be_written_keeps_nobody_waiting(lines: Segment) -> None:
     """Neither who joins, nor who starts: both have the late news."""
 
     def attempt() -> bool:
-        word = held.futex("held", 60, write=True)
+        word = lines.futex("held", 60, write=True)
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
         with ends():
             HeldByThread(word).let_go()
