@@ -155,6 +155,10 @@ class Directory(Node):
         self.names: dict[str, Node] = {}
         self.above = above or self
 
+    def found(self) -> dict[str, Node]:
+        """The names that are looked up."""
+        return self.names
+
     def put(self, name: str, node: Node) -> None:
         self.names[name] = node
         node.links += 1

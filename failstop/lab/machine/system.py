@@ -69,7 +69,7 @@ class Weakref(Module):
 
 
 class Users(Module):
-    """`grp` and `pwd`: there is no group `failstop`, and users have numbers only."""
+    """`grp` and `pwd`: there is no group `failstop`, and users but root have numbers only."""
 
     def getgrnam(self, name: str) -> NoReturn:
         raise KeyError(name)
@@ -77,7 +77,9 @@ class Users(Module):
     getgrgid = getgrnam
 
     def getpwuid(self, uid: int) -> SimpleNamespace:
-        return SimpleNamespace(pw_name=f"user{uid}")
+        if uid:
+            raise KeyError(uid)
+        return SimpleNamespace(pw_name="root")
 
 
 class Collector(Module):
