@@ -48,7 +48,18 @@ def test_status_json_has_what_is_promised(simulated: Simulated) -> None:
     simulated.board.wait_for(lambda event: event.is_stop)
     simulated.wait(0.1)
     state = simulated.json("status")
-    promised = {"name", "enabled", "estop", "blocked", "body_vel", "epoch", "device", "processes", "clients", "last_stop"}
+    promised = {
+        "name",
+        "enabled",
+        "estop",
+        "blocked",
+        "body_vel",
+        "epoch",
+        "device",
+        "processes",
+        "clients",
+        "last_stop",
+    }
     assert promised <= state.keys()
     assert {"path", "state", "link"} <= state["device"].keys()
     assert set(state["processes"]) == {"supervisor", "port_owner", "gate", "telemetry", "stopper"}
@@ -121,7 +132,7 @@ def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
     assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0
 
 
-def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(name: str) -> None:
-    live = failstop("status", "-w", "--name", name)
+def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
+    live = failstop("status", "-w", "--name", trial.name)
     assert (live.returncode, live.stdout) == (1, "")
     assert "needs a terminal" in live.stderr

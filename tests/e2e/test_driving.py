@@ -138,5 +138,7 @@ def test_zero_frames_go_out_at_5_hz_whatever_blocks(simulated: Simulated, blocke
     simulated.wait(1.0)
     motor = [event for event in simulated.board.events() if event.is_motor]
     assert all(map(is_zero, motor))
-    assert all(after.arrival_ns - before.arrival_ns <= 200 * MS + TICK_NS for before, after in itertools.pairwise(motor))
+    assert all(
+        after.arrival_ns - before.arrival_ns <= 200 * MS + TICK_NS for before, after in itertools.pairwise(motor)
+    )
     assert len(motor) == 5

@@ -25,13 +25,13 @@ PATIENCE_S = 10.0
 AFTERMATH_S = 0.25
 
 
-_told = sys.unraisablehook
+_before = sys.unraisablehook
 
 
 def _collected(found: sys.UnraisableHookArgs) -> None:
     """What is collected of a machine that is over can make no call any more, and that is nobody's error."""
     if not isinstance(found.exc_value, Death):
-        _told(found)
+        _before(found)
 
 
 sys.unraisablehook = _collected
@@ -85,11 +85,22 @@ class Board:
     def deaf(self, on: bool) -> None:
         self._model.deaf = on
 
+    def refuse_stop(self, on: bool) -> None:
+        """A wheel that is told to stop turns on."""
+        self._model.refuse_stop = on
+
+    def imu(self, on: bool) -> None:
+        self._model.imu_on = on
+
     def unplug(self) -> None:
         self._robot.unplug()
 
     def replug(self) -> None:
         self._robot.plug()
+
+
+class Mistake(Exception):
+    """An error that a test's own program is to end by."""
 
 
 class Simulated:
@@ -99,10 +110,14 @@ class Simulated:
     name = "failstop"
     link = DEVICE
 
-    def __init__(self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0, *, deaf: bool = False) -> None:
+    def __init__(
+        self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0, *, deaf: bool = False
+    ) -> None:
         """`deaf`: the board hears nothing, from the start."""
         self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}))
         self.failed: list[BaseException] = []
+        self._kept: list[object] = []
+        """What dead programs leave behind: collected while another one runs, it would close that one's descriptors."""
         self.lab.machine.told = self._told
         self.me = self.lab.join("test")
         self.pid = self.me.pid
@@ -113,8 +128,9 @@ class Simulated:
         self._robot: Any = None
         self.start()
 
-    def _told(self, kind: str, _: Process, what: object) -> None:
-        if kind == "failed" and isinstance(what, BaseException):
+    def _told(self, _kind: str, _process: Process, what: object) -> None:
+        self._kept.append(what)
+        if isinstance(what, BaseException) and not isinstance(what, Mistake):
             self.failed.append(what)
 
     # Time.
