@@ -16,6 +16,7 @@ from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Proces
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
+from failstop.lab.sim.servos import Leg
 from failstop.lab.stopped import Stopped, judge
 from failstop.shm import layout
 
@@ -81,6 +82,19 @@ class Board:
 
     def pad_silent(self) -> None:
         self._model.pad_silent()
+
+    def joints(self) -> dict[int, float]:
+        """Where each of the arm's servos stands now, in pulses."""
+        now_ns = self._robot.machine.now_ns
+        return {servo: found.leg.at(now_ns) for servo, found in self._model.servos.by_id.items()}
+
+    def joint_track(self) -> list[Leg]:
+        """What the arm's servos did."""
+        return list(self._model.servos.track)
+
+    def servo(self, servo: int, **values: bool | float) -> None:
+        """Change a servo, as SimBoard.servo."""
+        self._model.servos.change(servo, self._robot.machine.now_ns, **values)
 
     def deaf(self, on: bool) -> None:
         self._model.deaf = on

@@ -210,7 +210,7 @@ class Machine:
             self.current = thread
 
     def join(self, name: str, environ: dict[str, str] | None = None) -> Process:
-        """A process whose main thread is the caller: its calls are made inline, and the machine runs while they block."""
+        """A process whose main thread is the caller: its calls are inline, and the machine runs while they block."""
         made = Process(self, self._take_pid(), None, name, environ or {})
         self.current = self.inline = Thread(made, lambda: None, made.pid, self.hub)
         made.threads.append(self.inline)
