@@ -84,7 +84,7 @@ def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
     path(scene, [(2.0, [0.5])], [1])
     told: dict[int, int] = {}
     while scene.answered()[0] == records.UNDER_WAY:
-        scene.turn()
+        scene.wake()
         if entry := reply.read():
             told.setdefault(entry[0], scene.clock())
     gaps = [after - before for before, after in pairwise(told.values())][1:-1]
@@ -144,7 +144,7 @@ def test_hold_ends_a_release(scene: Scene) -> None:
     scene.travel({1: 0.1})
     scene.finish()
     scene.ask_for(records.ARM_RELEASE)
-    scene.turn()
+    scene.wake()
     scene.ask_for(records.ARM_HOLD)
     scene.run(0.5)
     assert not scene.servos.by_id[1].limp()
@@ -172,7 +172,7 @@ def test_way_while_another_client_moves_it_is_refused_and_latches(scene: Scene) 
     scene.run(0.1)
     scene.travel({1: 0.2}, client=1)
     assert scene.finish(client=1)[1].startswith("a stop is latched")
-    assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)")
+    assert scene.latched() == str(causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)"))
 
 
 def test_goal_for_joints_that_are_none_is_refused_by_name(scene: Scene) -> None:
@@ -239,7 +239,7 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
     scene.travel({1: 0.5})
     phases: list[str] = []
     while scene.answered()[0] == records.UNDER_WAY:
-        scene.turn()
+        scene.wake()
         if (state := scene.state())["phase"] not in phases[-1:]:
             phases.append(state["phase"])
     assert phases == ["switching its torque on", "on its way", "settling", "reading back where it is", ""]

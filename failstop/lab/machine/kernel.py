@@ -21,6 +21,7 @@ from failstop.lab.machine.files import Directory, Open
 
 STEP_NS = 2_000
 """Of a call of the system."""
+START_NS = 40_000_000
 LOOK_NS = 50
 """Of a look at the clock."""
 LATE_NS = 400_000
@@ -149,9 +150,11 @@ class Machine:
 
     def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
-        passes by the timers alone, and a loop that only looks at the clock never ends."""
+        passes by the timers alone, a loop that only looks at the clock never ends, and a program starts at once."""
         self.now_ns = 1_000_000_000_000
         self.step_ns, self.look_ns = step_ns, look_ns
+        self.start_ns = START_NS if step_ns else 0
+        """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
         """The time of day when the clock stood at zero."""

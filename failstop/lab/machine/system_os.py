@@ -21,8 +21,6 @@ PLAIN = (
 """Names of `os` that ask no machine."""
 CHILD = "child.py"
 """The script that becomes whichever process its first word names."""
-START_NS = 40_000_000
-"""From a spawn to the first line of the program: an interpreter starts."""
 NOBODY_YET = 999
 """The descriptor of the listing itself, in /proc/self/fd."""
 
@@ -342,7 +340,7 @@ class Processes(Module):
         def run(child: Process) -> int:
             return program(child, words) if program else 0
 
-        made = self._machine.process(called, run, dict(environ), process, START_NS)
+        made = self._machine.process(called, run, dict(environ), process, self._machine.start_ns)
         made.argv = words
         made.group = made.pid if setsid else process.group
         self._inherit(process, made, process.inheritable)
