@@ -89,6 +89,15 @@ def a_closed_pipe_hangs_up_in_an_epoll_set(on: System, folder: str) -> Story:
     return [*story, [mask for _, mask in epoll.poll(0)], on.os.read(reader, 1)]
 
 
+def what_a_poll_has_forgotten_it_tells_of_no_more(on: System, folder: str) -> Story:
+    poll, fds = on.select.poll(), [on.os.eventfd(1, os.EFD_NONBLOCK) for _ in range(2)]
+    for fd in fds:
+        poll.register(fd, select.POLLIN)
+    story: Story = [[mask for _, mask in poll.poll(0)]]
+    poll.unregister(fds[0])
+    return [*story, poll.poll(0) == [(fds[1], select.POLLIN)]]
+
+
 def record_locks_belong_to_the_open_file(on: System, folder: str) -> Story:
     def lock(fd: int, command: int, kind: int, byte: int = 0) -> Any:
         return tried(on.fcntl.fcntl, fd, command, LOCK.pack(kind, os.SEEK_SET, byte, 1, 0))
@@ -163,6 +172,7 @@ PROGRAMS = (
     an_eventfd_counts,
     an_epoll_set_tells_of_levels_and_edges,
     a_closed_pipe_hangs_up_in_an_epoll_set,
+    what_a_poll_has_forgotten_it_tells_of_no_more,
     record_locks_belong_to_the_open_file,
     a_whole_files_lock_is_shared_by_its_copies,
     a_descriptor_goes_through_a_socket,

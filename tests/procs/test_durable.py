@@ -9,10 +9,13 @@ import socket
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from failstop.lab.machine.files import Node
 from failstop.shm import durable
+from tests.support.stage import PortMachine
 
 NOBODY = 65534
 FLAGS = {
@@ -37,6 +40,11 @@ PLANTED: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.fixture
+def machine() -> PortMachine:
+    return PortMachine()
+
+
+@pytest.fixture
 def victim(tmp_path: Path) -> Path:
     path = tmp_path / "victim"
     path.write_text("precious\n")
@@ -55,24 +63,19 @@ def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Pat
     assert victim.read_text() == "precious\n"
 
 
-def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(durable.os, "open", lambda path, *_: opened.append(path))  # type: ignore[attr-defined]
-    for path in ("/dev/zero", "/dev/ptmx"):
-        with pytest.raises(OSError, match="a device, not a regular file"):
-            durable.open_regular(path)
+def test_a_device_is_not_even_opened(machine: PortMachine) -> None:
+    opened: list[object] = []
+    machine.machine.at_seam = lambda thread, call, about: opened.append(about) if call == "open" else None
+    with pytest.raises(OSError, match="a device, not a regular file"):
+        machine.load("failstop.shm.durable").open_regular(machine.wire.link)
     assert opened == []
 
 
-def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "file"
-    os.mkfifo(path)
-    regular, look = os.stat(__file__), os.stat
-    monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == str(path) else look(at, **how))
-    before = len(os.listdir("/proc/self/fd"))
+def test_what_is_planted_after_the_look_is_seen_all_the_same(machine: PortMachine) -> None:
+    machine.at_next("open", lambda: machine.os.mkfifo("/file"))
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
-        durable.open_regular(str(path))
-    assert len(os.listdir("/proc/self/fd")) == before
+        machine.load("failstop.shm.durable").open_regular("/file")
+    assert machine.open_fds() == 0
 
 
 @pytest.mark.parametrize("how", FLAGS)
@@ -143,31 +146,26 @@ def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("told", ["whole path", "bare name"])
-def test_a_draft_and_then_its_folder_are_on_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: str
-) -> None:
+@pytest.mark.parametrize("folder", ["/dev/", ""], ids=["whole path", "bare name"])
+def test_a_draft_and_then_its_folder_are_on_the_disk(machine: PortMachine, folder: str) -> None:
     """A power cut loses what was not synced: the content of the file, or its name."""
-    synced: list[str] = []
-    sync, before = os.fsync, len(os.listdir("/proc/self/fd"))
+    synced: list[tuple[Node, int]] = []
 
-    def seen(fd: int) -> None:
-        synced.append(
-            f"{os.readlink(f'/proc/self/fd/{fd}')} {os.fstat(fd).st_size * stat.S_ISREG(os.fstat(fd).st_mode)}"
-        )
-        sync(fd)
+    def see(thread: object, call: str, about: tuple[int, ...]) -> None:
+        if call == "fsync":
+            node = machine.me.files[about[0]].node
+            synced.append((node, node.size()))
 
-    monkeypatch.setattr(os, "fsync", seen)
-    if told == "bare name":
-        monkeypatch.chdir(tmp_path)
-    folder = "" if told == "bare name" else f"{tmp_path}/"
-    (tmp_path / "file").write_text("old")
+    durable = machine.load("failstop.shm.durable")
+    durable.write_draft(f"{folder}file", b"old")
+    machine.machine.at_seam = see
     durable.write_draft(f"{folder}draft", b"whole")
     durable.publish(f"{folder}draft", f"{folder}file")
-    assert synced == [f"{tmp_path}/draft 5", f"{tmp_path} 0"]
-    assert os.listdir(tmp_path) == ["file"]
-    assert (tmp_path / "file").read_bytes() == b"whole"
-    assert len(os.listdir("/proc/self/fd")) == before
+    where = machine.machine.root.folder(folder)
+    file: Any = where.names["file"]
+    assert synced == [(file, len(b"whole")), (where, 0)]
+    assert (bytes(file.data), "draft" in where.names) == (b"whole", False)
+    assert machine.open_fds() == 0
 
 
 def test_a_draft_that_can_not_get_its_name_is_not_left(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ class Fcntl(Module):
         if isinstance(node, Port):
             if node.gone:
                 raise OSError(errno.EIO, "the device is gone")
-            return _FD.pack(len(node.held)) if request == termios.TIOCOUTQ else argument
+            return _FD.pack(node.unsent()) if request == termios.TIOCOUTQ else argument
         if isinstance(node, Fifo) and request == termios.FIONREAD:
             return _FD.pack(len(node.data))
         raise OSError(errno.ENOTTY, "not a terminal")
