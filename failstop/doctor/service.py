@@ -36,8 +36,7 @@ def running(look: Look) -> list[Finding]:
     """The service of this name."""
     state, version, problem = look.service
     if problem:
-        active = look.unit.get("ActiveState") == "active"
-        fix = f"sudo systemctl restart {unit_of(look.name)}" if active else ""
+        fix = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("ActiveState") == "active" else ""
         return fail(problem, fix, "a new start of the service helps, and stops the wheels")
     if state is None:
         return _not_running(look)

@@ -73,10 +73,8 @@ class System:
 
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
-    services = staticmethod(instances.listening)
-    """The names of the services that take stop requests."""
-    ports = staticmethod(discovery.candidates)
-    """(path, description) of each serial device."""
+    services, ports = staticmethod(instances.listening), staticmethod(discovery.candidates)
+    """The names of the services that take stop requests; (path, description) of each serial device."""
     contained = staticmethod(grant.in_container)
     """This process runs in a container."""
 

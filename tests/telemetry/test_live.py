@@ -44,6 +44,7 @@ def test_bias_charger_log_and_tones_on_a_running_service() -> None:
     service.wait(2.0)
     wait_for("five lines and their header", lambda: len(lines()) >= 6)
     model.battery_mv += 249
+    service.wait(3.0)
     wait_for("the charger", lambda: robot.state.plugged == "plugged")
     assert service.lab.read(f"{FOLDER}/charger") == "plugged\n"
     pid = service.pids()[TELEMETRY]

@@ -67,23 +67,23 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "var" / "lib" / "failstop"
 
 
-def test_what_is_configured_comes_first(base: Path) -> None:
+def test_the_configured_directory_comes_first(base: Path) -> None:
     assert state_directory("robot", {"STATE_DIRECTORY": "/given"}, "/chosen") == "/chosen"
 
 
-def test_then_systemd_s_first_state_directory(base: Path) -> None:
+def test_systemd_s_first_state_directory_comes_second(base: Path) -> None:
     base.mkdir()
     assert state_directory("robot", {"STATE_DIRECTORY": "/given:/other"}) == "/given"
 
 
-def test_then_the_system_s_when_it_is_writable(base: Path) -> None:
+def test_the_system_s_directory_comes_third_when_it_is_writable(base: Path) -> None:
     base.mkdir()
     assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
     (base / "robot").mkdir()
     assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
 
 
-def test_then_the_user_s(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_s_directory_comes_last(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "/home/x")
     assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
     assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
@@ -126,7 +126,7 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
     assert victim.read_text() == "precious\n"
 
 
-def test_replaced_whole(stage: Stage, module: Any) -> None:
+def test_a_file_is_replaced_whole(stage: Stage, module: Any) -> None:
     module.write_whole(CHARGER, "plugged\n")
     module.write_whole(CHARGER, "unplugged\n")
     assert stage.read_text(CHARGER) == "unplugged\n"
@@ -134,7 +134,7 @@ def test_replaced_whole(stage: Stage, module: Any) -> None:
 
 
 @pytest.mark.parametrize("step", ["fsync", "rename"])
-def test_whatever_fails_the_old_content_is_there(stage: Stage, module: Any, step: str) -> None:
+def test_a_write_that_fails_leaves_the_old_content(stage: Stage, module: Any, step: str) -> None:
     module.write_whole(CHARGER, "plugged\n")
     stage.machine.at_seam = refused(step, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OSError, match="Input/output error"):
@@ -152,7 +152,7 @@ def test_a_disk_that_is_full_within_a_file_leaves_the_old_one(tmp_path: Path) ->
     assert os.listdir(tmp_path) == ["charger"]
 
 
-def test_it_is_on_the_disk_before_it_has_its_name(stage: Stage, module: Any) -> None:
+def test_a_file_is_on_the_disk_before_it_has_its_name(stage: Stage, module: Any) -> None:
     done: list[str] = []
     stage.os.mkdir(FOLDER)
     folder: Any = stage.machine.root.names[FOLDER[1:]]
@@ -244,7 +244,7 @@ def test_closing_writes_what_waits_and_ends_the_thread(stage: Stage, files: Any)
     assert stage.read_text(LOG).count("1,2\n") == 50
 
 
-def test_no_thread_is_a_note(stage: Stage, files: Any) -> None:
+def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
     stage.machine.at_seam = refused("thread", RuntimeError("can't start new thread"))
     files.append("log", "log.csv", HEADER, "1,2\n")
     files.append("log", "log.csv", HEADER, "1,2\n")
