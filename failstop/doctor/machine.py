@@ -93,7 +93,7 @@ def ticks(look: Look) -> list[Finding]:
     lease_s = found[grant.LEASE]
     if look.state:
         lease_s = look.state.lease_s
-    elif not realtime and lease_s == grant.LEASE_S:  # what a start from here would take
+    elif not realtime and lease_s == grant.LEASE_S:  # a start from here would take it
         lease_s = grant.without(found)
     spare_us = (lease_s - found["gate.period_s"]) * MICRO
     if worst_us >= spare_us:

@@ -21,7 +21,7 @@ REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesk
 BRIDGE = "ros2"
 """Its name among the clients."""
 FAST_DDS = "fastrtps_"
-"""What every process with Fast DDS has in /dev/shm, of the user that it runs as."""
+"""The begin of the files that each process with Fast DDS has in /dev/shm, of its user."""
 
 
 def settings(look: Look) -> list[Finding]:
@@ -67,7 +67,7 @@ def _not_running(look: Look) -> list[Finding]:
 
 
 def clients(look: Look) -> list[Finding]:
-    """What clients say of themselves."""
+    """Remarks of clients on themselves."""
     found = []
     for who, sees, wrong in words.said(look.state) if look.state else ():
         found += warn(f"{who} says: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")

@@ -56,7 +56,7 @@ class Holder:
     unit: str = ""
     """Its systemd service, if it is in one."""
     instance: str = ""
-    """Whose service it belongs to, if it is one of failstop's processes."""
+    """The service that it belongs to, if it is one of failstop's processes."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
@@ -87,7 +87,7 @@ class System:
             return None
 
     def names(self, path: str) -> list[str]:
-        """What is in a directory, sorted."""
+        """The names in a directory, sorted."""
         try:
             return sorted(os.listdir(self.path(path)))
         except OSError:
@@ -167,7 +167,7 @@ class System:
         return found, sum(paths is None for _, paths in opened)
 
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
-        """What a command printed; None when it failed or did not answer."""
+        """The output of a command; None when it failed or did not answer."""
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=timeout_s, check=False)
         except (OSError, subprocess.TimeoutExpired):

@@ -21,11 +21,8 @@ ROOMS = {
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "arm": Room(
-        (
-            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints")),
-            "policy/capsules.py",
-        ),
-        ("tests/procs/test_gate_arm*.py",),
+        ("procs/gate/arm/*.py", "policy/capsules.py"),
+        ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
     ),
     "port_owner": Room(
         ("procs/peer.py", "procs/port_owner/*.py"),

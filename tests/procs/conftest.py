@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 
+from .arm_bench import ArmBench
+from .arm_notes import Make
 from .arm_scene import ArmScene
 from .client_side import Service
 from .gate_bench import Gate
@@ -52,3 +55,24 @@ def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmSc
     made.run(0.4)
     yield made
     made.close()
+
+
+@pytest.fixture
+def arm_bench() -> ArmBench:
+    """The arm's core alone, with servos whose places it has read."""
+    return ArmBench().known()
+
+
+@pytest.fixture
+def arm_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Make:
+    """A scene with other settings, whose joints have been read."""
+
+    def made(**changed: object) -> ArmScene:
+        values = {key.replace("__", "."): value for key, value in changed.items()}
+        monkeypatch.setattr(ArmScene, "changed", {**ARM, **values})
+        scene = ArmScene(tmp_path, monkeypatch)
+        request.addfinalizer(scene.close)
+        scene.run(0.4)
+        return scene
+
+    return made

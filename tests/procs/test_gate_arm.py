@@ -189,7 +189,7 @@ def test_a_second_publisher_latches_and_the_arm_is_held(scene: ArmScene, mode: s
 
 def test_a_client_that_goes_has_its_arm_held(scene: ArmScene) -> None:
     follow(scene, 0.5, 0.5)
-    scene._client.wipe()
+    scene.segment_of(0).wipe()
     scene.run(0.02)
     last = len(scene.moves)
     stood = scene.at(1)
@@ -476,7 +476,7 @@ def test_no_motion_before_the_read_back_says_drive_pose(tmp_path: Path, monkeypa
                 elif what < 0.02:
                     scene.ask_for(rng.choice((records.ARM_HOLD, records.ENABLE, records.DISABLE)), rng.randrange(2))
                 payload = records.COMMAND.pack(11, 0.1, 0.0, 0.0, True, "cmd_vel")
-                scene._client.latest_writer("command").write(payload, scene.clock())
+                scene.segment_of(0).latest_writer("command").write(payload, scene.clock())
             enabled += scene.gate.core.enabled
             refused += not scene.gate.core.enabled
             scene.ask_for(records.DISABLE)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from failstop import config
 from failstop.cli import main as cli
-from failstop.policy.settings import DECLARED, SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import DECLARED, Settings
 
 
 @pytest.fixture

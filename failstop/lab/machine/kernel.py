@@ -27,6 +27,8 @@ LATE_NS = 400_000
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
 IGNORED = (SIGCHLD, SIGCONT)
 """Signals that do nothing by default."""
+LAND_NS = 100_000
+"""From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
 FOREVER_NS = 1 << 61
 
@@ -82,6 +84,8 @@ class Process:
         self.threads: list[Thread] = []
         self.handlers: dict[int, Any] = {}
         self.pending: deque[int] = deque()
+        self.in_write: Callable[[], None] | None = None
+        """Puts the bytes on the wire that it is handing to the kernel: a death waits for it."""
         self.dead = False
         self.code: int | None = None
         """Exit code, or the negative signal; None: it lives, or its end is not yet complete."""
@@ -285,6 +289,12 @@ class Machine:
             thread.woken = not for_signal
             self._runnable.append(thread)
 
+    def pause(self, ns: int) -> None:
+        """Run nothing of the current thread for so long; the other threads of its process go on."""
+        until_ns = self.now_ns + ns
+        while self.now_ns < until_ns:
+            self.block(until_ns)
+
     def give_way(self) -> None:
         """Let every other runnable thread run first."""
         thread = self.current
@@ -302,12 +312,16 @@ class Machine:
         body: Callable[[Process], object],
         environ: dict[str, str] | None = None,
         parent: Process | None = None,
+        after_ns: int = 0,
     ) -> Process:
-        """Start a process."""
+        """Start a process; its first line runs after so long."""
         made = Process(self, self._take_pid(), parent, name, environ or {})
         thread = Thread(made, lambda: body(made), made.pid)
         made.threads.append(thread)
-        self._runnable.append(thread)
+        if after_ns:
+            self.at(self.now_ns + after_ns, lambda: self._runnable.append(thread))
+        else:
+            self._runnable.append(thread)
         self.told("started", made, name)
         return made
 
@@ -319,6 +333,10 @@ class Machine:
     def die(self, process: Process, code: int) -> None:
         """A process dies at once: nothing of it runs any more. Its futexes tell of it now, the rest later."""
         if process.dead:
+            return
+        if lands := process.in_write:
+            process.in_write = None
+            self.at(self.now_ns + LAND_NS, lambda: (lands(), self.die(process, code)))
             return
         process.dead = True
         self.told("died", process, code)
@@ -396,6 +414,13 @@ class Machine:
         process.starved = False
         self._runnable.extend(process.parked)
         process.parked = []
+
+    def point(self, name: str) -> None:
+        """A place between two calls at which something may happen, where a process runs at all."""
+        if self.at_seam is not None and (thread := self.current) is not None:
+            if thread.process.dead or getcurrent() is not thread.greenlet:
+                raise Death
+            self.at_seam(thread, name, ())
 
     def call(self, name: str, *about: Any) -> Process:
         """Begin a call of the system: returns the process that makes it."""

@@ -8,6 +8,7 @@ once, and the code under test needs no seam of its own.
 from __future__ import annotations
 
 import builtins
+import functools
 import importlib.util
 import os
 import sys
@@ -116,6 +117,10 @@ class Loader:
             setattr(parent, last, module)
         return module
 
+    def loaded(self) -> list[str]:
+        """The names of all modules that there are by now, in the order of their loading."""
+        return list(self._loaded)
+
     def _import(self, name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
         top = name.partition(".")[0]
         if top == "failstop":
@@ -134,6 +139,7 @@ class Loader:
         return File(self.system["os"], path, mode, opener)
 
 
+@functools.cache
 def _exists(name: str) -> bool:
     if name in sys.modules:
         return True

@@ -99,11 +99,11 @@ class Robot:
         self.machine.root.folder("/dev").put("ttyACM0", port)
         return port
 
-    def unplug(self) -> None:
-        """Pull the plug."""
+    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
+        """Pull the plug; `late_ns` as in Port.unplug."""
         if self.board.port:
             self.machine.root.folder("/dev").drop("ttyACM0")
-            self.board.port.unplug()
+            self.board.port.unplug(late_ns)
             self.board.port = None
 
     def streams(self, process: Process) -> None:

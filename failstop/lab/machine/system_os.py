@@ -20,6 +20,8 @@ PLAIN = (
 """Names of `os` that ask no machine."""
 CHILD = "child.py"
 """The script that becomes whichever process its first word names."""
+START_NS = 40_000_000
+"""From a spawn to the first line of the program: an interpreter starts."""
 NOBODY_YET = 999
 """The descriptor of the listing itself, in /proc/self/fd."""
 
@@ -293,7 +295,7 @@ class Processes(Module):
         def run(child: Process) -> int:
             return program(child, words) if program else 0
 
-        made = self._machine.process(called, run, dict(environ), process)
+        made = self._machine.process(called, run, dict(environ), process, START_NS)
         self._inherit(process, made, process.inheritable)
         return made.pid
 

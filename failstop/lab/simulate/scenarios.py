@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
-from typing import Any
 
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
@@ -114,10 +112,12 @@ def reset_races_stop(stage: Stage) -> None:
     stage.enable(robot)
     stage.drive(robot, 0.04)
     stage.stop(robot)
+    stage.time.sleep(0.1)
     robot.reset()
     stage.stop(robot, "again")
     stage.enable(robot)
     stage.drive(robot, 0.02)
+    robot.close()
 
 
 @scenario
@@ -133,8 +133,7 @@ def two_programs(stage: Stage) -> None:
     other.close()
     stage.enable(robot)
     stage.drive(robot, 0.04)
-    robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")  # around the check of drive()
-    stage.must_stop("a program commands what is no number", 30)
+    stage.disturb_command(robot)
     robot.wait_for("latched", 1.0)
 
 
@@ -153,15 +152,8 @@ def _driver_dies(stage: Stage) -> None:
     """A program that drives dies, and that is to latch a stop."""
     robot = stage.connect()
     stage.enable(robot)
-
-    def drive(failstop: Any) -> None:
-        with contextlib.suppress(failstop.FailstopError):
-            stage.drive(failstop.Robot(), 1.0)
-
-    driver = stage.robot.program("driver.py", drive)
-    stage.time.sleep(0.05)
-    stage.machine.die(driver, -9)
-    stage.must_stop("the program that drives is dead", 30)
+    driver = stage.start_driver(1.0)
+    stage.kill_driver(driver)
     robot.wait_for("latched", 1.0)
 
 
@@ -184,7 +176,7 @@ def pipe_is_removed(stage: Stage) -> None:
     robot = stage.connect()
     stage.enable(robot)
     stage.drive(robot, 0.04)
-    stage.remove("/run/failstop/failstop/stop")
+    stage.remove_pipe()
     stage.drive(robot, 1.2)
 
 

@@ -6,6 +6,7 @@ wheels turn within LIVE_NS. So a run is judged for what it forbids and for what 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -29,12 +30,17 @@ ARM_NS = 8_000 * MS
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
 PERIOD_S = 0.02
+DRIVER_NS = 500 * MS
+STOP_PIPE = "/run/failstop/failstop/stop"
 
 
 class Stage:
     """`failstop` is the package as the simulated machine has it, `time` its clock."""
 
-    def __init__(self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = ()) -> None:
+    def __init__(
+        self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = (), *, stores: bool = False
+    ) -> None:
+        """`stores`: what is stored in shared memory is a place for a fault too."""
         self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
         self.machine = self.robot.machine
         self.witness = Witness(self.robot, SPEED_RPS)
@@ -42,13 +48,33 @@ class Stage:
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time: Any = self.robot.loader.system["time"]
+        self.take(play)
+        self.hang_up_ns: Callable[[Any], int] = lambda opened: 0
+        """How much later a descriptor tells of the loss of the port."""
+        self._begun = False
+        self._keep = True
+        self.player: Process | None = None
+        if stores:
+            self._watch_stores()
+
+    def take(self, play: Callable[[Stage], object]) -> None:
+        """Play this scenario, on a robot that has its settings."""
         self._play = play
         told = SETTINGS.get(play, {})
         self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
-        self._keep = True
-        self.player: Process | None = None
+
+    def _watch_stores(self) -> None:
+        machine, load = self.machine, self.robot.loader.load
+        for where, name in ((load("failstop.shm.words").Word, "set"), (load("failstop.shm.cell")._Cells, "_store")):
+            store = getattr(where, name)
+
+            def told(*arguments: Any, _store: Any = store) -> None:
+                machine.point("store")
+                _store(*arguments)
+
+            setattr(where, name, told)
 
     # What a scenario may do.
 
@@ -113,7 +139,7 @@ class Stage:
 
     def unplug(self) -> None:
         self.witness.tell("the plug is pulled")
-        self.robot.unplug()
+        self.robot.unplug(self.hang_up_ns)
 
     def replug(self) -> None:
         self.robot.plug()
@@ -134,15 +160,38 @@ class Stage:
     def write_to_pipe(self, data: bytes) -> None:
         """Any bytes in the stop pipe."""
         system = self.robot.loader.system["os"]
-        fd = system.open("/run/failstop/failstop/stop", system.O_WRONLY)
+        fd = system.open(STOP_PIPE, system.O_WRONLY)
         system.write(fd, data)
         system.close(fd)
         self.must_stop("bytes came to the stop pipe", 30)
 
-    def remove(self, path: str) -> None:
-        """Take a file of the service's away."""
-        self.robot.loader.system["os"].unlink(path)
-        self.must_stop(f"{path} was removed", 1_100)
+    def remove_pipe(self) -> None:
+        """Take the stop pipe away."""
+        self.robot.loader.system["os"].unlink(STOP_PIPE)
+        self.must_stop("the stop pipe was removed", 1_100)
+
+    def start_driver(self, seconds: float) -> Process:
+        """Another program, which drives for so long; returns when the wheels turn, or would long turn."""
+
+        def drive(failstop: Any) -> None:
+            with contextlib.suppress(failstop.FailstopError):
+                self.drive(failstop.Robot(), seconds)
+
+        began_ns = self.machine.now_ns
+        driver = self.robot.program("driver.py", drive)
+        while self.witness.moved_ns < began_ns and self.machine.now_ns < began_ns + DRIVER_NS:
+            self.time.sleep(PERIOD_S)
+        return driver
+
+    def kill_driver(self, driver: Process) -> None:
+        """SIGKILL that program."""
+        self.machine.die(driver, -9)
+        self.must_stop("the program that drives is dead", 30)
+
+    def disturb_command(self, robot: Any) -> None:
+        """Command what is no number, around the check of drive()."""
+        robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
+        self.must_stop("a program commands what is no number", 30)
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""
@@ -182,14 +231,25 @@ class Stage:
 
     def run(self) -> None:
         """From the start of the service to the proof that it can drive again."""
-        self.robot.start()
-        self._keep_running()
+        self.play()
+        self._prove_alive()
+
+    def play(self) -> None:
+        """From the start of the service, if that was not begun before, to the end of the scenario."""
+        if not self._begun:
+            self.begin()
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
         if not self.machine.run(lambda: player.dead, LONGEST_NS):
             self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
-        self._prove_alive()
+
+    def begin(self, warm_ns: int = 0) -> None:
+        """Start the service, and let it run for so long."""
+        self._begun = True
+        self.robot.start()
+        self._keep_running()
+        self.machine.run(lambda: False, warm_ns)
 
     def _played(self, failstop: Any) -> None:
         try:
@@ -209,6 +269,7 @@ class Stage:
 
     def _prove_alive(self) -> None:
         machine = self.machine
+        machine.at_seam = None
         for process in machine.processes.values():
             if process.held_until_ns:
                 machine.resume(process)
@@ -217,8 +278,10 @@ class Stage:
             self.witness.hears_ns = machine.now_ns + ZEROS_NS
         if self.robot.board.port is None:
             self.replug()
-        elif not self.robot.board.port.drains:
-            self.robot.board.port.drain()
+        else:
+            self.robot.board.port.take_again()
+            if not self.robot.board.port.drains:
+                self.robot.board.port.drain()
         began_ns = machine.now_ns
         last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
         moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, self.live_ns)

@@ -1,0 +1,202 @@
+"""Processes: the stage of failstop/lab/simulate/stage.py on this machine's kernel, for the same scenarios: real
+processes, real signals, a simulated board on a pty."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import failstop
+from failstop.lab.simulate.scenarios import Play
+from failstop.lab.simulate.stage import PERIOD_S, SETTINGS, SPEED_MPS
+from failstop.lab.trial import Trial, write_settings
+from failstop.shm import instance
+
+CLICKED = 0x20
+DRIVER = """\
+import sys, time, failstop
+robot = failstop.Robot(sys.argv[1])
+until = time.monotonic() + float(sys.argv[2])
+while time.monotonic() < until:
+    robot.sensed()
+    robot.drive(float(sys.argv[3]), 0.0, 0.0)
+    time.sleep(float(sys.argv[4]))
+"""
+
+
+class Processes:
+    """What a scenario may do, done to a real service. A context manager."""
+
+    failstop: Any = failstop
+    time: Any = time
+
+    def __init__(self, play: Play, name: str, directory: Path) -> None:
+        config = directory / "settings.toml"
+        write_settings(str(config), SETTINGS.get(play, {}))
+        self._play = play
+        self.trial = Trial(name, ("--config", str(config)), imu_hz=20.0)
+        self._robots: list[failstop.Robot] = []
+        self._keep = True
+        self._over = threading.Event()
+        self._keeper = threading.Thread(target=self._keep_running)
+
+    def __enter__(self) -> Processes:
+        self.trial.__enter__()
+        self._keeper.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._keeper.join()
+        for robot in self._robots:
+            robot.close()
+        self.trial.close()
+
+    def play(self) -> None:
+        """The scenario, from a service that is ready."""
+        with contextlib.suppress(failstop.FailstopError):
+            self._play(self)  # type: ignore[arg-type]
+
+    def _keep_running(self) -> None:
+        """Start the service when there is none, as systemd does."""
+        service = self.trial.service
+        while not self._over.wait(0.1):
+            if self._keep and service.process and service.process.poll() is not None:
+                service.exec()
+
+    # What a scenario may do.
+
+    def connect(self) -> failstop.Robot:
+        """A Robot of the run that is there, once there is one."""
+        while True:
+            try:
+                robot = failstop.Robot(self.trial.name)
+                robot.wait_for("ready", 3.0)
+            except (failstop.NoService, failstop.TimedOut):
+                time.sleep(0.005)
+            else:
+                self._robots.append(robot)
+                return robot
+
+    def enable(self, robot: failstop.Robot) -> None:
+        """Reset where a stop is latched, and enable."""
+        robot.wait_for("ready", 3.0)
+        if robot.state.cause is not None:
+            robot.reset()
+        robot.enable()
+
+    def drive(self, robot: failstop.Robot, seconds: float, speed_mps: float = SPEED_MPS) -> None:
+        """Command a speed for so long."""
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            robot.sensed()
+            robot.drive(speed_mps, 0.0, 0.0)
+            time.sleep(PERIOD_S)
+
+    def stop(self, robot: failstop.Robot, why: str = "hand near wheel") -> None:
+        """Ask for a stop, and wait until it is latched."""
+        robot.estop(why)
+        robot.wait_for("latched", 1.0)
+
+    def reset(self, robot: failstop.Robot) -> None:
+        """Clear the latch."""
+        robot.wait_for("ready", 3.0)
+        robot.reset()
+
+    def disable(self, robot: failstop.Robot) -> None:
+        """Forbid motion."""
+        robot.disable()
+
+    def must_stop(self, why: str, within_ms: int) -> None:
+        """Nobody judges times here."""
+
+    def _pid(self, name: str) -> int:
+        service = self.trial.service
+        if name == "supervisor":
+            assert service.process
+            return service.process.pid
+        with contextlib.suppress(failstop.FailstopError):
+            return service.pids().get(name, 0)
+        return 0
+
+    def kill(self, name: str) -> None:
+        """SIGKILL a process of the service."""
+        if pid := self._pid(name):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+    def freeze(self, name: str, ms: int) -> None:
+        """SIGSTOP, and SIGCONT after so long."""
+        pid = self._pid(name)
+
+        def resume() -> None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+        os.kill(pid, signal.SIGSTOP)
+        threading.Timer(ms / 1000, resume).start()
+
+    suspend = freeze
+
+    def unplug(self) -> None:
+        self.trial.board.unplug()
+
+    def replug(self) -> None:
+        self.trial.board.replug()
+
+    def block_port(self) -> None:
+        """The port keeps from now on what is written to it."""
+        self.trial.board.stop_draining()
+
+    def free_port(self) -> None:
+        """The port passes on what it has kept."""
+        self.trial.board.drain()
+
+    def _stop_pipe(self) -> str:
+        return next(path for place in instance.places(self.trial.name) if os.path.exists(path := f"{place}/stop"))
+
+    def write_to_pipe(self, data: bytes) -> None:
+        """Any bytes in the stop pipe."""
+        with open(self._stop_pipe(), "wb", buffering=0) as pipe:
+            pipe.write(data)
+
+    def remove_pipe(self) -> None:
+        """Take the stop pipe away."""
+        os.unlink(self._stop_pipe())
+
+    def start_driver(self, seconds: float) -> subprocess.Popen[bytes]:
+        """Another program, which drives for so long; returns when the wheels turn."""
+        words = (self.trial.name, seconds, SPEED_MPS, PERIOD_S)
+        driver = subprocess.Popen([sys.executable, "-c", DRIVER, *map(str, words)], stderr=subprocess.DEVNULL)
+        self.trial.board.wait_wheels(True, 10.0)
+        return driver
+
+    def kill_driver(self, driver: subprocess.Popen[bytes]) -> None:
+        """SIGKILL that program."""
+        driver.kill()
+        driver.wait()
+
+    def disturb_command(self, robot: Any) -> None:
+        """Command what is no number, around the check of drive()."""
+        robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
+
+    def deafen(self) -> None:
+        """The board hears nothing any more."""
+        self.trial.board.deaf(True)
+
+    def press(self, key: int) -> None:
+        """A key of the board."""
+        self.trial.board.key(key, CLICKED)
+
+    def end_service(self) -> None:
+        """SIGTERM, as systemd sends it."""
+        self._keep = False
+        self.trial.service.end()
+        self._keep = True
