@@ -167,6 +167,7 @@ class Run:
         try:
             return not segment.lives(self._life)
         except OSError:  # a program that closes what is not its own: the next look makes another
+            self._life = -1  # its number may be another's from now on
             return True
 
     def silent(self, now_ns: int) -> bool:

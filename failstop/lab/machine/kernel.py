@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import heapq
+import os
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +21,7 @@ from failstop.lab.machine.files import Directory, Open
 
 STEP_NS = 2_000
 """Of a call of the system."""
+START_NS = 40_000_000
 LOOK_NS = 50
 """Of a look at the clock."""
 LATE_NS = 400_000
@@ -30,6 +32,7 @@ IGNORED = (SIGCHLD, SIGCONT)
 LAND_NS = 100_000
 """From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
+SCHED_FIFO = 1
 FOREVER_NS = 1 << 61
 
 
@@ -48,7 +51,10 @@ class Death(BaseException):
 class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
-    __slots__ = ("body", "greenlet", "number", "process", "ready", "robust", "started", "token", "waiting", "woken")
+    __slots__ = (
+        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "started", "token", "waiting"),
+        "woken",
+    )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
         """`hub`: the greenlet of a thread that runs inline."""
@@ -60,6 +66,8 @@ class Thread:
         """Of a thread that runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
+        self.scheduling = (SCHED_FIFO, 10)
+        """Policy and priority: every process of a service has real-time rights here."""
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
         self.waiting = False
@@ -76,6 +84,8 @@ class Process:
         self.machine = machine
         self.pid = pid
         self.parent = parent
+        self.group: int = parent.group if parent else pid
+        """Its process group: what is sent to that comes to all in it."""
         self.name = name
         self.environ = environ
         machine.processes[pid] = self
@@ -102,8 +112,13 @@ class Process:
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
+        self.uid: int = parent.uid if parent else 0
+        self.gid: int = parent.gid if parent else 0
+        self.umask: int = parent.umask if parent else 0o22
         self.sys_path: list[str] = []
         self.argv: list[str] = []
+        self.most_files = 1 << 20
+        """A descriptor is below this (RLIMIT_NOFILE)."""
         self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:
@@ -111,6 +126,8 @@ class Process:
         fd = lowest
         while fd in self.files:
             fd += 1
+        if fd >= self.most_files:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
         self.files[fd] = opened
         opened.references += 1
         return fd
@@ -133,9 +150,11 @@ class Machine:
 
     def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
-        passes by the timers alone, and a loop that only looks at the clock never ends."""
+        passes by the timers alone, a loop that only looks at the clock never ends, and a program starts at once."""
         self.now_ns = 1_000_000_000_000
         self.step_ns, self.look_ns = step_ns, look_ns
+        self.start_ns = START_NS if step_ns else 0
+        """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
         """The time of day when the clock stood at zero."""
@@ -146,6 +165,8 @@ class Machine:
         self.current: Thread | None = None
         self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
         """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.refused = 0
+        """Rights that it grants to nobody, as bits of the heartbeat."""
         self.shortened = False
         """The next write takes a half of what it is given."""
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
@@ -361,12 +382,26 @@ class Machine:
         if process.parent:
             self.kill(process.parent, SIGCHLD)
 
+    def threads(self) -> dict[int, Thread]:
+        """All threads of all living processes, by number."""
+        living = [each for each in self.processes.values() if not each.dead]
+        return {thread.number: thread for process in living for thread in process.threads}
+
     def living(self, pid: int) -> Process:
         """The process with this number, until it is reaped. Raises ProcessLookupError."""
         found = self.processes.get(pid)
         if found is None or found.reaped:
             raise ProcessLookupError(errno.ESRCH, "no such process")
         return found
+
+    def addressed(self, pid: int) -> list[Process]:
+        """The process with this number; below 0: the whole group. Raises ProcessLookupError."""
+        if pid > 0:
+            return [self.living(pid)]
+        group = [each for each in self.processes.values() if each.group == -pid and not each.reaped]
+        if not group:
+            raise ProcessLookupError(errno.ESRCH, "no such process group")
+        return group
 
     def kill(self, process: Process, number: int) -> None:
         """Send a signal."""
@@ -414,6 +449,13 @@ class Machine:
         process.starved = False
         self._runnable.extend(process.parked)
         process.parked = []
+
+    def collecting(self) -> bool:
+        """True in a call of the garbage collector's, which comes in the middle of anything: it is no process's."""
+        try:
+            return self.current is None or getcurrent() is not self.current.greenlet
+        except RuntimeError:  # of a greenlet that is being collected itself
+            return True
 
     def point(self, name: str) -> None:
         """A place between two calls at which something may happen, where a process runs at all."""
