@@ -137,7 +137,7 @@ def test_a_write_that_was_refused_is_held_back_until_one_is_taken(board: Wire, w
     assert not wire.frame(MOTION)
     assert not wire.stuck(T0)
     assert wire.stuck(T0 + DRAIN_NS)
-    board.port.takes()
+    board.port.takes(len(MOTION))
     assert wire.frame(MOTION)
     assert not wire.stuck(T0 + DRAIN_NS + MS)
 
