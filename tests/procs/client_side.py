@@ -61,5 +61,17 @@ class Service:
         self.table.rung(hints, NOW)
         return list(self.told)
 
+    def tick(self) -> list[tuple[object, ...]]:
+        """The gate's tick; returns the same."""
+        self.told.clear()
+        self.table.look_at_active(NOW)
+        return list(self.told)
+
+    def ended(self, ready: dict[int, int]) -> list[tuple[object, ...]]:
+        """A wake-up by these descriptors; returns the same."""
+        self.told.clear()
+        self.table.lives_ended(ready, NOW)
+        return list(self.told)
+
     def sessions(self) -> list[int]:
         return [slot.session for slot in self.table.active]

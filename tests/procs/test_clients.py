@@ -15,7 +15,7 @@ from .client_side import NOW, Service
 # New clients.
 
 
-def test_nobody_at_first(service: Service) -> None:
+def test_the_table_has_nobody_at_first(service: Service) -> None:
     assert service.look() == []
     assert service.sessions() == []
 
@@ -29,7 +29,7 @@ def test_a_client_with_claim_and_hello_is_there(service: Service) -> None:
     assert slot.who() == f"teleop (pid {service.pid})"
 
 
-def test_no_claim_no_client(service: Service) -> None:
+def test_a_slot_without_a_claim_has_no_client(service: Service) -> None:
     client = service.join()
     client.leave()
     assert service.look() == []
@@ -54,7 +54,7 @@ def test_what_lies_in_a_claimed_slot_without_a_hello_is_nobody_s(service: Servic
     assert not hasattr(service, "held")
 
 
-def test_eight_clients_at_once(service: Service) -> None:
+def test_the_table_holds_eight_clients_at_once(service: Service) -> None:
     for index in range(layout.CLIENT_SLOTS):
         service.join(index, 100 + index)
     service.look()
@@ -147,21 +147,19 @@ def test_a_tick_notices_a_claim_that_has_gone(service: Service) -> None:
     client = service.join()
     service.look()
     client.leave()
-    service.table.look_at_active(NOW)
-    assert service.told == [("gone", 11)]
+    assert service.tick() == [("gone", 11)]
 
 
 def test_a_tick_finds_news_whose_ring_was_lost(service: Service) -> None:
     client = service.join()
     service.look()
     client.command()
-    service.table.look_at_active(NOW)
-    assert service.told == [("command", 11, 0.1)]
+    assert service.tick() == [("command", 11, 0.1)]
 
 
 def test_a_new_client_whose_ring_was_lost_is_found_now_and_then(service: Service) -> None:
     service.join(7)
-    service.table.look_at_active(NOW)
+    service.tick()
     assert service.sessions() == []
     service.table.look_at_all(NOW)
     assert service.sessions() == [11]
@@ -218,7 +216,7 @@ def test_a_new_hello_under_the_same_claim_is_a_new_client(service: Service) -> N
     assert service.look() == []
 
 
-def test_one_leaving_leaves_the_others(service: Service) -> None:
+def test_a_client_that_leaves_takes_no_other_with_it(service: Service) -> None:
     first, second = service.join(0, 51), service.join(1, 52)
     service.look()
     first.leave()
@@ -237,9 +235,7 @@ def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> 
     driver.kill()
     ready = service.loop.wait(0)
     assert list(ready) == [life.fd]
-    service.told.clear()
-    service.table.lives_ended(ready, NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended(ready) == [("gone", 11)]
     assert service.loop.wait(0) == {}, "its descriptor is no longer watched"
 
 
@@ -255,8 +251,7 @@ def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, name
     client.command()
     assert service.look() == [("command", 11, 0.1)]
     client.leave()
-    service.table.look_at_active(NOW)
-    assert service.told[-1] == ("gone", 11), "its claim tells of its own end"
+    assert service.tick() == [("gone", 11)], "its claim tells of its own end"
 
 
 def test_where_the_own_namespace_is_not_known_nobody_is_watched(service: Service) -> None:
@@ -290,9 +285,7 @@ def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, nam
     machine.wake(thread)
     service.scene.clock.now_ns += 1
     assert life.marked
-    service.told.clear()
-    service.table.lives_ended({service.early.bell.fd: 1}, NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended({service.early.bell.fd: 1}) == [("gone", 11)]
     word.close()
 
 
@@ -302,9 +295,7 @@ def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: 
     client = service.join(pid=driver.pid)
     service.look()
     driver.kill()
-    service.told.clear()
-    service.table.lives_ended(service.loop.wait(0), NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended(service.loop.wait(0)) == [("gone", 11)]
     assert service.loop.wait(0) == {}
     client.command()
     client.request()
@@ -317,12 +308,11 @@ def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: 
 def test_descriptors_that_are_no_lifeline_are_ignored(service: Service) -> None:
     service.join()
     service.look()
-    service.table.lives_ended({service.claims_fd: 1}, NOW)
-    assert service.told == []
+    assert service.ended({service.claims_fd: 1}) == []
     assert service.sessions() == [11]
 
 
-def test_coming_and_going_uses_nothing_up(service: Service) -> None:
+def test_clients_that_come_and_go_use_no_descriptors_up(service: Service) -> None:
     before = service.scene.open_fds()
     for session in range(1, 50):
         client = service.join(4, session)

@@ -25,13 +25,13 @@ def gone(gate: Gate) -> causes.Cause | None:
     return gate.core.attendance.gone(gate.now)
 
 
-def test_it_is_off_by_default() -> None:
+def test_attendance_is_off_by_default() -> None:
     gate = Gate()
     gate.enable()
     assert gone(gate) is None
 
 
-def test_nobody_attends() -> None:
+def test_a_gate_that_nobody_attends_refuses_to_enable() -> None:
     gate = Gate(attend__required="on")
     assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
 
@@ -121,7 +121,7 @@ def test_a_session_that_names_one_who_sleeps_has_nobody() -> None:
         assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
 
 
-def test_a_stamp_from_the_future_is_none() -> None:
+def test_a_stamp_from_the_future_proves_nothing() -> None:
     gate = Gate(attend__required="on")
     gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS + 1, gate.now)
     assert gone(gate) is not None
@@ -141,7 +141,7 @@ def test_the_gate_wakes_when_the_lease_ends() -> None:
     assert gate.core.due_ns(gate.now) == T0 + LEASE + 1
 
 
-def test_when_the_last_operator_leaves_in_the_middle_of_a_turn_the_gate_looks_again_at_once() -> None:
+def test_the_gate_looks_again_at_once_when_the_last_operator_leaves() -> None:
     gate = attended()
     gate.enable()
     gate.take((0.2, 0.0, 0.0))
@@ -152,7 +152,9 @@ def test_when_the_last_operator_leaves_in_the_middle_of_a_turn_the_gate_looks_ag
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(0, 3000), st.booleans()), max_size=60))
-def test_never_longer_than_the_lease_after_the_newest_proof(steps: list[tuple[int, int, int, bool]]) -> None:
+def test_attendance_lasts_no_longer_than_the_lease_after_the_newest_proof(
+    steps: list[tuple[int, int, int, bool]],
+) -> None:
     """Whatever comes, in whatever order and however late: it is attended exactly while some session that has not left
     has proven a moment no older than the lease."""
     attendance = Attendance(LEASE, on=True)

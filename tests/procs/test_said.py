@@ -12,7 +12,7 @@ from .client_side import Service
 S = 1_000_000_000
 
 
-def test_told_once_when_it_changes_and_when_its_client_goes() -> None:
+def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> None:
     said = Said(0)
     assert said.follow([], 0) is None
     news = said.follow([(11, 0, "nav (pid 7)", 5, "all well", "")], S)
@@ -58,7 +58,7 @@ def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str
 
 
 @pytest.mark.parametrize("payload", [b"", b"short", records.SAID.pack(12, "of another session", "")])
-def test_words_that_are_none(service: Service, payload: bytes) -> None:
+def test_damaged_words_and_those_of_another_session_count_as_none(service: Service, payload: bytes) -> None:
     client = service.join()
     service.look()
     client.segment.latest_writer("said").write(payload)

@@ -264,6 +264,11 @@ class Scene(Stage):
                 return answer
         raise AssertionError(f"no answer in {most_s:g} s, the last: {self.answered(client)}")
 
+    def result(self, verb: int, client: int = 0, asked_ns: int | None = None) -> tuple[int, str]:
+        """A client asks; returns what its request has come to."""
+        self.ask_for(verb, client, asked_ns)
+        return self.finish(client)
+
     def drive(self, vx_mps: float) -> list[int]:
         """A person's command; returns the kinds of the frames that it led to."""
         self.command(vx_mps)
