@@ -33,6 +33,20 @@ def follow(scene: Scene, seconds: float, rate: float, servo: int = 1) -> None:
         scene.run(0.02)
 
 
+def renew(scene: Scene, times: int, mode: int, values: dict[int, float]) -> None:
+    """One goal again and again."""
+    for _ in range(times):
+        scene.goal(mode, values)
+        scene.run(0.02)
+
+
+def moves_in(scene: Scene, seconds: float) -> int:
+    """How many moves are sent in that time."""
+    before = len(scene.moves)
+    scene.run(seconds)
+    return len(scene.moves) - before
+
+
 def sent(scene: Scene, servo: int) -> list[tuple[int, int]]:
     """(when, where to) of each move of a servo."""
     found = []
@@ -94,9 +108,7 @@ def test_what_it_is_to_do_is_in_the_black_box(scene: Scene) -> None:
 
 def test_no_joint_passes_its_speed_or_its_ramp(scene: Scene) -> None:
     scene.goal(FOLLOW, {1: 2.0})
-    for _ in range(60):
-        scene.goal(FOLLOW, {1: 2.0})
-        scene.run(0.02)
+    renew(scene, 60, FOLLOW, {1: 2.0})
     moves = sent(scene, 1)
     speeds = [(p1 - p0) / 0.04 / PULSES_PER_RAD for (_, p0), (_, p1) in pairwise(moves)]
     assert max(speeds) <= 1.0 + 1 / 0.04 / PULSES_PER_RAD
@@ -105,9 +117,7 @@ def test_no_joint_passes_its_speed_or_its_ramp(scene: Scene) -> None:
 
 
 def test_jog_stops_at_the_soft_limit(scene: Scene) -> None:
-    for _ in range(300):
-        scene.goal(JOG, {1: 1.0})
-        scene.run(0.02)
+    renew(scene, 300, JOG, {1: 1.0})
     assert scene.at(1) == 1000
     assert max(position for _, position in sent(scene, 1)) == 1000
 
@@ -125,14 +135,10 @@ def test_a_goal_that_is_not_renewed_holds_the_arm(scene: Scene) -> None:
 
 def test_a_trajectory_goes_before_a_stream_and_the_newest_goal_before_older_ones(scene: Scene) -> None:
     scene.travel({1: 0.5}, 2.0)
-    for _ in range(40):
-        scene.goal(FOLLOW, {1: -0.5})
-        scene.run(0.02)
+    renew(scene, 40, FOLLOW, {1: -0.5})
     assert scene.state()["mode"] == "trajectory"
     assert scene.at(1) > 510
-    for _ in range(100):
-        scene.goal(FOLLOW, {1: 0.6})
-        scene.run(0.02)
+    renew(scene, 100, FOLLOW, {1: 0.6})
     assert scene.state()["mode"] == "follow"
     assert scene.at(1) == pytest.approx(500 + 0.6 * PULSES_PER_RAD, abs=8)
     scene.goal(JOG, {1: -0.5})
@@ -180,19 +186,15 @@ def test_a_second_publisher_latches_and_the_arm_is_held(scene: Scene, mode: str)
     scene.goal(FOLLOW, {2: 0.1}, client=1)
     scene.run(0.02)
     assert str(scene.latched()).startswith("multiple arm/goal publishers: test")
-    last = len(scene.moves)
-    scene.run(0.3)
-    assert len(scene.moves) == last
+    assert moves_in(scene, 0.3) == 0
 
 
 def test_a_client_that_goes_has_its_arm_held(scene: Scene) -> None:
     follow(scene, 0.5, 0.5)
     scene.clients[0].segment.wipe()
     scene.run(0.02)
-    last = len(scene.moves)
     stood = scene.at(1)
-    scene.run(0.3)
-    assert len(scene.moves) == last
+    assert moves_in(scene, 0.3) == 0
     assert scene.at(1) == pytest.approx(stood, abs=1)
 
 
@@ -251,9 +253,7 @@ def test_a_goal_right_after_a_stop_moves_nothing(scene: Scene) -> None:
     scene.goal(FOLLOW, {1: 0.3})
     at_the_next_tick(scene)
     assert scene.state()["mode"] == ""
-    before = len(scene.moves)
-    scene.run(1.0)
-    assert len(scene.moves) == before
+    assert moves_in(scene, 1.0) == 0
     assert scene.state()["refused"] == scene.state()["closed"] == "a stop is latched"
 
 
@@ -324,14 +324,10 @@ def test_an_arm_that_is_left_alone_tucks_itself_and_announces_it() -> None:
     assert scene.finish()[0] == records.DONE
     scene.run(6.0)
     assert scene.state()["tucks"]
-    count = len(scene.moves)
-    scene.run(3.0)
-    assert len(scene.moves) == count
+    assert moves_in(scene, 3.0) == 0
     scene.run(8.0)
     assert scene.state()["pose"] == "tuck"
-    count = len(scene.moves)
-    scene.run(30.0)
-    assert len(scene.moves) == count
+    assert moves_in(scene, 30.0) == 0
 
 
 def test_a_released_arm_stays_limp_until_it_is_asked_to_move(scene: Scene) -> None:

@@ -114,8 +114,7 @@ def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
 
 
 def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
-    first = service.join(session=21)
-    service.look()
+    first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
     first.leave()
@@ -128,8 +127,7 @@ def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Se
 
 
 def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> None:
-    first = service.join(session=21)
-    service.look()
+    first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
     first.leave()
@@ -144,8 +142,7 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
 
 def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
     """Its slot is another one, and its ring hints at that alone."""
-    dying = service.join(index=3, session=21)
-    service.look()
+    dying = service.known(index=3, session=21)
     dying.leave()
     again = service.join(index=1, session=22)
     again.command()
@@ -153,8 +150,7 @@ def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(servic
 
 
 def test_a_goodbye_that_is_damaged_does_not_count(service: Service) -> None:
-    dying = service.join(session=21)
-    service.look()
+    dying = service.known(session=21)
     dying.segment.latest_writer("left").write(b"21")
     dying.leave()
     assert service.look() == [("gone", 21)]

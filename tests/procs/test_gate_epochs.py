@@ -17,16 +17,13 @@ from tests.support.why import why
 
 def test_the_first_cause_since_the_reset_is_latched(scene: Scene) -> None:
     assert scene.tick() is None
-    scene.stop("key1")
-    assert scene.tick() == "key1"
-    scene.stop("device lost")
-    assert scene.tick() == "key1"
+    assert scene.stop_and_tick("key1") == "key1"
+    assert scene.stop_and_tick("device lost") == "key1"
 
 
 def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(scene: Scene) -> None:
     """The gate looks at the latch for the reset before it has seen the epoch of a stop that came after it."""
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     scene.ask(records.RESET)
     assert scene.ask(records.ENABLE)[0]
     scene.latch.add([Stop(scene.clock(), layout.SUPERVISOR, why("device lost"))], 3, scene.clock())
@@ -37,11 +34,9 @@ def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(scene
 
 def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Scene) -> None:
     """Though it was asked for after that one."""
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     scene.saw(2)
-    scene.stop("key2")
-    scene.tick()
+    scene.stop_and_tick("key2")
     assert scene.ask(records.RESET) == (False, UNSEEN)
     assert scene.latched() == "key1"
     scene.saw(3)
@@ -50,8 +45,7 @@ def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Sce
 
 
 def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Scene) -> None:
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     scene.ask(records.DISABLE)
     scene.saw(2)
     slot = scene.gate.clients.slots[0]
@@ -63,8 +57,7 @@ def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Sc
 
 def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(scene: Scene) -> None:
     scene.stop("key1")
-    scene.stop("key2")
-    scene.tick()
+    scene.stop_and_tick("key2")
     scene.saw(0)
     assert scene.ask(records.RESET)[0]
 
@@ -94,8 +87,7 @@ def test_no_reset_clears_a_stop_that_its_person_had_not_seen(scene: Scene, steps
 @pytest.mark.parametrize("resets", [0, 1])
 def test_a_successor_finds_what_is_latched(scene: Scene, resets: int) -> None:
     scene.stop("key1")
-    scene.stop("gate died")
-    scene.tick()
+    scene.stop_and_tick("gate died")
     for _ in range(resets):
         scene.ask(records.RESET)
     scene.start_gate()
@@ -104,8 +96,7 @@ def test_a_successor_finds_what_is_latched(scene: Scene, resets: int) -> None:
 
 
 def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> None:
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     scene.gate.requests.take(scene.gate.clients.slots[0], 1, records.RESET, scene.clock(), 0)
     scene.start_gate()
     scene.decide()
@@ -115,8 +106,7 @@ def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> Non
 
 def test_resets_are_decided_one_after_the_other(scene: Scene) -> None:
     slot = scene.gate.clients.slots[0]
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     for number in (7, 8):
         scene.gate.requests.take(slot, number, records.RESET, scene.clock(), scene.clock())
     assert scene.own.word("resets_asked").get() == 1
@@ -128,8 +118,7 @@ def test_resets_are_decided_one_after_the_other(scene: Scene) -> None:
 def test_who_asks_for_resets_without_end_is_in_the_line_once(scene: Scene) -> None:
     """While the first one is being decided; nobody else has to wait behind the rest."""
     mine, other = scene.gate.clients.slots[:2]
-    scene.stop("key1")
-    scene.tick()
+    scene.stop_and_tick("key1")
     for number in range(1000):
         scene.gate.requests.take(mine, number, records.RESET, scene.clock(), scene.clock())
     scene.gate.requests.take(other, 1, records.RESET, scene.clock(), scene.clock())

@@ -50,8 +50,7 @@ def test_who_says_ever_new_things_is_told_of_now_and_then() -> None:
     ],
 )
 def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str, read: tuple[str, str]) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     assert service.table.active[0].said() is None
     client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), 42)
     assert service.table.active[0].said() == (42, *read)
@@ -59,7 +58,6 @@ def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str
 
 @pytest.mark.parametrize("payload", [b"", b"short", records.SAID.pack(12, "of another session", "")])
 def test_damaged_words_and_those_of_another_session_count_as_none(service: Service, payload: bytes) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.segment.latest_writer("said").write(payload)
     assert service.table.active[0].said() is None

@@ -182,6 +182,11 @@ class Scene(Stage):
         self._turn()
         return self.latched()
 
+    def stop_and_tick(self, cause: str) -> str | None:
+        """The supervisor stops, and the gate follows it at a tick; returns the latched reason."""
+        self.stop(cause)
+        return self.tick()
+
     def run(self, seconds: float) -> None:
         """Let time pass, as the gate asks for it."""
         until_ns = self.clock() + round(seconds * 1e9)
