@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.policy.settings import SettingError, Settings, shortened, shown
+from failstop.policy.setting import SettingError, shortened, shown
+from failstop.policy.settings import Settings
 from failstop.shm import durable, root
 
 MOST_BYTES = 65536
@@ -53,8 +54,8 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
 
 
 def read(path: str | None) -> dict[str, object]:
-    """What a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else, whatever is at
-    that path and in it."""
+    """The values that a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else,
+    whatever is at that path and in it."""
     if not path:
         return {}
     try:

@@ -1,4 +1,4 @@
-"""Which serial devices there are, the controller board's first: for error messages."""
+"""Serial devices of this machine, the controller board's first: for error messages."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def _made(base: str, name: str, mode: int) -> bool:
     finally:
         os.close(found)
     if owner != os.geteuid() and not os.geteuid():
-        # What root made there its owner could neither use nor remove.
+        # The owner could neither use nor remove a thing that root made there.
         path, whose = os.path.join(base, name), place.user(owner)
         raise place.Untrusted(path, f"belongs to {whose}: start it as that user, or choose another --name")
     return owner == os.geteuid()

@@ -1,4 +1,4 @@
-"""What is seen and done from afar: metrics, the robot's state on a broker, and a stop of the whole fleet.
+"""Fleet: robots seen and stopped from afar: metrics, the robot's state on a broker, and a stop of the whole fleet.
 
 Nothing here is on the stop path, and nothing here is a deadman: a broker tells of a lost robot after seconds.
 """

@@ -108,7 +108,7 @@ class Broker:
         self._client.tls_set_context(context)
 
     def will(self, topic: str, payload: bytes) -> None:
-        """What the broker is to say, retained, when this client is lost; counts from the next connection on."""
+        """Set the broker's retained message for when this client is lost; counts from the next connection on."""
         self._client.will_set(topic, payload, qos=ONCE, retain=True)
 
     def say(self, topic: str, payload: bytes, *, qos: int = ONCE, retain: bool = False) -> None:
@@ -117,7 +117,7 @@ class Broker:
             self._client.publish(topic, payload, qos=qos, retain=retain)
 
     def fileno(self) -> int:
-        """What to wait for; -1 while there is no connection."""
+        """The descriptor to wait for; -1 while there is no connection."""
         found = self._client.socket()
         return found.fileno() if found else -1
 

@@ -98,7 +98,7 @@ def _publish(arguments: Namespace) -> int:
 
 
 def _status(deaf: str) -> str:
-    """What `systemctl status` shows, and `failstop doctor` reads."""
+    """The status that `systemctl status` shows and `failstop doctor` reads."""
     text = f"obeys no fleet stop: {words.printable(deaf)}" if deaf else "obeys a fleet stop"
     return f"STATUS={text}\nERRNO={errno.ENOTCONN if deaf else 0}"
 

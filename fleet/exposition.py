@@ -41,7 +41,7 @@ class Collector:
         return None
 
     def collect(self) -> Iterator[Metric]:
-        """What a registry of prometheus_client asks for."""
+        """The metrics, as a registry of prometheus_client asks for them."""
         from prometheus_client.core import Metric
 
         for family, samples in metrics.collect(self.state()):

@@ -53,7 +53,7 @@ def read_order(key: bytes, message: bytes) -> Order:
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """What a robot says of a stop of the fleet."""
+    """A robot's answer to a stop of the fleet."""
 
     id: str
     """The stop's."""

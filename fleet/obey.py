@@ -82,7 +82,7 @@ def confirming(state: State) -> str:
 
 
 class Obedience:
-    """What the robot does with messages on the stop topic."""
+    """The robot's duties by messages on the stop topic."""
 
     def __init__(self, key: bytes, robot: str, seen: Seen) -> None:
         self.forged = 0
@@ -116,7 +116,7 @@ class Obedience:
         return None, Answer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> Answer | None:
-        """What was answered before; of a stop from before a restart, that it was asked for."""
+        """The answer that was given before; of a stop from before a restart, that it was asked for."""
         duty = self._duties.get(order.id)
         if duty is None:
             return Answer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -138,7 +138,7 @@ class Obedience:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[Answer]:
-        """What to answer, as more has become known; the first time, that it was asked for."""
+        """Answers, as more has become known; the first time, that it was asked for."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]

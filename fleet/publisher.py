@@ -48,7 +48,7 @@ LAST_LOOK_S = 0.1
 FIRST_LOOK_S = 0.003
 """By then the service has written it: its first answer says so at once."""
 CHANGES_S = 1.0
-"""What changes all the time, as a velocity does, is published this often at most."""
+"""The shortest time between two messages on values that change all the time, as a velocity does."""
 MOST_EVENTS = 20
 """At one look: the newest. The journal has all of them."""
 FORGED_S = 60.0
@@ -78,7 +78,7 @@ class Service:
         return None, note
 
     def events(self) -> list[Event]:
-        """What was told since the last call."""
+        """Events since the last call."""
         try:
             self._log = self._log or EventLog(self.name)
             return self._log.read()
@@ -248,7 +248,7 @@ class Publisher:
         self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 
     def _remember(self) -> None:
-        """What was obeyed, over a restart. That it can't be is said, and is no reason not to stop."""
+        """Save the orders that were obeyed, over a restart. A failure is said, and is no reason not to stop."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())

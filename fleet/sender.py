@@ -110,7 +110,7 @@ class Sender:
 
 
 def connection_word(payload: bytes) -> str:
-    """What a connection message says; empty for one that was taken away, or is none."""
+    """The state in a connection message; empty for one that was taken away, or is none."""
     try:
         return str(json.loads(payload)["connectionState"]) if payload else ""
     except (ValueError, KeyError, TypeError):

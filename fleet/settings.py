@@ -12,14 +12,15 @@ import socket
 
 from failstop import config
 from failstop.fleet import FleetError
-from failstop.policy.settings import SWITCH, Setting, SettingError
+from failstop.policy.setting import Setting, SettingError
+from failstop.policy.settings import SWITCH
 from failstop.shm import root
 from failstop.shm.instance import DEFAULT_NAME
 
 PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
-"""What VDA 5050 allows in a serial number: no `/`, `+` and `#`, which mean something in a topic."""
+"""Characters that VDA 5050 allows in a serial number: no `/`, `+` and `#`, which mean something in a topic."""
 
 DECLARED = (
     Setting("broker.host", "127.0.0.1", "", None, None, "where the MQTT broker is"),
@@ -89,7 +90,7 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """Whom a fleet stop must reach, if a file says so. Raises FleetError."""
+    """The robots that a fleet stop must reach, if a file lists them. Raises FleetError."""
     path = found.text("stop.robots_file")
     if not path:
         return None

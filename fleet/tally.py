@@ -15,7 +15,7 @@ UNCONFIRMED = {
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
     levels.OBSERVED: "written, but its IMU has not observed that the wheels stand",
 }
-"""What is known of a robot that has not come to the level that confirms."""
+"""The words for a robot that has not come to the level that confirms."""
 WORDS = {vda5050.OFFLINE: "its publisher was ended", vda5050.BROKEN: "its connection is broken"}
 
 MUTE = "has it the fleet's key, and does the broker's access list let it read the stops?"
@@ -30,7 +30,7 @@ class Missing:
 
 
 class Tally:
-    """Who must confirm, and who did."""
+    """The robots that must confirm, and those that did."""
 
     def __init__(self, expected: frozenset[str] | None) -> None:
         """`expected`: by a list of the user's; None: whoever was ever seen on the broker."""
@@ -44,7 +44,7 @@ class Tally:
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str) -> None:
-        """What the broker keeps of a robot's connection; empty: nothing any more."""
+        """Take the broker's word on a robot's connection; empty: it keeps none."""
         if word:
             self._connections[robot] = word
         else:
@@ -68,7 +68,7 @@ class Tally:
         return sorted({*listed, *self._answers})
 
     def reached(self, level: str) -> list[str]:
-        """Who told of this level."""
+        """The robots that told of this level."""
         return sorted(robot for robot, told in self._answers.items() if level in told)
 
     def all_reached(self, level: str) -> bool:

@@ -28,5 +28,5 @@ def stop(manufacturer: str, robot: str = "") -> str:
 
 
 def answer(manufacturer: str, stop_id: str, robot: str) -> str:
-    """What one of them answers, or ANY."""
+    """The topic of one robot's answer, or of ANY."""
     return f"failstop/v1/{manufacturer}/answer/{stop_id}/{robot}"

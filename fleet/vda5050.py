@@ -28,7 +28,7 @@ ONLINE = "ONLINE"
 OFFLINE = "OFFLINE"
 BROKEN = "CONNECTIONBROKEN"
 GOOD_CHARGE, LOW_CHARGE = 80.0, 20.0
-"""What the interface has for batteries that are known to be well or low, and no more."""
+"""The charges that the interface gets for batteries that are known to be well or low, and no more."""
 DEAF = "fleetStopOff"
 """The type of a robot's error: it obeys no stop of the fleet."""
 WARNING = "WARNING"
@@ -59,7 +59,7 @@ def seconds(stamped: object) -> float | None:
 
 
 class Header:
-    """What every message begins with; its number counts by topic."""
+    """The head of all messages; its number counts by topic."""
 
     def __init__(self, manufacturer: str, robot: str) -> None:
         self.manufacturer = manufacturer
@@ -137,7 +137,7 @@ def _standing(mode: str) -> Message:
 
 
 def _mode(state: State) -> str:
-    """Who has the wheels: a person, nobody while the service is not ready, else programs."""
+    """The holder of the wheels: a person, nobody while the service is not ready, else programs."""
     if any(row.state == "drives" and row.source in BY_HAND for row in state.sources):
         return "MANUAL"
     return "SERVICE" if state.waiting_for else "AUTOMATIC"

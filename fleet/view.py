@@ -28,18 +28,18 @@ ROLES = {
     ENDED: DIM,
 }
 ORDER = (verdict.MAY_TURN, LOST, vda5050.NO_SERVICE, verdict.STOPPED, verdict.DRIVING, verdict.STANDING, ENDED)
-"""What needs a person comes first."""
+"""The order of rows: those that need a person come first."""
 
 
 def word(robot: Robot) -> str:
-    """What it does; of a robot that is lost, only that."""
+    """A word on its wheels; of a robot that is lost, only that."""
     if robot.connection == vda5050.OFFLINE:
         return ENDED
     return LOST if robot.lost() else robot.word or "?"
 
 
 def why(robot: Robot) -> str:
-    """And why, in a line."""
+    """A line on why."""
     if robot.connection == vda5050.OFFLINE:
         return "its publisher was ended; what it does now is not known here"
     if robot.lost():

@@ -71,7 +71,7 @@ class Wire:
         return bool(self._rest)
 
     def take(self, most: int) -> bytes:
-        """What there is for paho-mqtt, at most so many bytes."""
+        """Bytes for paho-mqtt, at most so many."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]
         return taken

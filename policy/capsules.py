@@ -7,7 +7,7 @@ joint turns what is behind it about the vertical (yaw), about an axis across (pi
 
 from __future__ import annotations
 
-from math import ceil, cos, inf, sin, sqrt
+from math import ceil, cos, dist, inf, sin
 
 from failstop.policy.settings import Settings
 
@@ -70,7 +70,22 @@ def would_hit(name: str, other: str, when: str = "") -> str:
 
 
 def _gap_m(one: Capsule, other: Capsule) -> float:
-    return sqrt(_apart_squared(one[1], one[2], other[1], other[2])) - one[3] - other[3]
+    return apart_m(one[1], one[2], other[1], other[2]) - one[3] - other[3]
+
+
+def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
+    """The distance of two segments: the nearest points of both lines, each held to its segment in turn."""
+    d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
+    a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
+    s = _held(b * f - c * e, a * e - b * b)
+    t = _held(b * s + f, e)
+    s = _held(b * t - c, a)
+    return dist(_on(p1, d1, s), _on(p2, d2, t))
+
+
+def _held(part: float, whole: float) -> float:
+    """A share from 0 to 1. Where the whole is nothing, of lines that are parallel or a segment that is a point, any."""
+    return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 
 def _dot(a: Point, b: Point) -> float:
@@ -81,20 +96,8 @@ def _minus(a: Point, b: Point) -> Point:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _apart_squared(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
-    """The squared distance of two segments: the nearest points of both lines, each held to its segment in turn."""
-    d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
-    a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
-    apart = a * e - b * b
-    s = _held((b * f - c * e) / apart) if apart > 1e-12 else 0.0
-    t = _held((b * s + f) / e) if e > 1e-12 else 0.0
-    s = _held((b * t - c) / a) if a > 1e-12 else 0.0
-    found = tuple(x + s * y - u - t * v for x, y, u, v in zip(p1, d1, p2, d2, strict=True))
-    return sum(part * part for part in found)
-
-
-def _held(share: float) -> float:
-    return max(0.0, min(1.0, share))
+def _on(begin: Point, way: Point, share: float) -> Point:
+    return begin[0] + share * way[0], begin[1] + share * way[1], begin[2] + share * way[2]
 
 
 def on_the_way(

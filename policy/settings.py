@@ -7,74 +7,10 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
-from failstop.shm.data import Data
+from failstop.policy.setting import Setting, SettingError, shown
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
-MOST_SHOWN = 160
-"""Characters of a value in a message."""
-
-
-class SettingError(ValueError):
-    """A value is not allowed; the message names the key, the value and what is."""
-
-
-def shortened(text: str) -> str:
-    """The text as a part of one line for people."""
-    text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
-
-
-def shown(value: object) -> str:
-    """A value of whatever type, likewise."""
-    try:
-        return shortened(repr(value))
-    except (ValueError, RecursionError):  # a number of thousands of digits, a list within lists within lists
-        return f"{type(value).__name__} beyond all bounds"
-
-
-class Setting(Data):
-    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
-
-    A text whose default is empty may be empty.
-    """
-
-    key: str
-    default: float | str
-    unit: str
-    low: float | None
-    high: float | None
-    doc: str
-    allowed: tuple[int, ...] | tuple[str, ...] = ()
-
-    def check(self, value: object, key: str = "") -> float | str:
-        """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
-        if problem := self._problem(value):
-            raise SettingError(f"{key or self.key} = {shown(value)}: {problem}")
-        return type(self.default)(value)  # type: ignore[arg-type]
-
-    def _problem(self, value: object) -> str:
-        if self.allowed:
-            fits = type(value) is type(self.default) and value in self.allowed
-            return "" if fits else f"allowed is {self.range()}"
-        if isinstance(self.default, str):
-            fits = isinstance(value, str) and value.isprintable() and len(value) <= LONGEST_TEXT
-            return "" if fits and (value or not self.default) else f"a text is expected, {self.range()}"
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return f"a number is expected, {self.range()}"
-        if self.low is not None and self.high is not None and not self.low <= value <= self.high:
-            return f"allowed is {self.range()}"
-        if isinstance(self.default, int) and value != int(value):
-            return f"a whole number is expected, {self.range()}"
-        return ""
-
-    def range(self) -> str:
-        """The allowed values, in words."""
-        if self.allowed:
-            return " or ".join(f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed)
-        if isinstance(self.default, str):
-            return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
@@ -82,7 +18,6 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
     return Setting(key, default, "", None, None, doc, allowed)
 
 
-LONGEST_TEXT = 255
 SWITCH = ("on", "off")
 DEATHS = ("disable", "latch", "stay")
 TURNS = ("none", "yaw", "pitch", "roll")
@@ -200,8 +135,8 @@ FAMILIES = {
         Setting("servo", 0, "", 1, 100, "the id of the joint's bus servo; every joint has one of its own"),
         Setting("zero", 500, "", 0, 1000, "pulses (0.24 degrees each) at which the joint's angle is zero"),
         _word("sign", 1, "-1: more pulses are a smaller angle", (1, -1)),
-        Setting("low", 0, "", 0, 999, "pulses below which it is never sent"),
-        Setting("high", 1000, "", 1, 1000, "pulses above which it is never sent"),
+        Setting("low", 0, "", 0, 999, "pulses below which it is sent only on its way back up"),
+        Setting("high", 1000, "", 1, 1000, "pulses above which it is sent only on its way back down"),
         Setting("speed_radps", 1.0, "rad/s", 0.01, 6.0, "its fastest turn"),
         Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "its ramp"),
         Setting("tuck", -1, "", -1, 1000, "pulses in the tuck pose; -1: it is no part of it"),

@@ -52,7 +52,7 @@ class Job:
         return not self._thread.is_alive()
 
     def result(self) -> Any:
-        """What came of it. Raises FailstopError."""
+        """The result. Raises FailstopError."""
         if self._error:
             raise self._error
         return self._found
@@ -78,7 +78,7 @@ class ArmFace:
         """For the action, whose end they are to be."""
         self._goal_job: Job | None = None
         self._sender: Unwatched | None = None
-        """Whoever has sent the goal of the topic that the arm is on its way to; None: it is held already."""
+        """The sender of the topic's goal that the arm is on its way to; None: it is held already."""
         self._way_job: Job | None = None
         """Of the action's goal."""
         self._waited_ns = waited_ns
@@ -111,7 +111,7 @@ class ArmFace:
             node.get_logger().info(shared.lacks[0])
 
     def give_up(self) -> int:
-        """What was asked for before and has not begun does nothing. Returns the number of what is asked for now."""
+        """Drop requests that have not begun. Returns the number of the new one."""
         self._newest += 1
         return self._newest
 

@@ -106,7 +106,7 @@ class Bridge:
         from rclpy.executors import ExternalShutdownException
 
         spinner = Spinner(self._node, self._inward.received)
-        # What there is now stays: the collector need not go through rclpy again and again.
+        # Objects made so far stay: the collector need not go through rclpy again and again.
         gc.collect()
         gc.freeze()
         self._outward.start()

@@ -19,7 +19,7 @@ FRESH_NS = 100_000_000
 GONE_NS = 300_000_000
 """The commands of one that has gone are received by then: DDS's own threads may be late too."""
 AGAIN_NS = 500_000_000
-"""Who publishes is looked up anew this often, even if the number stays: one may have taken the other's place."""
+"""The time between two looks at the publishers, even if their number stays: one may have taken another's place."""
 NAMELESS_NS = 2_000_000_000
 """A publisher's node name may come later than the publisher; longer than this, it counts as having none."""
 STOP_AGAIN_NS = 500_000_000
@@ -113,8 +113,7 @@ class Commanders:
         self.count = 0
         self._counted_ns = 0
         self._good_ns: int | None = None
-        """What was received after this came while every look found one publisher at most, and no stranger; None: the
-        last one did not."""
+        """Since then every look has found one publisher at most, and no stranger; None: the last one did not."""
         self._looked_ns = 0
         self._nameless_ns: int | None = None
         self._asking = Asking()
@@ -125,7 +124,7 @@ class Commanders:
         return count != self.count or stale or bool(count and (self._allowed or self._nameless()))
 
     def look(self, publishers: Sequence[Publisher], now_ns: int) -> None:
-        """Who publishes."""
+        """Take the publishers."""
         self.publishers = tuple(publishers)
         self._looked_ns = now_ns
         self._nameless_ns = (self._nameless_ns or now_ns) if self._nameless() else None
@@ -181,12 +180,13 @@ class Commanders:
         return names(self.publishers)
 
     def wanted_type(self, now: str) -> str:
-        """What to subscribe to: what is offered, if it is taken; with nobody there, or with both, what it is now."""
+        """The type to subscribe to: the one offered, if it is taken; with nobody there, or with both, what it is
+        now."""
         offered = {publisher.type for publisher in self.publishers} & set(self._accepted)
         return offered.pop() if len(offered) == 1 else now if now in self._accepted else self._accepted[0]
 
     def wrong(self) -> list[str]:
-        """What is wrong with the publishers that there are, a line each."""
+        """Faults of the publishers that there are, a line each."""
         return wrong_ends("cmd_vel", self.publishers, self._accepted, reliable=True)
 
 

@@ -12,7 +12,7 @@ CLIENT = "ros2"
 
 
 class Qos(NamedTuple):
-    """What ROS calls quality of service; history is always "keep last"."""
+    """Quality of service; history is always "keep last"."""
 
     depth: int
     reliable: bool = True

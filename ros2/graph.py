@@ -29,11 +29,11 @@ class Graph:
         self.commanders = commanders
 
     def publishers(self, topic: str) -> list[Publisher]:
-        """Who publishes a topic."""
+        """The publishers of a topic."""
         return publishers(self._node, topic)
 
     def ask(self, link: Link, now_ns: int) -> None:
-        """Who publishes cmd_vel now; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
+        """The publishers of cmd_vel; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
         with self._lock:
             commanders = self.commanders
             count = self._count(self._topic)
@@ -48,7 +48,7 @@ class Graph:
 
 
 def publishers(node: Any, topic: str) -> list[Publisher]:
-    """Who publishes a topic, as a node sees it."""
+    """The publishers of a topic, as a node sees them."""
     return [_publisher(found) for found in node.get_publishers_info_by_topic(topic)]
 
 

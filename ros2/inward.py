@@ -104,7 +104,7 @@ class Inward:
     def _latch(self, cause: str) -> None:
         latch(self._node, self._link, cause)
 
-    # Who commands.
+    # Commanders.
 
     def due_s(self) -> float:
         """How long nothing is to be done."""

@@ -32,12 +32,13 @@ def stamp(ns: int) -> Fields:
 
 
 def _stamped(ns: int) -> tuple[int, int]:
-    """The same, for a stencil."""
+    """A time in two numbers, for a stencil."""
     return divmod(ns, 1_000_000_000)
 
 
 def imu_constant(frame: str, rate_variance: float) -> Fields:
-    """What is the same in every Imu: there is no estimate of the orientation, and none of the acceleration's noise."""
+    """Fields that are equal in all Imu messages: there is no estimate of the orientation, and none of the
+    acceleration's noise."""
     diagonal = [rate_variance if at % 4 == 0 else 0.0 for at in range(9)]
     return {
         "header": {"frame_id": frame},
@@ -75,7 +76,7 @@ def battery(volts: float, plugged: str, ros_ns: int) -> Fields:
 
 
 def odometry_constant(frame: str, child: str) -> Fields:
-    """What is the same in every Odometry."""
+    """Fields that are equal in all Odometry messages."""
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 
@@ -106,7 +107,7 @@ TRANSFORM_PLACES = ("transforms.0.header.stamp", "transforms.0.transform")
 
 
 def transform_constant(frame: str, child: str) -> Fields:
-    """What is the same in every TransformStamped."""
+    """Fields that are equal in all TransformStamped messages."""
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 

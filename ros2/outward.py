@@ -144,14 +144,14 @@ class Outward:
         self._publishers[topic.name].publish(fill(self._messages[topic.name], fields))
 
     def _send(self, topic: Topic, values: messages.Values) -> None:
-        """What is kept, with these numbers, to whoever hears it."""
+        """Publish a kept message with these numbers, if anybody hears it."""
         if self._heard[topic.name]:
             self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
 
     def _sample(self, sample: object) -> None:
         if isinstance(sample, Imu):
-            # What the port had in one piece has one time, and a filter divides by the time between two samples.
-            # A clock that was set back is followed.
+            # Samples that the port had in one piece have one time, and a filter divides by the time between two
+            # samples. A clock that was set back is followed.
             ros_ns = sample.t_ns + self._offset_ns
             self._imu_ns = ros_ns if self._imu_ns - ros_ns > CLOCK_NS else max(ros_ns, self._imu_ns + LEAST_NS)
             self._send(contract.IMU, messages.imu(sample, self._imu_ns))
@@ -180,7 +180,7 @@ class Outward:
         self._wheels.follow((0.0,) * 4, monotonic_ns())
 
     def _follow(self, now_ns: int, *, due: bool = False) -> None:
-        """What goes with the state: on every change that is noticed, and, when it is due, at its rate."""
+        """Publish what goes with the state: on every change that is noticed, and, when it is due, at its rate."""
         self._asked = self._shared.asked
         state = self._state()
         if state:

@@ -23,7 +23,7 @@ def blocked(state: State) -> str | None:
 
 
 def driver(state: State) -> str | None:
-    """Who drives."""
+    """The program that drives."""
     return next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), None)
 
 
@@ -98,7 +98,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
 
 
 def without_service(problem: str) -> dict[str, Any]:
-    """The same while there is no service: nothing is enabled, and why."""
+    """The report while there is no service: nothing is enabled, and why."""
     found = {
         "enabled": False,
         "estop": None,
@@ -163,7 +163,7 @@ def latched(state: State | None) -> bool:
 
 
 def says(names: str, scan: str) -> str:
-    """What the bridge sees, for `status` and `why`."""
+    """The bridge's view, for `status` and `why`."""
     return f"cmd_vel: {names}; {scan}" if names else f"{NOBODY}; {scan}"
 
 

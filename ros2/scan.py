@@ -25,7 +25,7 @@ class ScanWatch:
         self._heard_ns = now_ns
 
     def look(self, publishers: Sequence[Publisher]) -> None:
-        """Who publishes."""
+        """Take the publishers."""
         self._publishers = tuple(publishers)
 
     def says(self, now_ns: int) -> tuple[str, list[str]]:

@@ -19,14 +19,14 @@ class Shared:
     settings: Settings | None = None
     """Of the run that is there; None: not known yet."""
     run: int = 0
-    """Which run of the service that is: the pid of its supervisor; 0: none was seen yet."""
+    """The run of the service: the pid of its supervisor; 0: none was seen yet."""
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
     lacks: tuple[str, ...] = ()
-    """What is not offered, and why."""
+    """Services that are not offered, and why."""
     asked: int = 0
     """How often something was asked of the service that changes its state."""
     failed: BaseException | None = None
-    """What has ended the thread that publishes."""
+    """The error that has ended the thread that publishes."""
     ending: bool = False

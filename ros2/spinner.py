@@ -17,7 +17,7 @@ EVENTS_S = 1.0
 """How often what DDS tells of the node's own ends is looked at: rclpy writes lines of it."""
 MOST_AT_ONCE = 10
 COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_clients", "num_services")
-"""What a wait set has room for, in its order; events come last."""
+"""The parts of a wait set, in its order; events come last."""
 
 
 class Spinner:
@@ -113,7 +113,7 @@ class Spinner:
         )
 
     def _take(self, subscription: Any) -> None:
-        """What waits, a few messages at most: others wait too."""
+        """Take waiting messages, a few at most: others wait too."""
         for _ in range(MOST_AT_ONCE):
             with subscription.handle:
                 found = subscription.handle.take_message(subscription.msg_type, subscription.raw)

@@ -12,7 +12,7 @@ AGREE = "do the clocks agree?"
 
 
 class Trouble(NamedTuple):
-    """What was told of one topic's stamps, and when it was seen last."""
+    """A fault of one topic's stamps, and when it was seen last."""
 
     who: str
     text: str
@@ -54,6 +54,6 @@ class Stamps:
         self._troubles[topic] = Trouble(who, text, age_s, now_ns)
 
     def wrong(self, now_ns: int) -> list[str]:
-        """What is wrong, a line each."""
+        """Faults, a line each."""
         fresh = [row.text for row in self._troubles.values() if now_ns - row.seen_ns <= TOLD_NS]
         return fresh if self._ros_ns() else [NO_CLOCK, *fresh]

@@ -60,7 +60,7 @@ class Stencil:
         _put(*_field(self._message, place), iter(values))
 
     def filled(self, values: Values) -> Any:
-        """What to publish: bytes or a message, with these values at the places, in their order."""
+        """A message to publish: bytes or an object, with these values at the places, in their order."""
         if self._bytes:
             for (write, at), numbers in zip(self._writes, values, strict=True):
                 write(self._bytes, at, *numbers)
@@ -71,7 +71,7 @@ class Stencil:
 
 
 def _field(message: Any, place: str) -> tuple[Any, str]:
-    """Whose field it is, and its name; a number in a name is an index."""
+    """The owner of a field, and its name; a number in a name is an index."""
     *above, last = place.split(".")
     for name in above:
         message = message[int(name)] if name.isdigit() else getattr(message, name)

@@ -31,7 +31,7 @@ FEEDBACK_NS = 100_000_000
 LOOK_NS = 20_000_000
 """How often it is asked whether the feedback was acknowledged."""
 SETTLED_NS = 500_000_000
-"""What was sent to the client of the goal before is acknowledged by then, if that client lives."""
+"""By then the client of the goal before has acknowledged what it was sent, if it lives."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
 """Every client of the action hears it."""
 UNSETTLED = "a node that heard of the goal before is dead or stopped, and DDS counts it for up to 20 s: try again then"

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 IMPLEMENTATIONS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-"""What RMW_IMPLEMENTATION says where these profiles are read."""
+"""The RMW_IMPLEMENTATION that reads these profiles."""
 
 
 def own_profile(environment: Mapping[str, str]) -> bool:

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from failstop.board import codec, servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.codec import STOP, check_aux, check_motion
-from failstop.board.framing import BUS_SERVO, MOTOR, seal
+from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
 from failstop.board.interface import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
+from failstop.policy.settings import declaration
 
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = burst_with(ARM)
@@ -204,3 +205,13 @@ def test_an_encoder_keeps_to_the_settings_bound() -> None:
     for servo, position in product(ARM, range(0, 1001, 7)):
         frame = bus_servo_move([(servo, position)], 40, 40)
         assert check_bus(frame, ARM, 40) == ""
+
+
+def test_every_servo_of_the_settings_can_be_sent_everywhere() -> None:
+    """Servo 170 at 853 is the head of a motor frame, which no encoder makes; every eighth position, 853 among them."""
+    with pytest.raises(FrameError, match="aa5503"):
+        bus_servo_move([(170, 853)], 40)
+    id_of = declaration("joints.NAME.servo")
+    assert (id_of.low, id_of.high) == (1, 100)
+    for servo, position in product(range(1, 101), range(853 % 8, servos.HIGHEST_POSITION + 1, 8)):
+        bus_servo_move([(servo, position)], 40)

@@ -108,7 +108,7 @@ def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: obj
 
 
 def _understood(status: int, said: bytes) -> dict[str, Any]:
-    """What the page has answered. Raises Refused, FailstopError."""
+    """The page's answer. Raises Refused, FailstopError."""
     try:
         found: dict[str, Any] = json.loads(said)
     except ValueError:

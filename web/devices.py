@@ -39,7 +39,7 @@ class Device:
 
 
 def digest_of(token: str) -> str:
-    """What is kept of a token."""
+    """The digest of a token, which alone is kept."""
     return hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()
 
 
@@ -75,7 +75,7 @@ class Devices:
         self._by_digest[device.digest] = device
 
     def of(self, token: str) -> Device | None:
-        """Whose token this is."""
+        """The device with this token."""
         return self._by_digest.get(digest_of(token)) if token else None
 
     def revoke(self, identity: str) -> Device | None:

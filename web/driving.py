@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SOURCE = "page"
 """Commands are given as this source where the settings declare it, else as the one that is always there."""
 OTHER_S = 0.5
-"""Who has driven with the stick is followed by another one only after this pause."""
+"""The pause between one person's driving with the stick and another's."""
 OFF = "driving from the page is off (web.drive, attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is not enabled: enable it, then take the stick again"

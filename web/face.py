@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 NO_SERVICE = "NO SERVICE"
 BAD = "bad"
-"""What colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
+"""The role that colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
 ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "free", verdict.STOPPED: "stopped"}
 START = f"If the wheels turn: {steps.POWER.lower()}. Then start the service."
 
@@ -71,14 +71,14 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """What changes all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the gate's
-    word (ms)."""
+    """Values that change all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the
+    gate's word (ms)."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3)]
 
 
 def absent(note: str) -> dict[str, Any]:
-    """The same as `face` where no service runs."""
+    """A `face` for where no service runs."""
     return {
         "name": "",
         "word": NO_SERVICE,
@@ -125,7 +125,7 @@ def _seen(observed_s: float) -> str:
 
 
 def _role(state: State) -> str:
-    """What colours the word."""
+    """The role that colours the word."""
     return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
 
 
@@ -137,7 +137,7 @@ def _why(state: State) -> str:
 
 
 def _held(state: State) -> str:
-    """What holds the wheels, or how they move."""
+    """The reason why the wheels stand, or how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause)[0])
     if state.blocked:
@@ -156,7 +156,7 @@ def _since(state: State, events: Sequence[Event]) -> float | None:
 
 
 def _no_reset(state: State) -> str:
-    """What stands in the way of a reset; empty when nothing does."""
+    """The obstacle to a reset; empty when there is none."""
     if not state.estop:
         return "nothing is latched"
     return _in_the_way(state, Purpose.RESET)

@@ -21,7 +21,7 @@ HEADER = "X-Failstop"
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""What a browser says of where a request comes from, if it says so: here, or a person's own doing."""
+"""A browser's word on where a request comes from, if it gives one: here, or a person's own doing."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -41,7 +41,7 @@ HEADERS = {
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What of a request decides. Texts that were not sent are empty."""
+    """The parts of a request that decide. Texts that were not sent are empty."""
 
     method: str
     scheme: str

@@ -23,7 +23,7 @@ LINES_OF_A_DEFECT = 6
 
 
 class Guarded(RequestHandler):
-    """What every answer has in common."""
+    """The part that all answers share."""
 
     SUPPORTED_METHODS = ("GET", "HEAD", "POST")
 
@@ -70,7 +70,7 @@ class Guarded(RequestHandler):
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
     def body(self) -> dict[str, Any]:
-        """What was sent: an object, or nothing."""
+        """The request's object, or nothing."""
         return messages.read(self.request.body)
 
     @property
@@ -84,7 +84,7 @@ class Guarded(RequestHandler):
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
-        """What the device says it is."""
+        """The device's token, by its own word."""
         return self.get_cookie(self.cookie) or ""
 
     def device(self) -> Device | None:
@@ -92,7 +92,7 @@ class Guarded(RequestHandler):
         return self.page.devices.of(self.token())
 
     def who(self) -> str:
-        """Whose request it is, for people."""
+        """The sender of the request, for people."""
         device = self.device()
         return f"page at {self.request.remote_ip}" if device is None else f"{device.name} (page)"
 
@@ -153,7 +153,7 @@ class Check(Guarded):
 
 
 class Me(Guarded):
-    """What this device may."""
+    """The rights of this device."""
 
     def get(self) -> None:
         """Its name, if it is paired."""
@@ -180,7 +180,9 @@ class Pair(Guarded):
         except (devices.NotPaired, FailstopError) as error:
             self.refuse(403, str(error))
             return
-        self.page.pair_limit.give_back(address)  # who has the code does not guess: one address may be a room of phones
+        self.page.pair_limit.give_back(
+            address
+        )  # one address may be a room of phones that have the code
         secure = self.scheme == "https"
         self.set_cookie(
             self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"
@@ -236,7 +238,8 @@ class Cards(Guarded):
 
 
 class Story(Guarded):
-    """What happened, and how it looked. Neither is waited for: what is not made yet is asked for again."""
+    """The story of an incident, and its picture. Neither is waited for: the page asks again for one that is not
+    made."""
 
     async def get(self, identity: str, what: str) -> None:
         """The picture as PNG, the story as lines."""

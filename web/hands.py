@@ -9,7 +9,7 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
-"""What may be asked for by a touch; the rest, and a higher limit, is held for."""
+"""Requests that a touch may make; the rest, and a higher limit, is held for."""
 MOST_WAITING = 4
 
 

@@ -27,9 +27,9 @@ class Hold:
     identity: str
     """The page's name for it."""
     epoch: int
-    """What the person has seen: the newest stop of which the page knew."""
+    """The epoch that the person has seen: the newest stop of which the page knew."""
     percent: int | None
-    """What a limit is to become."""
+    """The wanted limit."""
     begun_s: float
     heard_s: float
     enough_s: float | None = None

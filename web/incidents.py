@@ -27,7 +27,7 @@ ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
 
 @dataclasses.dataclass
 class Made:
-    """What was made of an incident. None: not yet."""
+    """The story and picture of an incident. None: not made yet."""
 
     story: list[dict[str, Any]] | None = None
     picture: bytes | None = None
@@ -62,7 +62,7 @@ class Incidents:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """What happened, line by line, in ms from the cause, and whether there is a picture. None: not yet."""
+        """The story, line by line, in ms from the cause, and whether there is a picture. None: not yet."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
@@ -98,7 +98,7 @@ class Incidents:
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes:
-        """What it said; nothing when it failed."""
+        """The output of a command on incidents; nothing when it failed."""
         command = (sys.executable, "-m", "failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),

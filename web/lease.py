@@ -21,7 +21,7 @@ def key_of(token: str) -> bytes:
 
 
 def answer_to(nonce: str, key: bytes) -> str:
-    """What the device that has the key says."""
+    """The proof by the device that has the key."""
     return hmac.digest(key, nonce.encode(), "sha256").hex()
 
 

@@ -19,7 +19,7 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """What is sent back, for a request whose first bytes may be missing: the way to the same name by HTTPS where the
+    """The answer, for a request whose first bytes may be missing: the way to the same name by HTTPS where the
     robot answers to that name, and a sentence in any case."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""

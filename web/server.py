@@ -39,7 +39,7 @@ ID_BYTES = 4
 
 
 class Page:
-    """What the handlers share."""
+    """The state that the handlers share."""
 
     def __init__(self, name: str, settings: Settings) -> None:
         """Raises FailstopError."""
@@ -160,7 +160,7 @@ class Page:
         viewer.show(time.monotonic(), time.time())
 
     def leave(self, viewer: sockets.Live) -> None:
-        """Who attended by it does no more. The last one ends the reading."""
+        """End a viewer, and its operator's attendance. The last one ends the reading."""
         self.attending.end(viewer)
         if viewer in self.viewers:
             self.viewers.remove(viewer)
@@ -185,7 +185,7 @@ class Page:
 
 async def serve(name: str, settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
-    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # who sends garbage must not fill the journal
+    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # garbage from outside must not fill the journal
     # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
     page = Page(name, settings)

@@ -31,7 +31,7 @@ HELD_VERBS = ("reset", "enable", "limit")
 
 
 class Socket(Guarded, WebSocketHandler):
-    """What both have in common."""
+    """The part that both websockets share."""
 
     def check_origin(self, origin: str) -> bool:
         """The guard has seen to it."""
@@ -185,7 +185,7 @@ class Live(Socket):
             self.send({"hold": held.identity, "enough": True})
 
     async def _ask(self, held: hold.Hold) -> None:
-        """What was held for is asked for, unless the person could not know of the newest stop."""
+        """Ask for the thing that was held for, unless the person could not know of the newest stop."""
         if self.device() is None:  # revoked since
             done, said = False, "this device is not paired"
         elif self.page.newest_stop() != held.epoch:

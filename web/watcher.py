@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 PERIOD_S = 0.1
 SLOW_S = 0.5
-"""What people read, not watch, is looked at this often, unless what matters has changed."""
+"""The time between two looks at things that people read, not watch, unless something that matters has changed."""
 AGAIN_S = 0.5
 """How often a service that is not there is looked for."""
 
@@ -27,9 +27,9 @@ class Watcher:
         self.name = name
         self.state: State | None = None
         self.shown: dict[str, Any] = face.absent("")
-        """What the page shows now."""
+        """The things that the page shows."""
         self.values: list[Any] | None = None
-        """What changes all the time; None while no service runs."""
+        """Values that change all the time; None while no service runs."""
         self.number = 0
         """Counts the changes of `shown`."""
         self._follower: Follower | None = None

@@ -25,7 +25,7 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """What a phone takes, the best first. Through a proxy there is one."""
+    """Addresses for a phone, the best first. Through a proxy there is one."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 
@@ -39,7 +39,7 @@ def listening(found: dict[str, Any]) -> list[str]:
 
 
 def link(url: str, code: str) -> str:
-    """What the QR code says. What follows # stays in the phone: it is sent to nobody."""
+    """The text of the QR code. The part behind # stays in the phone: it is sent to nobody."""
     return f"{url}#{code}"
 
 

@@ -1,1 +1,1 @@
-"""What programs use: the robot, its state, its events."""
+"""The part that programs use: the robot, its state, its events."""

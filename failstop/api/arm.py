@@ -113,7 +113,7 @@ class Arm:
 
     @property
     def state(self) -> ArmState:
-        """What the service knows of the arm (State.arm)."""
+        """The arm as the service knows it (State.arm)."""
         found = self._session.state.arm
         if found is None:
             raise FailstopError(f"the service {self._session.name!r} tells nothing of an arm: see `failstop status`")

@@ -53,7 +53,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
                 doubt = verdict.doubt(state)
                 text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
                 return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
-        except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
+        except Exception as error:  # the request is in the pipe, also where its memory is damaged
             problem = str(error)
         time.sleep(LOOK_S)
     if taken and not reader:

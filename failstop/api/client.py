@@ -40,7 +40,7 @@ RECORDS: dict[str, Callable[..., bytes]] = {
     "arm_goal": records.ARM_GOAL.pack,
     "arm_path": records.ARM_PATH.pack,
 }
-"""What a client writes into its slot once it has said hello there, each after its session's number."""
+"""The records that a client writes into its slot after its hello, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
@@ -53,7 +53,7 @@ def runtime_dir(name: str) -> str:
 
 
 def _found(look: Callable[[str], T], where: str) -> T:
-    """What is found there. Raises NoService, FailstopError."""
+    """Look at a place of the service. Raises NoService, FailstopError."""
     try:
         return look(where)
     except instance.NoService as error:
@@ -63,7 +63,7 @@ def _found(look: Callable[[str], T], where: str) -> T:
 
 
 def run(name: str) -> tuple[str, int]:
-    """What the segments of the running service are named after, and the uid they belong to. Raises NoService,
+    """The name that the running service's segments share, and the uid they belong to. Raises NoService,
     FailstopError."""
     incarnation, owner = _found(instance.run, runtime_dir(name))
     return segment.memory(name, incarnation), owner
@@ -77,7 +77,7 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
 
 
 def _there(take: Callable[[], T]) -> T:
-    """What is taken of a run. Raises NoService, FailstopError."""
+    """Take something of a run. Raises NoService, FailstopError."""
     try:
         return take()
     except segment.AttachError as error:
@@ -109,7 +109,7 @@ def send_stop(name: str, why: object, who: object = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """What the object says of itself, once the first request is read: of several that are read at once only the first
+    """Send the object's own words, once the first request is read: of several that are read at once only the first
     is told of. Words that come late would be a stop after somebody's reset."""
     until_s = time.monotonic() + OWN_WORDS_S
     with contextlib.suppress(Exception):
@@ -138,7 +138,7 @@ class Run:
         self._life = -1
         self.name = name
         self.found = run(name)
-        """What its segments are named after, and whose they are."""
+        """The name that its segments share, and their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(lambda: segment.open_life(*self.found))
         self._beat = HeartbeatReader(self.supervisor)
@@ -167,6 +167,7 @@ class Run:
         try:
             return not segment.lives(self._life)
         except OSError:  # a program that closes what is not its own: the next look makes another
+            self._life = -1  # its number may be another's from now on
             return True
 
     def silent(self, now_ns: int) -> bool:

@@ -1,4 +1,4 @@
-"""What can go wrong for a user of failstop, each with the exit code that the commands give it."""
+"""Errors that a user of failstop may meet, each with the exit code that the commands give it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Refused(FailstopError):
         self.cause = cause
         """Of the stop that it was refused for; None: for something else."""
         self.step = step
-        """What to do, commands in backquotes; empty: the reason says it all."""
+        """The remedy, commands in backquotes; empty: the reason says it all."""
 
     @property
     def reason(self) -> str:
@@ -52,7 +52,7 @@ class Undeclared(FailstopError, ValueError):
 
 
 class TimedOut(FailstopError, TimeoutError):
-    """What Robot.wait_for waited for did not come about in time; the message says what is, and what to do."""
+    """Robot.wait_for waited in vain; the message says how things stand, and what to do."""
 
 
 class NoAnswer(FailstopError):

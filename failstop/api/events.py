@@ -1,4 +1,4 @@
-"""What the service tells people, for programs: the events of the run that is there now, in order.
+"""Events: the service's news for people, read by programs; those of the run that is there now, in order.
 
 for event in EventLog("failstop").read():
     print(event.t, event.kind, event.text)
@@ -31,14 +31,14 @@ class Event:
     ns: int
     """CLOCK_MONOTONIC, ns."""
     kind: str
-    """What it is about: stop, enabled, died, ... (docs/journal.md)."""
+    """Its subject: stop, enabled, died, ... (docs/journal.md)."""
     level: str
     """info, notice, warning, error or critical."""
     text: str
     """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 where its fields need
     the room."""
     fields: dict[str, str | int | float]
-    """What its kind has beside the text."""
+    """Values that its kind has beside the text."""
 
 
 class EventLog:

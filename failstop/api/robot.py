@@ -37,7 +37,7 @@ class Driving:
     """This command moves the wheels."""
 
     velocity: Velocity
-    """What the gate commands now: it gets to what was asked for along the ramp, within the limits."""
+    """The velocity that the gate commands: it gets to what was asked for along the ramp, within the limits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Preempted:
     """A source of higher priority drives; this command waits."""
 
     by: str
-    """Who drives: name and pid."""
+    """The program that drives: name and pid."""
     source: str
     """As which source."""
 
@@ -58,9 +58,9 @@ class Blocked:
     """Nothing moves."""
 
     block: Block
-    """What holds the wheels. NO_COMMAND: the gate has not taken the command in time."""
+    """The reason why the wheels stand. NO_COMMAND: the gate has not taken the command in time."""
     why: str
-    """The same in words, with the stop's cause."""
+    """That reason in words, with the stop's cause."""
 
     def __bool__(self) -> bool:
         return False
@@ -167,14 +167,14 @@ class Calls(Session):
         return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
-        """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
+        """Explain why the wheels stand, what proves it, and what to do. `str` of it is the three lines
         that `failstop why` prints. Raises NoService, FailstopError."""
         from failstop.api.why import explain  # nobody who drives needs its words
 
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call, each sample once with its time: Imu, Pad, Odometry. The
+        """Reports of the board since the last call, each sample once with its time: Imu, Pad, Odometry. The
         first call begins it, and the first of a new run begins again. What one read brought has one time. The state has
         the newest of each alone. Raises NoService, FailstopError."""
         with self._lock:
@@ -188,8 +188,8 @@ class Calls(Session):
 
 
 class AsyncRobot(Calls):
-    """What `Robot.connect()` returns; an asynchronous context manager. It belongs to one event loop. What is
-    not here is as Robot has it."""
+    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop. All
+    that is not here is as Robot has it."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -255,7 +255,7 @@ class Robot(Calls):
     """
 
     connect = AsyncRobot
-    """The same for asyncio: `async with Robot.connect() as robot`. What takes time is awaited there."""
+    """A Robot for asyncio: `async with Robot.connect() as robot`. What takes time is awaited there."""
 
     def __enter__(self) -> Robot:
         self._check_open()
@@ -326,7 +326,7 @@ class Robot(Calls):
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
+        """News of the service as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
         one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
         service has ended."""
         return EventLog(self.name, past=past).follow()

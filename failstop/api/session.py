@@ -32,9 +32,9 @@ Steps = Generator[float, None, T]
 """Each step: for how long to sleep, s."""
 Told = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""What `Robot.wait_for` takes: ready (every process runs, and an enable would be granted, or a reset while a stop is
-latched), enabled, disabled, latched (a stop is), clear (none is), moving and standing (what the gate commands), still
-(the IMU has seen the wheels still since the last stop)."""
+"""States that `Robot.wait_for` takes: ready (every process runs, and an enable would be granted, or a reset while a
+stop is latched), enabled, disabled, latched (a stop is), clear (none is), moving and standing (what the gate commands),
+still (the IMU has seen the wheels still since the last stop)."""
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
@@ -64,7 +64,7 @@ assert _CHECKS.keys() == set(get_args(Word))
 
 
 class Session:
-    """What Robot and AsyncRobot have in common beneath their calls. Thread-safe."""
+    """The part below the calls that Robot and AsyncRobot share. Thread-safe."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class Session:
         self._enabled = False
         """By this Robot, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """Whose request the gate has not answered yet: the thread, and something of its own if a task awaits it."""
+        """The asker that the gate has not answered yet: the thread, and something of its own if a task awaits it."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -107,7 +107,7 @@ class Session:
         try:
             connected = self._connected
             if self._enabled and self._disable_on_exit and connected:
-                # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
+                # A failure to disable keeps nobody from closing; the wheels stop by that too.
                 with contextlib.suppress(FailstopError):
                     # The death of a driver is the gate's to answer, which tells people whose it was.
                     if in_order or not connected.drove or self.settings["gate.driver_death"] == "stay":

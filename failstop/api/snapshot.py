@@ -120,8 +120,8 @@ class Device:
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link
-    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers nothing
-    by its nature."""
+    """The proof by its answers: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers
+    nothing by its nature."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,15 +131,15 @@ class Client:
     slot: int
     """0 to 7."""
     name: str
-    """What it calls itself."""
+    """Its name, by its own word."""
     pid: int
     """By its own word."""
     driving: bool
     """Its command moves the wheels now."""
     sees: str = ""
-    """What it says that it sees (`Robot.say`)."""
+    """A line on what it sees, by its own word (`Robot.say`)."""
     wrong: str = ""
-    """What is wrong by its account."""
+    """A line on what is wrong, by its own word."""
     said_s: float | None = None
     """How long ago it said so, s; None: never."""
 
@@ -153,7 +153,7 @@ class Source:
     priority: int
     """The highest drives."""
     who: str
-    """Who commands as it: name and pid."""
+    """The program that commands as it: name and pid."""
     state: Literal["drives", "waits"]
     """waits: a higher one drives."""
 
@@ -166,7 +166,7 @@ class Starved:
     longest_s: float
     """How long, s."""
     process: str
-    """Which process was not run."""
+    """The process that was not run."""
 
     def __str__(self) -> str:
         return f"the machine starved the service: {self.process} was not run for {self.longest_s * 1e3:.0f} ms"
@@ -174,7 +174,7 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """What the gyro shows of a robot that stands still."""
+    """The gyro's reading of a robot that stands still."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
@@ -234,11 +234,11 @@ class Pad(NamedTuple):
     axes: tuple[int, ...]
     """lx, ly, rx, ry, -128 to 127."""
     mode: PadMode
-    """What the gamepad moves."""
+    """The part that the gamepad moves."""
 
 
 Sample = Imu | Pad | Odometry
-"""What `Robot.samples` gives."""
+"""A sample, as `Robot.samples` gives it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,7 +250,7 @@ class JointState:
     angle_rad: float | None
     """Measured, rad; None before a reading."""
     pulses: int | None
-    """The same in the servo's pulses."""
+    """Its position in the servo's pulses."""
     age_s: float | None
     """Since it was read, s."""
     commanded_rad: float | None
@@ -280,7 +280,7 @@ class ArmState:
     moving: bool
     """It moves now."""
     by: str
-    """Who moves it; empty: nobody."""
+    """The program that moves it; empty: none."""
     closed: str
     """Why it takes no goal; empty: it takes one."""
     refused: str
@@ -290,7 +290,7 @@ class ArmState:
     silent: tuple[int, ...]
     """Servos that do not answer."""
     wrong: tuple[str, ...]
-    """What is wrong with it, in words."""
+    """Faults of it, in words."""
     pose: str
     """drive, tuck, or empty."""
     auto_tuck_s: float | None
@@ -312,17 +312,17 @@ class State:
     estop: str | None
     """The text of `cause`."""
     cause: Cause | None
-    """What is latched: the first cause since the last reset; None: nothing is."""
+    """The latched stop: the first cause since the last reset; None: nothing is."""
     blocked: str | None
     """Why the wheels may not turn, in the gate's words; None when they may. Programs compare `block`."""
     body_vel: Velocity
-    """What the gate commands now."""
+    """The velocity that the gate commands."""
     wheels_radps: Wheels
-    """The same for each wheel."""
+    """The speed that it commands of each wheel."""
     epoch: int
     """Raised by every stop."""
     waiting_for: str | None
-    """What is not up yet; motion can't be enabled until it is."""
+    """The part that is not up yet; motion can't be enabled until it is."""
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
@@ -330,9 +330,9 @@ class State:
     starved: Starved | None
     """None: the machine has run every process in time for ten minutes."""
     clients: tuple[Client, ...]
-    """Who holds a client slot."""
+    """The holders of the client slots."""
     sources: tuple[Source, ...]
-    """Who drives and who waits, highest priority first."""
+    """The source that drives and those that wait, highest priority first."""
     scan_age_s: float | None
     """Since the obstacle sensor delivered last, s; None: never."""
     last_stop: Stop | None
@@ -358,7 +358,8 @@ class State:
     arm: ArmState | None = None
     """None without an arm in the settings, and while a service starts, until its gate has told of the arm."""
     unmet: str = ""
-    """What an interlock waits for, in the words of its refusal; empty: every one that is declared holds."""
+    """The reason why an interlock does not hold, in the words of its refusal; empty: every one that is declared
+    holds."""
     starved_times: int = 0
     """How often in this run the machine explained a silence as `starved` does."""
     lease_s: float = 0.06
@@ -377,7 +378,7 @@ class State:
 
     @property
     def driver(self) -> Source | None:
-        """Whose command moves the wheels, or would; None: nobody's."""
+        """The source whose command moves the wheels, or would; None: there is none."""
         return next((source for source in self.sources if source.state == "drives"), None)
 
     def as_dict(self) -> dict[str, Any]:

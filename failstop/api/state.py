@@ -57,7 +57,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
 }
-"""What a snapshot is made of: whose each record is, and what reads it."""
+"""The records of a snapshot: the writer of each, and what reads it."""
 
 PLUGGED = cast("tuple[snapshot.Plugged, ...]", records.PLUGGED)
 PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
@@ -72,7 +72,7 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
 
 
 SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.PAD: _pad}
-"""What makes samples of the board's reports; the others are told in State alone."""
+"""The types of samples, by the board's report; other reports are told in State alone."""
 
 
 class StateReader(Run):
@@ -95,7 +95,7 @@ class StateReader(Run):
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _timed(self, record: str, make: Callable[..., T]) -> T | None:
-        """The same with its time, as the type of it."""
+        """The newest of a record with its time, as its type."""
         entry = self._latest[record].read()
         return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
@@ -109,7 +109,7 @@ class StateReader(Run):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """What the board reported since the last call, in order, and the newest odometry, if it is new."""
+        """Reports of the board since the last call, in order, and the newest odometry, if it is new."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -200,9 +200,9 @@ class StateReader(Run):
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
-        """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
-        supervisor is dead: the part of read() that a driving program needs each time. Before a run's first gate has
-        published anything: that motion is disabled, as of the begin of the run. Raises FailstopError.
+        """The gate's state, the latch, the epoch, the time of the gate's publishing, and whether the supervisor is
+        dead: the part of read() that a driving program needs each time. Before a run's first gate has published
+        anything: that motion is disabled, as of the begin of the run. Raises FailstopError.
 
         A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
         owner admits nothing of an older epoch, and the gate's successor starts latched. The same holds for a gate that

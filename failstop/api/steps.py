@@ -12,7 +12,7 @@ from failstop.shm.layout import GATE
 
 
 class Purpose(Enum):
-    """What a step is for."""
+    """The purpose of a step."""
 
     HEED = "see to the cause of the stop"
     POWER = "make sure that the wheels stand"
@@ -133,6 +133,6 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 
 def after_refusal(state: State, goal: Purpose, reason: str) -> str:
-    """What to do when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
+    """The remedy when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
     from being done, so that nobody is sent to ask for the same again."""
     return ", then ".join(typed(state, reason)) if before(state, goal) else ""

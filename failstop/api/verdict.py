@@ -25,7 +25,7 @@ LINKS = {
     "deaf": "the board does NOT answer",
     "unasked": "this board answers nothing, by its nature",
 }
-"""What each link proves, in words."""
+"""The proof by each state of the link, in words."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
@@ -54,7 +54,7 @@ def unproven(state: State) -> str:
 
 
 def word(state: State) -> str:
-    """What the wheels do."""
+    """A word on the wheels."""
     if doubt(state):
         return MAY_TURN
     if state.moving:
@@ -94,7 +94,7 @@ def unanswered(state: State) -> bool:
 
 
 def headline(state: State) -> str:
-    """What the wheels do and why, in a line."""
+    """A line on the wheels and why they do it."""
     if state.cause:
         return f"stop latched: {state.cause}"
     if state.block:
@@ -112,7 +112,7 @@ def until(name: str) -> str:
     return "down for a minute" if name == GATE else "down until a reset"
 
 
-# What events tell.
+# Told by events.
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
@@ -147,6 +147,6 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """What ended the run before this one, if that was not in order, and the command that tells its story; or empty."""
+    """The end of the run before this one, if that was not in order, and the command that tells its story; or empty."""
     told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
     return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

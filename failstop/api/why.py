@@ -22,13 +22,13 @@ class Why:
     """The answer to "why do the wheels stand?"; `str` of it is the three lines."""
 
     what: str
-    """What holds the wheels, since when; who drives, if nothing does."""
+    """The reason why the wheels stand, and since when; who drives, if they do not."""
     proof: str
-    """What proves that they stand: of the last stop, what was written, acknowledged and observed."""
+    """The proof that they stand: of the last stop, what was written, acknowledged and observed."""
     do: tuple[str, ...]
-    """What to do, in order, commands in backquotes; empty while they move."""
+    """Steps to take, in order, commands in backquotes; empty while they move."""
     also: tuple[str, ...]
-    """What else is wrong."""
+    """Other faults."""
     since: float | None
     """Unix time, s, from which on it holds; None: not known."""
 
@@ -47,7 +47,7 @@ HOLDS = {
     Block.NO_COMMAND: "nobody commands: no command is younger than its timeout",
     Block.NO_SCAN: "the obstacle sensor is silent, and without it only a person may drive",
 }
-"""What each block is in words."""
+"""Each block in words."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
@@ -72,7 +72,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
 
 
 def meaning(cause: Cause) -> tuple[str, str]:
-    """What happened and what to see to before a reset, in plain words: two texts that continue a sentence."""
+    """The event, and the thing to see to before a reset, in plain words: two texts that continue a sentence."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
@@ -146,7 +146,7 @@ def proofs(stop: Stop, now_s: float, link: str) -> list[tuple[str, bool | None]]
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
+    """Other faults that keep the wheels from moving, or may; by a client's own account too, and what it sees
     where the wheels wait for its kind."""
     found = []
     ends = verdict.ends(state, events)

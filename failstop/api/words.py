@@ -80,7 +80,7 @@ def took(seconds: float) -> str:
 def named(text: str, name: str) -> str:
     """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
     several."""
-    import re  # nor does the saver need this
+    import re  # the saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
@@ -97,7 +97,7 @@ def sentence(text: str) -> str:
 
 
 def of(name: str) -> str:
-    """Which service, for the title of a screen; empty for the one that has the usual name."""
+    """The service, for the title of a screen; empty for the one that has the usual name."""
     return "" if name == DEFAULT_NAME else f" of {name!r}"
 
 

@@ -48,10 +48,10 @@ GROUPS = {
         "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
     },
 }
-"""What `failstop --help` shows together: each command with its module and what it is for."""
+"""Groups of `failstop --help`: each command with its module and its purpose."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 HIDDEN = frozenset(("estop", "chaos"))
-"""What it leaves out: a second name, and what is for those who change failstop."""
+"""Commands that it leaves out: a second name, and tools for those who change failstop."""
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of standard output: nobody reads it, its disk is full, its terminal has gone."""
@@ -168,7 +168,7 @@ def _told(error: Exception) -> int:
     again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.port import PortError
-    from failstop.policy.settings import SettingError
+    from failstop.policy.setting import SettingError
     from failstop.shm.instance import InstanceError
     from failstop.shm.segment import AttachError
 
@@ -187,8 +187,8 @@ def _told(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
-    one an empty text."""
+    """Advice on an error that came of too many open files, also where it was raised anew on its way; empty for
+    others."""
     import resource
 
     from failstop.procs.rights import no_descriptors

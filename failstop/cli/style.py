@@ -38,7 +38,7 @@ def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
-    """What each role is on this terminal, as the parameters of an SGR sequence; empty: no colours at all."""
+    """Each role on this terminal, as the parameters of an SGR sequence; empty: no colours at all."""
     return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 
@@ -120,9 +120,9 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 
 def _pieces(text: str, room: int) -> Iterator[str]:
-    """What is not broken, with the spaces after it: words, commands that fit in the room or as much of them as does,
-    and of a longer word the letters. A command with a path in it stays whole: the terminal breaks it so that it can be
-    copied."""
+    """Pieces that are not broken, with the spaces after them: words, commands that fit in the room or as much of them
+    as does, and of a longer word the letters. A command with a path in it stays whole: the terminal breaks it so that
+    it can be copied."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if PATH_IN_COMMAND.search(word):

@@ -9,7 +9,7 @@ PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
 
 
 def fleet(look: Look) -> list[Finding]:
-    """What the publisher has told systemd of itself. One that runs in a shell tells its own terminal."""
+    """The publisher's own words to systemd. One that runs in a shell tells its own terminal."""
     said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
     found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
     active, enabled = found.get("ActiveState") == "active", found.get("UnitFileState", "").startswith("enabled")

@@ -14,7 +14,8 @@ from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.system import Holder, Node, System
 from failstop.instances import unit_of
-from failstop.policy.settings import SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, option
 
@@ -38,7 +39,7 @@ class Finding:
     fix: str = ""
     """A command that can be pasted into a shell; empty where none helps."""
     advice: str = ""
-    """What a person is to do, or to know of the command."""
+    """A thing that a person is to do, or to know of the command."""
 
 
 def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Finding]:
@@ -46,7 +47,7 @@ def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Findi
 
 
 ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
-"""What a check returns: text, fix, advice."""
+"""The result of a check: text, fix, advice."""
 
 
 @dataclasses.dataclass(eq=False)
@@ -91,7 +92,7 @@ class Look:
 
     @cached_property
     def unit(self) -> dict[str, str]:
-        """What systemd says of the service's unit; nothing: it has none, or does not run."""
+        """Properties of the service's unit; none: systemd has no such unit, or does not run."""
         said = self.system.said("systemctl", "show", unit_of(self.name), "--property", PROPERTIES)
         found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
         return found if found.get("LoadState") == "loaded" else {}
@@ -118,7 +119,7 @@ class Look:
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:
-        """Who has the device open, and how many processes could not be looked into."""
+        """The processes that have the device open, and how many could not be looked into."""
         return self.system.holders(self.node.resolved) if self.node else ((), 0)
 
     def again(self) -> str:

@@ -44,7 +44,7 @@ def _grant(look: Look) -> tuple[str, str]:
     if look.unit.get("MainPID") == look.pid:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {unit_of(look.name)}", lines
-    return "", grant.advice(realtime=False, managed=False)
+    return "", f"give it real-time rights: {grant.CONTAINER if look.system.contained() else grant.SHELL}"
 
 
 def early_news(look: Look) -> list[Finding]:
@@ -93,7 +93,7 @@ def ticks(look: Look) -> list[Finding]:
     lease_s = found[grant.LEASE]
     if look.state:
         lease_s = look.state.lease_s
-    elif not realtime and lease_s == grant.LEASE_S:  # what a start from here would take
+    elif not realtime and lease_s == grant.LEASE_S:  # a start from here would take it
         lease_s = grant.without(found)
     spare_us = (lease_s - found["gate.period_s"]) * MICRO
     if worst_us >= spare_us:

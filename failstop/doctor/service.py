@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 
-from failstop import instances
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.doctor.system import SHM
@@ -21,7 +20,7 @@ REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesk
 BRIDGE = "ros2"
 """Its name among the clients."""
 FAST_DDS = "fastrtps_"
-"""What every process with Fast DDS has in /dev/shm, of the user that it runs as."""
+"""The begin of the files that each process with Fast DDS has in /dev/shm, of its user."""
 
 
 def settings(look: Look) -> list[Finding]:
@@ -56,7 +55,7 @@ def running(look: Look) -> list[Finding]:
 
 def _not_running(look: Look) -> list[Finding]:
     text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
-    if others := instances.listening():
+    if others := look.system.services():
         text += f" (there is {', '.join(others)})"
     if look.node is None:
         return warn(text, "", "first see to the port")
@@ -67,7 +66,7 @@ def _not_running(look: Look) -> list[Finding]:
 
 
 def clients(look: Look) -> list[Finding]:
-    """What clients say of themselves."""
+    """Remarks of clients on themselves."""
     found = []
     for who, sees, wrong in words.said(look.state) if look.state else ():
         found += warn(f"{who} says: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")

@@ -97,7 +97,7 @@ def stop_path(look: Look) -> list[Finding]:
 
 
 def of_service(name: str, state: State) -> list[Finding]:
-    """What became of the running service's last stop."""
+    """The outcome of the running service's last stop."""
     stop = state.last_stop
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
@@ -144,7 +144,7 @@ WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
     "stopper's duplicate": _on_duplicate,
     "stop tool": _with_tool,
 }
-"""Who writes a stop, and how; by the time of the first it is written."""
+"""The writers of a stop, and how; by the time of the first it is written."""
 
 
 def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:

@@ -19,9 +19,11 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from failstop import discovery, instances
 from failstop.policy.processes import BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
+from failstop.supervisor import grant
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
@@ -56,7 +58,7 @@ class Holder:
     unit: str = ""
     """Its systemd service, if it is in one."""
     instance: str = ""
-    """Whose service it belongs to, if it is one of failstop's processes."""
+    """The service that it belongs to, if it is one of failstop's processes."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
@@ -71,6 +73,12 @@ class System:
 
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
+    services = staticmethod(instances.listening)
+    """The names of the services that take stop requests."""
+    ports = staticmethod(discovery.candidates)
+    """(path, description) of each serial device."""
+    contained = staticmethod(grant.in_container)
+    """This process runs in a container."""
 
     def __init__(self, root: str = "/") -> None:
         self.root = root
@@ -87,7 +95,7 @@ class System:
             return None
 
     def names(self, path: str) -> list[str]:
-        """What is in a directory, sorted."""
+        """The names in a directory, sorted."""
         try:
             return sorted(os.listdir(self.path(path)))
         except OSError:
@@ -167,7 +175,7 @@ class System:
         return found, sum(paths is None for _, paths in opened)
 
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
-        """What a command printed; None when it failed or did not answer."""
+        """The output of a command; None when it failed or did not answer."""
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=timeout_s, check=False)
         except (OSError, subprocess.TimeoutExpired):

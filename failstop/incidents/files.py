@@ -30,7 +30,7 @@ MAGIC = b"failstop incident\n"
 FORMAT = 1
 SUFFIX = ".incident"
 DRAFT = ".draft-"
-"""What a file is named while it is written, then its writer's pid."""
+"""The begin of a file's name while it is written; its writer's pid follows."""
 _LENGTHS = struct.Struct("<HHIIII")
 START_BYTES = len(MAGIC) + _LENGTHS.size
 LONGEST_HEAD = 65536
@@ -57,7 +57,7 @@ def write(folder: str, name: str, data: bytes) -> str:
     Raises OSError."""
     os.makedirs(folder, exist_ok=True)
     for entry in os.listdir(folder):
-        # What writers that are dead have left takes room that this file may need.
+        # Drafts of dead writers take room that this file may need.
         if entry.startswith(DRAFT) and not os.path.exists(f"/proc/{entry.removeprefix(DRAFT)}"):
             with contextlib.suppress(OSError):
                 os.unlink(os.path.join(folder, entry))
@@ -105,7 +105,7 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
         raise IncidentError(f"{path} is damaged: its {what} does not match its checksum")
     try:
         if what == "body":
-            # What is cut off here can't be unpacked.
+            # A body that is cut off here can't be unpacked.
             data = zlib.decompressobj().decompress(data, LONGEST_BODY)
         found: dict[str, Any] = msgpack.unpackb(data, strict_map_key=False)
     except (zlib.error, ValueError, msgpack.UnpackException) as error:
@@ -123,7 +123,7 @@ def folders(name: str, environ: Mapping[str, str]) -> list[str]:
 
 
 def identity(path: str) -> str:
-    """What an incident is named by: its file's name."""
+    """The name of an incident: that of its file."""
     return os.path.basename(path).removesuffix(SUFFIX)
 
 

@@ -34,12 +34,12 @@ SAYS = {
     blocks.NO_SCAN: "no obstacle sensor",
     SILENT: "the gate is silent",
 }
-"""What the gate says, or that it says nothing, for people."""
+"""The gate's word, or that it says nothing, for people."""
 _SPEEDS = struct.Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
 class Tick(NamedTuple):
-    """What the gate decided at one tick."""
+    """A decision of the gate, at one tick."""
 
     ns: int
     epoch: int
@@ -56,15 +56,15 @@ class Tick(NamedTuple):
     command: tuple[float, float, float]
     """m/s forward, m/s left, rad/s counter-clockwise; may be anything, NaN too."""
     velocity: tuple[float, float, float]
-    """What the gate made of it."""
+    """The gate's own command for it."""
     wheels_rps: tuple[float, float, float, float]
     source: str
     who: str
 
 
 class Sort:
-    """What was written: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest of
-    what the kernel had not taken."""
+    """The sort of a write: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest
+    of what the kernel had not taken."""
 
     MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
 
@@ -133,7 +133,7 @@ class Incident:
         """(when, by whom, cause): every cause that port owner and gate noticed."""
         told: list[tuple[int, Event]] = self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))
         self.events = [event for _, event in told]
-        """What people were told."""
+        """Events for people."""
         times = [found[0] for series in (self.ticks, self.writes, self.imu, self.beats) for found in series]
         self.span_ns = min(times, default=self.cause_ns), max(times, default=self.cause_ns)
         """The oldest and the newest moment that is in the file."""
@@ -228,7 +228,7 @@ class Incident:
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
     def joint(self, servo: int) -> str:
-        """What the settings name it."""
+        """The name that the settings give it."""
         named = (key.split(".") for key, value in self.settings.items() if value == str(servo))
         return next((key[1] for key in named if key[0] == "joints" and key[2:] == ["servo"]), f"servo {servo}")
 

@@ -65,13 +65,13 @@ def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
 
 
 def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
-    """What the run is numbered, and its segments. Raises AttachError, OSError."""
+    """The number of the run, and its segments. Raises AttachError, OSError."""
     copies = {which: shared.copy(fd, memory, which) for which, fd in fds.items()}
     return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
 
 
 def left_cause(segments: Segments) -> tuple[int, int, Cause]:
-    """What ended a run that was not ended in order: (cause_ns, epoch, cause), by the port owner's word where it has
+    """The cause that ended a run out of order: (cause_ns, epoch, cause), by the port owner's word where it has
     outlived the supervisor, else by the last sign of life."""
     supervisor = segments[layout.SUPERVISOR]["words"]
     beat_ns, raised = supervisor["beat_ns"], supervisor["epoch"]
@@ -141,7 +141,7 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
 
 
 def as_map(payload: bytes) -> dict[str, Any]:
-    """What is packed with msgpack as a map; empty for what is none."""
+    """A map packed with msgpack; empty for bytes that are none."""
     try:
         found = msgpack.unpackb(payload)
     except (ValueError, msgpack.UnpackException):
@@ -150,7 +150,7 @@ def as_map(payload: bytes) -> dict[str, Any]:
 
 
 def proofs(head: dict[str, Any]) -> list[str]:
-    """What is known of the three levels, in a few words each, by the head of an incident."""
+    """The three levels of proof, in a few words each, by the head of an incident."""
     stop: dict[str, Any] = head["stop"] or {}
     heard, seen = f"answer of the board: {NOT_KNOWN}", f"standstill: {NOT_KNOWN}"
     written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"

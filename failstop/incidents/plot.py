@@ -59,7 +59,7 @@ SHADES = {
     blocks.NO_SCAN: "#e3effa",
     SILENT: "#e6dff3",
 }
-"""What is behind the curves for each word of the gate's."""
+"""The shade behind the curves for each word of the gate's."""
 
 
 def save(incident: Incident, path: str, seconds: float) -> None:
@@ -123,7 +123,7 @@ def _title(figure: SubFigure, incident: Incident) -> None:
 
 
 def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[str]) -> None:
-    """What each shade means that is in the picture, and the lines of the story that matter."""
+    """The legend: the meaning of each shade in the picture, and the lines of the story that matter."""
     from matplotlib.patches import Patch
 
     patches = [Patch(facecolor=SHADES[what], edgecolor=FAINT, label=SAYS[what]) for what in SHADES if what in there]
@@ -147,7 +147,7 @@ def broken(at_ms: list[float], values: Any) -> tuple[Any, Any]:
 
 
 def _velocity(axes: Axes, incident: Incident) -> None:
-    """What was commanded and what the gate made of it. A command far beyond its limit must not squash the rest."""
+    """The commands and the gate's own for them. A command far beyond its limit must not squash the rest."""
     fresh_us = incident.number("gate.command_timeout_s") * 1e6
     old = nan, nan, nan
     asked = [tick.command if (tick.age_us or 0) <= fresh_us else old for tick in incident.ticks]
@@ -162,8 +162,8 @@ def _velocity(axes: Axes, incident: Incident) -> None:
 
 
 def _wheels(axes: Axes, incident: Incident) -> None:
-    """What was written to the board, not what was decided: the two differ where the port owner refused. The wheels of
-    one side often turn alike, and both are to be seen."""
+    """Speeds that were written to the board, not those that were decided: the two differ where the port owner refused.
+    The wheels of one side often turn alike, and both are to be seen."""
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     for index, name in enumerate(WHEELS):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}

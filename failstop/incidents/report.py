@@ -66,7 +66,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
 
 
 def _head(incident: Incident, now_s: float) -> list[Fact]:
-    """What, when, who noticed it, and the three proofs of the stop, which are kept apart."""
+    """The event, its time, who noticed it, and the three proofs of the stop, which are kept apart."""
     head = incident.head
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
@@ -93,7 +93,7 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
 
 
 def _before(incident: Incident) -> str:
-    """What the robot did when it happened, and since when it stood."""
+    """The robot's motion when it happened, and since when it stood."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -125,7 +125,7 @@ def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """What is wanted once the story has raised a question."""
+    """Details for a reader whom the story has left with a question."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
     volts = f"{incident.battery_v[-1]:.2f} V, at least {min(incident.battery_v):.2f} V" if incident.battery_v else ""

@@ -117,7 +117,7 @@ def _is_lost(name: str, fd: int) -> bool:
 
 
 def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segments: memory.Segments) -> dict[str, Any]:
-    """What a list of incidents shows, and a newer version can always read."""
+    """The part that a list of incidents shows, and a newer version can always read."""
     cause_ns, epoch, why = cause
     now_s, release = time.time(), os.uname()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.

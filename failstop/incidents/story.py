@@ -28,7 +28,7 @@ FRAMES = {
 MOST_LINES = 10
 """At a glance: with the facts above them they fit a terminal of 24 lines."""
 BEGINNINGS = ("reset", "ready")
-"""What was before the last of these belongs to an earlier stop."""
+"""Events before the last of these belong to an earlier stop."""
 LESSER = ("gate", "command")
 """The first to make room: the facts have the most of it."""
 
@@ -77,7 +77,7 @@ def brief(incident: Incident) -> list[Line]:
 
 
 def _commands(incident: Incident) -> Iterator[Line]:
-    """Who commanded what, before the cause and after it."""
+    """Commands and their sources, before the cause and after it."""
 
     def key(tick: Tick) -> tuple[str, str, bool, bool]:
         return tick.who, tick.source, tick.manual, tick.ns >= incident.cause_ns
@@ -111,7 +111,7 @@ def _arm(incident: Incident) -> Iterator[Line]:
 
 
 def _writes(incident: Incident) -> Iterator[Line]:
-    """What went to the board, by its sort. At a glance, what came after the cause but for routine, and what the port
+    """Writes to the board, by their sort. At a glance, what came after the cause but for routine, and what the port
     did not take."""
 
     def key(write: Write) -> tuple[str, str, bool, bool]:
@@ -153,7 +153,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
 
 
 def _events(incident: Incident) -> Iterator[Line]:
-    """What was told; and of a run that has ended, the causes that nobody was there to tell of."""
+    """Events; and of a run that has ended, the causes that nobody was there to tell of."""
     for event in incident.events:
         said = event.text.partition("; next: ")[0]
         # Of the stop itself the facts tell.

@@ -17,7 +17,6 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.main import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
-from failstop.procs.world import World
 from failstop.shm import box, layout
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 from tests.support.incident_parts import KeptRing, Recorder, at, drive_and_die
@@ -109,7 +108,7 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
     seen: list[bytes] = []
     kept = Watched()
-    wire = Wire(writes, World())
+    wire = Wire(writes)
     wire.burst()
     wire.keep(kept)  # type: ignore[arg-type]
     wire.burst()

@@ -89,6 +89,15 @@ def a_closed_pipe_hangs_up_in_an_epoll_set(on: System, folder: str) -> Story:
     return [*story, [mask for _, mask in epoll.poll(0)], on.os.read(reader, 1)]
 
 
+def what_a_poll_has_forgotten_it_tells_of_no_more(on: System, folder: str) -> Story:
+    poll, fds = on.select.poll(), [on.os.eventfd(1, os.EFD_NONBLOCK) for _ in range(2)]
+    for fd in fds:
+        poll.register(fd, select.POLLIN)
+    story: Story = [[mask for _, mask in poll.poll(0)]]
+    poll.unregister(fds[0])
+    return [*story, poll.poll(0) == [(fds[1], select.POLLIN)]]
+
+
 def record_locks_belong_to_the_open_file(on: System, folder: str) -> Story:
     def lock(fd: int, command: int, kind: int, byte: int = 0) -> Any:
         return tried(on.fcntl.fcntl, fd, command, LOCK.pack(kind, os.SEEK_SET, byte, 1, 0))
@@ -160,16 +169,59 @@ def a_map_is_the_file(on: System, folder: str) -> Story:
     return [*story, bytes(first[99:104])]
 
 
+def a_session_is_killed_as_one(on: System, folder: str) -> Story:
+    pid = on.os.posix_spawn("/bin/sh", ["/bin/sh", "-c", "exec sleep 120"], {}, setsid=True)
+    story: Story = [tried(on.os.kill, -pid, 9), on.os.waitpid(pid, 0) == (pid, 9)]
+    return [*story, tried(on.os.kill, -pid, 9), tried(on.os.kill, pid, 9)]
+
+
+def links_are_followed_unless_told_otherwise(on: System, folder: str) -> Story:
+    on.os.mkdir(f"{folder}/in", 0o755)
+    on.os.close(on.os.open(f"{folder}/in/file", os.O_RDWR | os.O_CREAT, 0o600))
+    for name, target in (("file", "in/file"), ("in", f"{folder}/in"), ("nothing", "absent")):
+        on.os.symlink(target, f"{folder}/to_{name}")
+    story: Story = [tried(on.os.symlink, "x", f"{folder}/in"), tried(on.os.mkfifo, f"{folder}/to_nothing")]
+    for name in ("to_file", "to_in", "to_nothing", "in", "to_in/file"):
+        for flags in (os.O_RDONLY, os.O_WRONLY, os.O_NOFOLLOW, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW):
+            found = tried(on.os.open, f"{folder}/{name}", flags)
+            story += [found if isinstance(found, str) else on.os.close(found)]
+        story += [oct(on.os.lstat(f"{folder}/{name}").st_mode >> 12), on.os.path.exists(f"{folder}/{name}")]
+    story += [
+        tried(on.os.rmdir, f"{folder}/in"),
+        tried(on.os.rmdir, f"{folder}/to_in"),
+        tried(on.os.unlink, f"{folder}/in"),
+    ]
+    on.os.unlink(f"{folder}/to_file")
+    return [*story, on.os.path.exists(f"{folder}/in/file"), on.os.path.lexists(f"{folder}/to_nothing")]
+
+
+def what_is_made_has_the_mode_that_the_mask_leaves(on: System, folder: str) -> Story:
+    story: Story = []
+    for mask in (0o027, 0o777, 0o022):
+        on.os.umask(mask)
+        on.os.close(on.os.open(f"{folder}/file{mask}", os.O_RDWR | os.O_CREAT, 0o666))
+        on.os.mkdir(f"{folder}/in{mask}", 0o777)
+        on.os.mkfifo(f"{folder}/pipe{mask}", 0o666)
+        story += [oct(on.os.lstat(f"{folder}/{name}{mask}").st_mode) for name in ("file", "in", "pipe")]
+        on.os.chmod(f"{folder}/file{mask}", 0o1622)
+        story += [oct(on.os.stat(f"{folder}/file{mask}").st_mode), on.os.umask(0o022)]
+    return story
+
+
 PROGRAMS = (
+    a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
     an_eventfd_counts,
     an_epoll_set_tells_of_levels_and_edges,
     a_closed_pipe_hangs_up_in_an_epoll_set,
+    what_a_poll_has_forgotten_it_tells_of_no_more,
     record_locks_belong_to_the_open_file,
     a_whole_files_lock_is_shared_by_its_copies,
     a_descriptor_goes_through_a_socket,
     files_have_names_and_bytes,
     a_map_is_the_file,
+    links_are_followed_unless_told_otherwise,
+    what_is_made_has_the_mode_that_the_mask_leaves,
 )
 
 
@@ -179,6 +231,7 @@ def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_p
 
     real = SimpleNamespace(os=os, select=select, fcntl=fcntl, socket=_socket, mmap=mmap)
     robot = Robot()
+    robot.machine.programs["sh"] = lambda process, argv: robot.machine.block()
     modules = robot.loader.system
     simulated = SimpleNamespace(
         **{name: modules[name] for name in ("os", "select", "fcntl", "mmap")}, socket=modules["_socket"]

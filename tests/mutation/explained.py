@@ -306,4 +306,11 @@ SUPERVISOR = (
     Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
-REASONS = (*EVERYWHERE, *PROCS, *TELEMETRY, *SHM, *SUPERVISOR)
+ARM = (
+    Reason("policy/capsules.py", r"\+.* if whole > 0\.0 else 1\.0", "any share of nothing will do"),
+    Reason("procs/gate/arm/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
+    Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
+    Reason("procs/gate/arm/core.py", r"\+.*measured_ns <= journey", "nothing is read in the turn that begins to read"),
+)
+
+REASONS = (*EVERYWHERE, *PROCS, *ARM, *TELEMETRY, *SHM, *SUPERVISOR)

@@ -21,11 +21,8 @@ ROOMS = {
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "arm": Room(
-        (
-            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints")),
-            "policy/capsules.py",
-        ),
-        ("tests/procs/test_gate_arm*.py",),
+        ("procs/gate/arm/*.py", "policy/capsules.py"),
+        ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
     ),
     "port_owner": Room(
         ("procs/peer.py", "procs/port_owner/*.py"),
@@ -34,7 +31,7 @@ ROOMS = {
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
             "tests/procs/test_suspend.py",
-            "tests/procs/test_wire.py",
+            "tests/procs/test_wire*.py",
         ),
     ),
     "telemetry": Room(
@@ -53,7 +50,6 @@ ROOMS = {
             "tests/arm/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_memory.py",
-            "tests/procs/test_durable.py",
             "tests/procs/test_gate_halts.py",
             "tests/procs/test_gate_remarks.py",
             "tests/shm/test_[!npst]*.py",

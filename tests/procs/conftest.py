@@ -7,6 +7,8 @@ import pytest
 from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 
+from .arm_bench import ArmBench
+from .arm_notes import Make
 from .client_side import Service
 from .gate_bench import Gate
 
@@ -43,4 +45,22 @@ def arm_scene() -> Scene:
     """The process at work, with an arm whose joints it has read."""
     made = Scene(ARM)
     made.run(0.4)
+    return made
+
+
+@pytest.fixture
+def arm_bench() -> ArmBench:
+    """The arm's core alone, with servos whose places it has read."""
+    return ArmBench().known()
+
+
+@pytest.fixture
+def arm_with() -> Make:
+    """A scene with other settings, whose joints have been read."""
+
+    def made(**changed: object) -> Scene:
+        scene = Scene({**ARM, **{key.replace("__", "."): value for key, value in changed.items()}})
+        scene.run(0.4)
+        return scene
+
     return made

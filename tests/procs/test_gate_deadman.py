@@ -6,7 +6,8 @@ from math import inf, nan
 
 import pytest
 
-from failstop.policy.settings import SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import STILL
 
 from .gate_bench import MS, Gate, stands

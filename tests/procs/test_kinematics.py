@@ -83,10 +83,13 @@ def test_differential_by_name() -> None:
     assert chosen.wheels_rps(0.2, 0.0, 1.0) == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
 
 
-def test_a_layout_without_kinematics_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Settings, "text", lambda self, key: "tracks")
+def test_a_layout_without_kinematics_is_refused_by_name() -> None:
+    class Tracks(Settings):
+        def text(self, key: str) -> str:
+            return "tracks"
+
     with pytest.raises(ValueError, match=r"wheels\.layout = 'tracks'"):
-        kinematics.from_settings(Settings())
+        kinematics.from_settings(Tracks())
 
 
 TWO_SIDED = differential(DIAMETER_M, TRACK_M)

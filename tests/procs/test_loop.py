@@ -8,12 +8,11 @@ import resource
 import time
 import tty
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
 from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
-from failstop.procs.world import World
+from tests.support.stage import PortMachine
 
 LATER_NS = 20_000_000_000
 
@@ -26,8 +25,8 @@ def pipe() -> Iterator[tuple[int, int]]:
         os.close(fd)
 
 
-def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
-    loop = Loop(World())
+def test_a_wait_returns_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
+    loop = Loop()
     loop.watch(pipe[0], READ)
     assert loop.wait(0) == {}
     os.write(pipe[1], b"x")
@@ -38,20 +37,20 @@ def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
 
 
 def test_a_time_that_is_over_returns_at_once(pipe: tuple[int, int]) -> None:
-    loop = Loop(World())
+    loop = Loop()
     loop.watch(pipe[0], READ)
     assert loop.wait(-LATER_NS) == {}
 
 
-def test_waits_until_the_time_and_no_shorter() -> None:
-    loop = Loop(World())
+def test_a_wait_takes_until_its_time_and_no_shorter() -> None:
+    loop = Loop()
     until_ns = time.monotonic_ns() + 2_000_000
     assert loop.wait(2_000_000) == {}
     assert time.monotonic_ns() >= until_ns
 
 
 def test_time_outs_are_finer_than_a_millisecond() -> None:
-    loop = Loop(World())
+    loop = Loop()
     shortest_ns = LATER_NS
     for _ in range(200):
         start_ns = time.monotonic_ns()
@@ -61,7 +60,7 @@ def test_time_outs_are_finer_than_a_millisecond() -> None:
 
 
 def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
-    loop = Loop(World())
+    loop = Loop()
     loop.watch(pipe[1], READ)
     assert loop.wait(0) == {}
     loop.watch(pipe[1], READ | WRITE)
@@ -70,8 +69,8 @@ def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
     assert loop.wait(0) == {}
 
 
-def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
-    loop = Loop(World())
+def test_at_the_edge_a_wait_tells_of_new_bytes_alone(pipe: tuple[int, int]) -> None:
+    loop = Loop()
     os.write(pipe[1], b"x")
     loop.watch(pipe[0], READ | EDGE)
     assert loop.wait(0) == {pipe[0]: READ}, "what was there before counts as new"
@@ -82,7 +81,7 @@ def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
 def test_a_wait_is_one_sleep(longest_ns: int) -> None:
-    loop = Loop(World())
+    loop = Loop()
     loop.timer().set(NEVER)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
     assert loop.wait(longest_ns) == {}
@@ -90,7 +89,7 @@ def test_a_wait_is_one_sleep(longest_ns: int) -> None:
 
 
 def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
-    loop = Loop(World())
+    loop = Loop()
     start_ns = time.monotonic_ns()
     loop.timer().set(start_ns + LATER_NS)
     assert loop.wait(20_000_000) == {}
@@ -98,7 +97,7 @@ def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
 
 
 def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
-    loop = Loop(World())
+    loop = Loop()
     loop.watch(pipe[0], READ)
     os.write(pipe[1], b"x")
     loop.forget(pipe[0])
@@ -110,7 +109,7 @@ def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
 def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
-    loop = Loop(World())
+    loop = Loop()
     loop.watch(slave, HANGUP)
     os.write(master, b"telemetry")
     assert loop.wait(5_000_000) == {}
@@ -121,7 +120,7 @@ def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
 
 
 def test_the_first_timer_ends_the_wait() -> None:
-    loop = Loop(World())
+    loop = Loop()
     timers = [loop.timer() for _ in range(3)]
     assert [timer.ns for timer in timers] == [NEVER] * 3
     until_ns = time.monotonic_ns() + 2_000_000
@@ -134,24 +133,16 @@ def test_the_first_timer_ends_the_wait() -> None:
     assert time.monotonic_ns() - start_ns < LATER_NS
 
 
-@pytest.mark.parametrize(
-    ("timers", "waits"), [((), [5]), ((103, 104), [3]), ((NEVER, 106), [5]), ((100,), []), ((99,), [])]
-)
-def test_how_long_it_waits(timers: tuple[int, ...], waits: list[int]) -> None:
-    waited_ns = []
-
-    def nothing_comes(*given: Any) -> Any:
-        waited_ns.append(round(given[3] * 1e9))
-        return [], [], []
-
-    world = World(now_ns=lambda: 100)
-    world.select = nothing_comes
-    loop = Loop(world)
-    for ns in timers:
+@pytest.mark.parametrize(("timers", "waited_ns"), [((), 5), ((3, 4), 3), ((NEVER, 6), 5), ((0,), 0), ((-1,), 0)])
+def test_the_loop_waits_for_the_first_timer_or_the_longest_time(timers: tuple[int, ...], waited_ns: int) -> None:
+    machine = PortMachine()
+    loop, begun_ns = machine.load("failstop.procs.loop").Loop(), machine.clock()
+    due_ns = [min(NEVER, begun_ns + ns) for ns in timers]
+    for ns in due_ns:
         loop.timer().set(ns)
     assert loop.wait(5) == {}
-    assert waited_ns == waits
-    assert loop.due_ns() == min(timers, default=NEVER)
+    assert machine.clock() - begun_ns == waited_ns
+    assert loop.due_ns() == min(due_ns, default=NEVER)
 
 
 def test_a_timer_is_due_from_its_time_on_and_taken_once() -> None:
@@ -163,7 +154,7 @@ def test_a_timer_is_due_from_its_time_on_and_taken_once() -> None:
     assert timer.ns == NEVER
 
 
-def test_one_after_the_other() -> None:
+def test_a_timer_takes_one_time_after_the_other() -> None:
     timer = Timer()
     timer.set(10, 20, 30)
     assert [timer.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]

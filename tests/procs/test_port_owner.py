@@ -2,72 +2,52 @@
 
 from __future__ import annotations
 
-import select
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
-from failstop.board import codec, interface
+from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import BY_NAME
-from failstop.procs.port_owner import main
-from failstop.procs.port_owner import wire as wire_module
-from failstop.procs.world import World
 from failstop.shm import box, layout, records
-from tests.support.port_scene import MOTION, SLOWER, TICK, Kernel, Scene
+from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def scene() -> Scene:
+    return Scene()
 
 
 # Start.
 
 
 def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> None:
-    assert scene.pty.read() == BURST
+    assert scene.wire.read() == BURST
     assert scene.word("stopped_epoch") == 1
     assert scene.word("written_ns") == scene.clock()
     assert scene.port_state() == records.PORT_OPEN
 
 
-def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = Scene(tmp_path, monkeypatch, open_port=False)
+def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops() -> None:
+    scene = Scene(open_port=False)
     assert scene.port_state() == records.PORT_LOST
     assert scene.turn(MS) == b"", "it opens none itself"
-    scene.control.send(scene.pty.slave, 2, "/dev/other")
+    scene.send_port(scene.wire, 2)
     assert scene.turn() == BURST
     assert scene.port_state() == records.PORT_OPEN
-    assert scene.port() == (2, "/dev/other")
+    assert scene.port() == (2, scene.wire.link)
     assert scene.reasons() == []
-    scene.close()
 
 
-def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(main, "Wire", unplugged_first)
-    scene = Scene(tmp_path, monkeypatch)
+def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost() -> None:
+    scene = Scene(before=lambda scene: scene.wire.unplug())
     scene.turn()
     assert scene.reasons() == ["device lost"]
     assert scene.port_state() == records.PORT_LOST
-    scene.close()
-
-
-def unplugged_first(fd: int, *_: object) -> wire_module.Wire:
-    made = wire_module.Wire(fd, World())
-    made.lost = True
-    return made
 
 
 def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene: Scene) -> None:
@@ -81,20 +61,17 @@ def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_gate_down
     assert scene.early.dying[scene.gate.pid] == BY_NAME[layout.GATE].priority
 
 
-def test_what_comes_while_it_looks_wakes_it_again(scene: Scene) -> None:
-    """A key that is pressed just after the keys were looked at: its bell is not taken for one of before."""
-    buttons = scene.owner._causes
-
-    class Pressed:
-        def next(self) -> object:
-            found = buttons.next()
-            scene.bell("bell").ring()
-            return found
-
-    scene.owner._causes = Pressed()  # type: ignore[assignment]
-    scene.bell("bell").ring()
+def test_a_key_that_rings_before_the_bell_is_cleared_is_heard_in_the_same_turn(scene: Scene) -> None:
+    """Its bell is not taken for one of before."""
     scene.turn()
-    assert select.select([scene.bell("bell").fd], [], [], 0)[0]
+
+    def press() -> None:
+        scene.views[layout.TELEMETRY].ring_writer("causes").put(causes.KEY(1).pack())
+        scene.bell("bell").ring()
+
+    scene.bell("bell").ring()
+    scene.at_next("read", press)
+    assert scene.answer() == (BURST, ["key1"])
 
 
 def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
@@ -108,29 +85,20 @@ def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
     for pid in (scene.gate.pid, scene.supervisor.pid):
         scene.turn()
-        scene.pty.read()
+        scene.wire.read()
         scene.early.tell(pid)
-        assert scene.pty.read() == BOARD.first_stop
+        assert scene.wire.read() == BOARD.first_stop
         assert scene.turn() == BURST
 
 
 def test_no_motion_follows_an_early_stop_that_comes_in_mid_turn(scene: Scene) -> None:
     """Deaths have been looked at in this turn, and the frame is good."""
-    frames = scene.owner._frames
-
-    class Dying:
-        def next(self) -> object:
-            scene.early.tell(scene.gate.pid)
-            scene.owner._frames = frames
-            return frames.next()
-
     scene.drive()
     scene.put(SLOWER)
-    scene.owner._frames = Dying()  # type: ignore[assignment]
+    scene.at_next("ioctl", lambda: scene.early.tell(scene.gate.pid))
     assert scene.turn() == BOARD.first_stop
     scene.put(SLOWER)
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gate died"]
+    assert scene.answer() == (BURST, ["gate died"])
 
 
 # Motion.
@@ -138,22 +106,19 @@ def test_no_motion_follows_an_early_stop_that_comes_in_mid_turn(scene: Scene) ->
 
 def test_a_good_frame_is_written(scene: Scene) -> None:
     scene.drive()
-    scene.put(SLOWER)
-    assert scene.turn(TICK) == SLOWER
+    assert scene.forward(SLOWER, elapsed_ns=TICK) == SLOWER
 
 
-def test_of_several_the_newest_is_written(scene: Scene) -> None:
+def test_of_several_frames_the_newest_is_written(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION)
-    scene.put(SLOWER)
-    assert scene.turn() == SLOWER
+    assert scene.forward(SLOWER) == SLOWER
 
 
 def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene: Scene) -> None:
     scene.drive()
     scene.put(MOTION)
-    scene.put(b"disabled", kind=records.STOP)
-    assert scene.turn() == BURST
+    assert scene.forward(b"disabled", kind=records.STOP) == BURST
     assert not scene.owner.admission.wheels_move
     scene.put(b"disabled", kind=records.STOP)
     scene.put(SLOWER)
@@ -166,38 +131,31 @@ def test_stops_of_the_gate_do_not_flood_the_wire(scene: Scene) -> None:
     for _ in range(50):
         scene.put(b"disabled", kind=records.STOP)
     assert scene.turn() == BURST
-    scene.put(b"disabled", kind=records.STOP)
-    assert scene.turn(TICK - MS) == b""
-    scene.put(SLOWER)
-    assert scene.turn() == SLOWER
-    scene.put(b"disabled", kind=records.STOP)
-    assert scene.turn() == BURST, "at once when something moves"
+    assert scene.forward(b"disabled", kind=records.STOP, elapsed_ns=TICK - MS) == b""
+    assert scene.forward(SLOWER) == SLOWER
+    assert scene.forward(b"disabled", kind=records.STOP) == BURST, "at once when something moves"
 
 
 @pytest.mark.parametrize("age_ms", [60, 61, 5_000])
 def test_a_late_frame_is_dropped(scene: Scene, age_ms: int) -> None:
     scene.turn()
     scene.put(age_ns=age_ms * MS)
-    assert scene.turn() == b""
-    assert scene.reasons() == []
+    assert scene.answer() == (b"", [])
 
 
 def test_to_stand_still_is_never_too_late(scene: Scene) -> None:
     scene.drive()
-    scene.put(BOARD.stop, age_ns=75 * MS)
-    assert scene.turn() == BURST
+    assert scene.forward(BOARD.stop, age_ns=75 * MS) == BURST
     assert not scene.owner.admission.wheels_move
     assert scene.reasons() == []
-    scene.put(SLOWER)
-    assert scene.turn() == SLOWER, "and nothing is latched by it"
+    assert scene.forward(SLOWER) == SLOWER, "and nothing is latched by it"
 
 
 @pytest.mark.parametrize("epoch", [0, 2, 2**64 - 1])
 def test_a_frame_of_another_epoch_is_dropped(scene: Scene, epoch: int) -> None:
     scene.turn()
     scene.put(epoch=epoch)
-    assert scene.turn() == b""
-    assert scene.reasons() == []
+    assert scene.answer() == (b"", [])
 
 
 @pytest.mark.parametrize(
@@ -210,8 +168,7 @@ def test_a_frame_of_another_epoch_is_dropped(scene: Scene, epoch: int) -> None:
 )
 def test_content_that_may_not_be_is_a_stop(scene: Scene, frame: bytes, reason: str) -> None:
     scene.drive()
-    scene.put(frame)
-    assert scene.turn() == BURST
+    assert scene.forward(frame) == BURST
     assert scene.reasons()[0].startswith(f"the gate's frame was refused: {reason}")
 
 
@@ -219,10 +176,8 @@ def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_
     scene.turn()
     rps = kinematics.max_wheel_rps(scene.settings)
     fastest, faster = (codec.motor_speeds((factor * rps, 0.0, 0.0, -rps), 60.0) for factor in (1.0, 1.01))
-    scene.put(fastest)
-    assert scene.turn() == fastest
-    scene.put(faster)
-    assert scene.turn() == BURST
+    assert scene.forward(fastest) == fastest
+    assert scene.forward(faster) == BURST
     assert scene.reasons()[0].startswith("the gate's frame was refused: wheel 0 at ")
 
 
@@ -230,26 +185,22 @@ def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION, kind=records.OTHER)
     scene.put(encoders.motor_stop_mask(15), kind=records.OTHER)
-    scene.put(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER)
-    assert scene.turn() == codec.buzzer(1400, 100, 100, 1)
+    assert scene.forward(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER) == codec.buzzer(1400, 100, 100, 1)
 
 
-def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene) -> None:
     scene.drive()
-    scene.world.play("unsent_bytes", lambda fd: 27)
+    scene.wire.port.under_way = 27
     beep = codec.buzzer(1400, 100, 100, 1)
-    scene.put(beep, kind=records.OTHER)
-    assert scene.turn() == beep
+    assert scene.forward(beep, kind=records.OTHER) == beep
 
 
-def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene) -> None:
     """Else the wheels would turn on until the gate's next refresh, 0.2 s later."""
     scene.drive()
-    scene.world.play("unsent_bytes", lambda fd: 27)
-    scene.put(SLOWER)
-    assert scene.turn() == b""
-    scene.put(codec.STOP)
-    assert scene.turn() == BURST
+    scene.wire.port.under_way = 27
+    assert scene.forward(SLOWER) == b""
+    assert scene.forward(codec.STOP) == BURST
 
 
 # Its own stops, and the epoch.
@@ -259,30 +210,27 @@ def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"red button\n")
     scene.put()
+    asked_ns = scene.clock()
     assert scene.turn() == BURST
-    assert scene.causes() == [(1, scene.clock(), "stop request: red button")]
-    scene.put()
-    assert scene.turn() == b""
+    assert scene.causes() == [(1, asked_ns, "stop request: red button")], "written before it gave way"
+    assert scene.forward() == b""
     scene.raise_epoch(2)
     scene.put(epoch=1)
-    scene.put(epoch=2)
-    assert scene.turn() == MOTION, "no second burst: the epoch was raised for the stop it had made"
+    assert scene.forward(epoch=2) == MOTION, "no second burst: the epoch was raised for the stop it had made"
     assert scene.word("stopped_epoch") == 2
 
 
 def test_a_raised_epoch_is_a_stop_before_anything_of_the_new_one_moves(scene: Scene) -> None:
     scene.drive()
     scene.raise_epoch(2)
-    scene.put(epoch=2)
-    assert scene.turn() == BURST + MOTION
+    assert scene.forward(epoch=2) == BURST + MOTION
     assert scene.word("stopped_epoch") == 2
 
 
 def test_an_epoch_raised_twice_at_once_is_one_stop(scene: Scene) -> None:
     scene.drive()
     scene.raise_epoch(5)
-    scene.put(epoch=1)
-    assert scene.turn() == BURST
+    assert scene.forward(epoch=1) == BURST
     assert scene.word("stopped_epoch") == 5
 
 
@@ -290,12 +238,10 @@ def test_a_stop_in_an_epoch_not_seen_yet_refuses_that_one_too(scene: Scene) -> N
     scene.drive()
     scene.raise_epoch(2)
     scene.ask_to_stop(b"x")
-    scene.put(epoch=2)
-    assert scene.turn() == BURST
+    assert scene.forward(epoch=2) == BURST
     assert scene.causes()[0][0] == 2
     scene.raise_epoch(3)
-    scene.put(epoch=3)
-    assert scene.turn() == MOTION
+    assert scene.forward(epoch=3) == MOTION
 
 
 def test_a_cause_after_motion_in_the_new_epoch_is_answered_anew(scene: Scene) -> None:
@@ -303,229 +249,72 @@ def test_a_cause_after_motion_in_the_new_epoch_is_answered_anew(scene: Scene) ->
     scene.ask_to_stop(b"x")
     scene.turn()
     scene.raise_epoch(2)
-    scene.put(epoch=2)
-    assert scene.turn() == MOTION
+    assert scene.forward(epoch=2) == MOTION
     scene.raise_epoch(3)
     assert scene.turn() == BURST
 
 
-def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene) -> None:
     scene.drive()
-
-    def raised_meanwhile(frame: bytes, max_rps: float) -> str:
-        scene.raise_epoch(2)
-        return ""
-
-    monkeypatch.setattr(interface.Board, "check_motion", staticmethod(raised_meanwhile))
-    scene.put()
-    assert scene.turn() == BURST
+    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
+    assert scene.forward() == BURST
 
 
-def test_it_says_that_it_moves_before_it_looks_at_the_epoch_for_the_last_time(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whoever raises the epoch and then reads that nothing moves may take it that nothing will."""
+def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene: Scene) -> None:
+    """That the epoch is looked at in between is in test_pairs.py."""
     scene.turn()
     assert scene.word("moving") == 0, "the first burst has been written"
-    order: list[str] = []
-    real_get, real_frame = scene.owner._epoch_word.get, wire_module.Wire.frame
-
-    class Epoch:
-        def get(self) -> int:
-            order.append(f"epoch, moving {scene.word('moving')}")
-            return real_get()
-
-    monkeypatch.setattr(scene.owner, "_epoch_word", Epoch())
-
-    def frame(wire: wire_module.Wire, data: bytes, backlog: int = 0) -> bool:
-        order.append("write")
-        return real_frame(wire, data, backlog)
-
-    monkeypatch.setattr(wire_module.Wire, "frame", frame)
-    scene.put()
-    assert scene.turn() == MOTION
-    assert order[order.index("write") - 1] == "epoch, moving 1"
+    moving = []
+    scene.wire.on_bytes = lambda data: moving.append(scene.word("moving"))
+    assert scene.forward() == MOTION
+    assert moving[0] == 1
     assert scene.word("moving") == 1
     scene.raise_epoch(2)
     assert scene.turn() == BURST
     assert scene.word("moving") == 0
 
 
-def test_held_up_between_saying_that_it_moves_and_before_it_writes_nothing_old(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The machine may starve it for seconds there, and nobody kills it for that."""
+def pass_time(scene: Scene, ns: int) -> None:
+    scene.clock.now_ns += ns
+
+
+def test_held_up_behind_its_look_at_the_time_it_writes_nothing_old(scene: Scene) -> None:
+    """The machine may starve it for seconds there, and nobody kills it for that. While the pipe rests it looks into it
+    before each frame."""
+    scene.ask_to_stop(b"x")
     scene.turn()
-
-    class Held:
-        def set(self, value: int) -> None:
-            scene.clock.now_ns += 60 * MS * value
-
-    monkeypatch.setattr(scene.owner, "_moving_word", Held())
-    scene.put()
+    scene.raise_epoch(2)
+    scene.turn()
+    scene.put(epoch=2)
+    scene.at_next("select", lambda: pass_time(scene, 60 * MS))
     assert scene.turn() == BURST
     assert not scene.owner.admission.wheels_move
 
 
-def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene) -> None:
     scene.drive()
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
+    scene.wire.port.takes(100)
     scene.raise_epoch(2)
     scene.turn()
     assert scene.word("moving") == 1
-    kernel.room = None
+    scene.wire.port.takes()
     scene.raise_epoch(3)
     scene.turn()
     assert scene.word("moving") == 0
-
-
-class Slow:
-    """A ring whose reader is held up, as by SIGSTOP, after it has read an entry."""
-
-    def __init__(self, scene: Scene, held_up_ns: int) -> None:
-        self._next = scene.owner._frames.next
-        self._scene = scene
-        self._held_up_ns = held_up_ns
-
-    def next(self) -> tuple[int, int, bytes] | None:
-        entry = self._next()
-        if entry:
-            self._scene.clock.now_ns += self._held_up_ns
-        return entry
 
 
 def test_held_up_between_waking_and_writing_it_writes_nothing_old(scene: Scene) -> None:
     scene.drive()
     scene.put()
-    scene.owner._frames = Slow(scene, 100 * MS)  # type: ignore[assignment]
+    scene.at_next("ioctl", lambda: pass_time(scene, 100 * MS))
     assert scene.turn() == b""
-    assert scene.turn(alive=False) == BURST
-    assert scene.reasons() == ["gate hangs: 100 ms silent"]
-
-
-# Stop requests.
-
-
-@pytest.mark.parametrize(
-    ("message", "reason"),
-    [
-        (b"obstacle\n", "stop request: obstacle"),
-        (b"first\nsecond\n", "stop request: first"),
-        (b"\n", "stop request"),
-        (b"\tnav\t3\n", "stop request (nav, pid 3)"),
-        (b"obstacle\tnav\t3\n", "stop request: obstacle (nav, pid 3)"),
-        (b"obstacle\tnav\tx\n", "stop request: obstacle?nav?x"),
-        (b"gate died\n", "stop request: gate died"),
-        (b"\0", "stop request: ?"),
-        (b"\xff\xfe\x1b[31m", "stop request: \ufffd\ufffd?[31m"),
-        (b"no end of line", "stop request: no end of line"),
-    ],
-)
-def test_any_bytes_are_a_stop(scene: Scene, message: bytes, reason: str) -> None:
-    scene.drive()
-    scene.ask_to_stop(message)
-    assert scene.turn() == BURST
-    assert scene.reasons() == [reason]
-    assert scene.turn() == b"", "the pipe is empty again"
-
-
-def test_a_full_pipe_of_garbage_is_a_stop(scene: Scene) -> None:
-    scene.drive()
-    for _ in range(16):
-        scene.ask_to_stop(b"\xfe" * 4096)
-    assert scene.turn() == BURST
-    reasons = scene.reasons()
-    assert len(reasons) == 1
-    assert len(reasons[0].removeprefix("stop request: ").encode()) <= causes.ROOM
-
-
-def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"first\n")
-    assert scene.turn() == BURST
-    bursts = 0
-    for _ in range(100):
-        scene.ask_to_stop(b"again\n")
-        bursts += scene.turn(MS).count(BURST)
-    assert 5 <= bursts <= 12
-    assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
-    assert scene.next_ns() > scene.clock()
-
-
-def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(scene: Scene) -> None:
-    scene.pty.read()
-    scene.ask_to_stop(b"first\n")
-    assert scene.turn() == BURST
-    scene.ask_to_stop(b"second\n")
-    assert scene.turn(MS) == b""
-    assert scene.reasons() == ["stop request: first"]
-
-
-def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"first\n")
-    scene.turn()
-    scene.owned(layout.TELEMETRY).ring_writer("causes").put(causes.KEY(1).pack())
-    scene.ask_to_stop(b"second\n")
-    scene.turn(10 * MS)
-    assert scene.next_ns() == scene.clock() + 10 * MS
-    scene.turn(10 * MS)
-    scene.turn()
-    assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
-
-
-def test_a_request_within_a_flood_stops_before_any_motion(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"first\n")
-    scene.turn()
-    scene.raise_epoch(2)
-    scene.ask_to_stop(b"second\n")
-    scene.put(epoch=2)
-    assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["stop request: first", "stop request: second"]
-
-
-def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"first\n")
-    scene.turn()
-    scene.raise_epoch(2)
-    scene.put(epoch=2)
-    assert scene.turn(MS) == MOTION
-    scene.ask_to_stop(b"second\n")
-    assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["stop request: first", "stop request: second"]
-
-
-# Buttons and keys, which telemetry has seen.
-
-
-def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
-    scene.drive()
-    buttons = scene.owned(layout.TELEMETRY).ring_writer("causes")
-    buttons.put(causes.BUTTON(0x0100).pack())
-    scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gamepad button 0x0100"]
-    scene.put()
-    assert scene.turn() == b"", "until the supervisor has raised the epoch"
-    buttons.put(b"\xff\xff")
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["stopped by the supervisor"], "whatever it is"
-
-
-def test_nobody_else_can_press_a_button(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"gamepad button 0x0100\n")
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["stop request: gamepad button 0x0100"]
+    assert scene.answer(alive=False) == (BURST, ["gate hangs: 100 ms silent"])
 
 
 # While stopped.
 
 
-def test_bursts_again_and_zero_frames_while_stopped(scene: Scene) -> None:
+def test_bursts_and_zero_frames_go_out_while_it_is_stopped(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"x")
     assert scene.turn() == BURST
@@ -545,12 +334,11 @@ def test_a_gate_that_beats_but_sends_nothing_is_a_cause(scene: Scene) -> None:
     for _ in range(20):
         scene.turn(20 * MS)
     assert scene.reasons() == []
-    assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["gate beats but sends nothing: 401 ms"]
+    assert scene.answer(MS) == (BURST, ["gate beats but sends nothing: 401 ms"])
     assert scene.turn(MS) == b""
 
 
-def test_it_wakes_just_when_the_gate_has_sent_nothing_for_too_long_and_not_at_the_tick_after(scene: Scene) -> None:
+def test_it_wakes_just_when_the_gate_has_sent_nothing_for_too_long(scene: Scene) -> None:
     for _ in range(60):  # the quick pings of the start are over then
         scene.turn(10 * MS)
     scene.drive()
@@ -558,8 +346,7 @@ def test_it_wakes_just_when_the_gate_has_sent_nothing_for_too_long_and_not_at_th
         scene.turn(10 * MS)
     assert scene.next_ns() == scene.clock() + 10 * MS + 1
     assert scene.turn(10 * MS) == b""
-    assert scene.turn(1) == BURST
-    assert scene.reasons() == ["gate beats but sends nothing: 400 ms"]
+    assert scene.answer(1) == (BURST, ["gate beats but sends nothing: 400 ms"])
 
 
 def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
@@ -576,26 +363,21 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
 # The black box.
 
 
-def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
-    scene = Scene(tmp_path, monkeypatch)
+def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take() -> None:
+    scene = Scene(before=lambda scene: scene.wire.port.takes(100))
     assert scene.kept() == [(box.BURST, len(BURST), 100)], "the first burst, which was written before"
     scene.turn()
-    kernel.room = None
+    scene.wire.port.takes()
     scene.turn()
     assert scene.kept() == [(box.REST, len(BURST) - 100, len(BURST) - 100)]
     scene.put()
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(MOTION), len(MOTION))]
-    scene.world.play("unsent_bytes", lambda fd: len(MOTION))
+    scene.wire.port.under_way = len(MOTION)
     scene.put(SLOWER)
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]
-    kernel.room = 50
+    scene.wire.port.takes(50)
     scene.ask_to_stop(b"x")
     scene.turn()
     assert scene.kept() == [(box.BURST, len(BURST), 50)], "a stop is told from the rest of one"
-    scene.close()

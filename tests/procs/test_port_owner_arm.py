@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
 import pytest
 
@@ -12,8 +10,8 @@ from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.procs.port_owner.admission import MOST_WAITING
-from failstop.shm import layout, records
-from tests.support.port_scene import MOTION, Kernel, Scene
+from failstop.shm import records
+from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
@@ -23,36 +21,22 @@ TWO = bus_servo_move([(1, 500), (2, 600)], 40)
 READ = bus_servo_read(1, servos.POSITION)
 
 
-class ArmScene(Scene):
+ARM: dict[str, Any] = {f"joints.j{servo}.servo": servo for servo in IDS}
+
+
+@pytest.fixture
+def scene() -> Scene:
     """The port owner of a robot with an arm."""
-
-    changed: ClassVar[dict[str, object]] = {f"joints.j{servo}.servo": servo for servo in IDS}
-
-
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = ArmScene(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def armless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+    return Scene(**ARM)
 
 
 def arm(scene: Scene, frame: bytes = MOVE, *, epoch: int = 1, age_ns: int = 0) -> bytes:
-    scene.put(frame, epoch=epoch, age_ns=age_ns, kind=records.ARM)
-    return scene.turn()
+    return scene.forward(frame, epoch=epoch, age_ns=age_ns, kind=records.ARM)
 
 
 def settle(scene: Scene) -> None:
-    scene.turn()
-    scene.turn(25 * MS)
-    scene.turn(100 * MS)
-    scene.turn(100 * MS)
+    for ms in (0, 25, 100, 100):
+        scene.turn(ms * MS)
 
 
 def test_the_first_bytes_stop_the_arm_too(scene: Scene) -> None:
@@ -63,30 +47,26 @@ def test_a_move_goes_out_and_a_stop_ends_it(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert scene.word("moving") == 0
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn(5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
 
 
-def test_a_stop_of_the_gate_s_soon_after_another_one_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
+def test_a_second_stop_of_the_gate_s_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
     settle(scene)
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"held", kind=records.STOP) == STOP
     assert arm(scene) == MOVE
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn(5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
 
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
     settle(scene)
-    scene.world.play("unsent_bytes", lambda fd: 1)
+    scene.wire.port.under_way = 1
     assert arm(scene) == MOVE
 
 
 def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
     settle(scene)
     scene.put(MOVE, kind=records.ARM)
-    scene.put(b"held", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"held", kind=records.STOP) == STOP
 
 
 @pytest.mark.parametrize("cause", ["pipe", "epoch", "gate", "supervisor"])
@@ -104,7 +84,7 @@ def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
     assert scene.turn(1 * MS) == STOP
 
 
-def test_of_a_dead_epoch_too_old_or_without_a_gate_it_is_dropped(scene: Scene) -> None:
+def test_a_frame_of_a_dead_epoch_or_too_old_is_dropped(scene: Scene) -> None:
     settle(scene)
     assert arm(scene, epoch=0) == b""
     assert arm(scene, age_ns=61 * MS) == b""
@@ -114,7 +94,7 @@ def test_of_a_dead_epoch_too_old_or_without_a_gate_it_is_dropped(scene: Scene) -
     assert arm(scene, epoch=2) == MOVE
 
 
-def test_not_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
+def test_no_frame_goes_out_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
     settle(scene)
     scene.ask_to_stop(b"now\n")
     scene.turn()
@@ -123,12 +103,10 @@ def test_not_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
 
 def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:
     settle(scene)
-    scene.put()
-    assert scene.turn() == MOTION
+    assert scene.forward() == MOTION
     for frame in (MOVE, READ, bus_servo_torque(1, on=False)):
         assert arm(scene, frame) == b""
-    scene.put(b"disabled", kind=records.STOP)
-    assert scene.turn() == STOP
+    assert scene.forward(b"disabled", kind=records.STOP) == STOP
     assert arm(scene) == MOVE
 
 
@@ -153,8 +131,7 @@ def test_what_a_stop_would_wait_for_is_bounded_over_frames_and_no_move_is_lost(s
 def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: str) -> None:
     settle(scene)
     scene.put(TWO, kind=records.ARM)
-    scene.put(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0)
-    assert scene.turn() == TWO
+    assert scene.forward(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0) == TWO
     if end == "stop":
         scene.put(b"held", kind=records.STOP)
     elif end == "pipe":
@@ -169,8 +146,7 @@ def test_a_move_that_waits_is_dropped_once_the_wheels_may_turn(scene: Scene) -> 
     settle(scene)
     scene.put(TWO, kind=records.ARM)
     scene.put(TWO, kind=records.ARM)
-    scene.put()
-    assert scene.turn() == TWO + MOTION
+    assert scene.forward() == TWO + MOTION
     assert scene.turn(5 * MS) == b""
 
 
@@ -182,7 +158,7 @@ def test_a_gate_that_floods_is_not_remembered_for_ever(scene: Scene) -> None:
     assert len(scene.owner.bus.waiting) <= MOST_WAITING
 
 
-def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits_for_its_time(scene: Scene) -> None:
+def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert arm(scene, READ) == b""
@@ -215,34 +191,28 @@ def test_a_frame_that_is_none_for_this_arm_stops(scene: Scene, frame: bytes) -> 
     assert [reason.partition(":")[0] for reason in scene.reasons()] == ["the gate's frame was refused"]
 
 
-def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armless: Scene) -> None:
+def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were() -> None:
+    armless = Scene()
     assert armless.turn() == BURST
     settle(armless)
     assert arm(armless) == BURST
     assert armless.reasons() == ["the gate's frame was refused: for the arm, this robot has no arm"]
     for frame in (MOVE, READ, bus_servo_stop([1])):
-        armless.put(frame, epoch=1, kind=records.OTHER)
-    assert armless.turn() == b""
+        assert armless.forward(frame, epoch=1, kind=records.OTHER) == b""
 
 
-def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene) -> None:
     settle(scene)
-    seen = []
-    write = scene.owner.wire.frame
-
-    def frame(data: bytes, backlog: int = 0) -> bool:
-        seen.append(scene.segment(layout.PORT_OWNER).word("moving").get())
-        return write(data, backlog)
-
-    monkeypatch.setattr(type(scene.owner.wire), "frame", lambda _, data, backlog=0: frame(data, backlog))
+    seen: list[int] = []
+    scene.wire.on_bytes = lambda data: seen.append(scene.word("moving"))
     assert arm(scene) == MOVE
-    assert seen[0] == 1
+    assert seen == [1]
     assert scene.word("moving") == 0
 
 
-def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene) -> None:
     settle(scene)
-    Kernel(monkeypatch).room = 5
+    scene.wire.port.takes(5)
     assert arm(scene) == MOVE[:5]
     assert scene.word("moving") == 1
 
@@ -250,21 +220,20 @@ def test_the_word_moving_stays_up_while_a_move_is_half_written(scene: Scene, mon
 def test_the_word_moving_stays_up_when_the_plug_is_pulled_under_a_move(scene: Scene) -> None:
     """Nobody has stopped the servos."""
     settle(scene)
-    scene.pty.unplug()
+    scene.wire.unplug()
     scene.put(MOVE, kind=records.ARM)
     scene.owner.turn({})
     assert scene.reasons() == ["device lost"]
     assert scene.word("moving") == 1
 
 
-def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> None:
     """Only a whole burst does."""
     scene.drive()
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
+    scene.wire.port.takes(100)
     scene.raise_epoch(2)
     scene.turn()
-    kernel.room = None
+    scene.wire.port.takes()
     scene.turn()
     assert arm(scene, epoch=2) == MOVE
     assert scene.word("moving") == 1
@@ -273,7 +242,7 @@ def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene, monkey
     assert scene.word("moving") == 0
 
 
-def test_an_epoch_raised_just_before_the_write_wins(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_epoch_raised_just_before_the_write_wins(scene: Scene) -> None:
     settle(scene)
-    monkeypatch.setattr(scene.owner, "_barrier", lambda: scene.raise_epoch(2))
+    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
     assert arm(scene) == STOP

@@ -3,9 +3,6 @@ does with them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from failstop.board.interface import BOARD
@@ -21,25 +18,24 @@ BEGIN = 5_000 * MS
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    found = Scene(tmp_path, monkeypatch)
-    yield found
-    found.close()
+def scene() -> Scene:
+    return Scene()
 
 
-def test_they_take_their_indices_in_turn() -> None:
-    pings = Pings(4, PERIOD, Timer(), T0, quick=0)
+def test_pings_take_their_indices_in_turn() -> None:
+    due = Timer()
+    pings = Pings(4, PERIOD, due, T0, quick=0)
     found = []
     for turn in range(6):
         assert pings.due(T0 + turn * PERIOD)
         found.append(pings.index)
         pings.sent(T0 + turn * PERIOD)
         assert not pings.due(T0 + (turn + 1) * PERIOD - 1)
-        assert pings._due.ns == T0 + (turn + 1) * PERIOD
+        assert due.ns == T0 + (turn + 1) * PERIOD
     assert found == [0, 1, 2, 3, 0, 1]
 
 
-def test_one_is_due_right_after_a_stop() -> None:
+def test_a_ping_is_due_right_after_a_stop() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.sent(T0)
     pings.stopped(T0 + 200 * MS)
@@ -54,7 +50,7 @@ def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
     assert pings.due(T0 + GAP_NS)
 
 
-def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
+def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
     assert not pings.due(T0 + GAP_NS - 1)
@@ -63,11 +59,12 @@ def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
 
 
 def test_a_board_with_one_ping_is_asked_that() -> None:
-    pings = Pings(1, PERIOD, Timer(), T0, quick=0)
+    due = Timer()
+    pings = Pings(1, PERIOD, due, T0, quick=0)
     assert pings.due(T0)
     pings.sent(T0)
     assert pings.index == 0
-    assert pings._due.ns == T0 + PERIOD
+    assert due.ns == T0 + PERIOD
 
 
 def test_a_board_without_pings_is_never_asked() -> None:
@@ -76,13 +73,14 @@ def test_a_board_without_pings_is_never_asked() -> None:
     assert not pings.due(T0 + PERIOD)
 
 
-def test_the_first_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
-    pings, now_ns = Pings(4, PERIOD, Timer(), T0, quick=2), T0
+def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
+    due, now_ns = Timer(), T0
+    pings = Pings(4, PERIOD, due, T0, quick=2)
     found = []
     for _ in range(5):
         found.append(now_ns - T0)
         pings.sent(now_ns)
-        now_ns = pings._due.ns
+        now_ns = due.ns
     assert found == [0, GAP_NS, 2 * GAP_NS, 2 * GAP_NS + PERIOD, 2 * GAP_NS + 2 * PERIOD]
 
 
@@ -102,13 +100,13 @@ def test_the_port_owner_asks_twice_a_second(scene: Scene) -> None:
     assert scene.asked == [index % 4 for index in range(before + 4)]
 
 
-def test_the_port_owner_asks_after_each_stop(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_port_owner_asks_after_each_stop(scene: Scene) -> None:
     """While the stop is still under way."""
     settled(scene)
     scene.drive()
     scene.turn(100 * MS)
     before = len(scene.asked)
-    scene.world.play("unsent_bytes", lambda fd: len(BOARD.burst))
+    scene.wire.port.under_way = len(BOARD.burst)
     scene.ask_to_stop(b"x")
     scene.turn()
     assert len(scene.asked) == before + 1
@@ -119,7 +117,7 @@ def test_the_port_owner_asks_after_each_stop(scene: Scene, monkeypatch: pytest.M
 def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scene: Scene) -> None:
     scene.turn()
     scene.turn(GAP_NS - 5 * MS)
-    scene.ask_to_stop(b"x")
+    scene.raise_epoch(2)
     scene.turn()
     assert scene.next_ns() == scene.clock() + 5 * MS
     before = len(scene.asked)
@@ -127,55 +125,55 @@ def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scen
     assert len(scene.asked) == before + 1
 
 
-def test_a_board_without_pings_keeps_the_port_owner_no_more_awake(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(type(BOARD), "pings", ())
-    scene = Scene(tmp_path, monkeypatch)
+def without_pings(scene: Scene) -> None:
+    type(scene.load("failstop.board.interface").BOARD).pings = ()
+
+
+def test_a_board_without_pings_keeps_the_port_owner_no_more_awake() -> None:
+    scene = Scene(before=without_pings)
     scene.turn()
     scene.turn()
     assert scene.next_ns() == scene.clock() + TICK
-    scene.close()
 
 
-def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene) -> None:
     scene.turn()
     asked = list(scene.asked)
     words = [scene.word(f"ping_{index}") for index in range(layout.PINGS)]
-    scene.world.play("unsent_bytes", lambda fd: 5000)
+    scene.wire.port.under_way = 5000
     for _ in range(3):
         scene.owner.wire.burst()
     scene.turn(PERIOD)
     assert scene.asked == asked
     assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words
-    scene.world.play("unsent_bytes", lambda fd: 0)
+    scene.wire.port.under_way = 0
     scene.turn(GAP_NS)
     assert len(scene.asked) == len(asked) + 1, "and it is asked again soon"
 
 
-def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene) -> None:
     scene.turn()
-    scene.world.play("unsent_bytes", lambda fd: len(BOARD.pings[0]))
-    scene.put()
-    assert scene.turn(TICK) == MOTION
-    scene.world.play("unsent_bytes", lambda fd: len(BOARD.pings[0]) + 1)
-    scene.put()
-    assert scene.turn(TICK) == b""
+    scene.wire.port.under_way = len(BOARD.pings[0])
+    assert scene.forward(elapsed_ns=TICK) == MOTION
+    scene.wire.port.under_way = len(BOARD.pings[0]) + 1
+    assert scene.forward(elapsed_ns=TICK) == b""
 
 
 def test_a_machine_that_slept_is_stopped_for(scene: Scene) -> None:
     scene.drive()
-    scene.owner.suspend._gained_ns -= 12_300 * MS
+    scene.machine.slept_ns += 12_300 * MS
     assert scene.turn(TICK).startswith(BOARD.burst)
     assert scene.reasons() == ["the machine was suspended for 12.3 s"]
     scene.put()
     assert MOTION not in scene.turn(TICK), "not before a newer epoch"
 
 
-def test_a_sleep_between_the_look_and_the_write_is_stopped_for(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sleep_between_the_look_and_the_write_is_stopped_for(scene: Scene) -> None:
+    def sleep() -> None:
+        scene.machine.slept_ns += 5_000 * MS
+
     scene.drive()
-    slept = iter([0, 5_000 * MS])
-    monkeypatch.setattr(type(scene.owner.suspend), "slept_ns", lambda _self: next(slept))
+    scene.at_next("ioctl", sleep)
     scene.put()
     wrote = scene.turn(TICK)
     assert wrote.startswith(BOARD.burst)
@@ -204,7 +202,7 @@ def repeats() -> Schedule:
     return made
 
 
-def test_after_a_stop(repeats: Schedule) -> None:
+def test_bursts_and_then_zero_frames_follow_a_stop(repeats: Schedule) -> None:
     assert written(repeats, 0, 850) == [(20, BURST), (100, BURST), (200, ZERO), (400, ZERO), (600, ZERO), (800, ZERO)]
 
 
@@ -212,7 +210,7 @@ def test_before_any_stop_zero_frames_go_out() -> None:
     assert written(Schedule(), 0, 450) == [(0, ZERO), (200, ZERO), (400, ZERO)]
 
 
-def test_due_exactly_then_and_once(repeats: Schedule) -> None:
+def test_a_repeat_is_due_exactly_at_its_time_and_once(repeats: Schedule) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
     assert repeats.take(BEGIN + 20 * MS) == BURST
     assert repeats.take(BEGIN + 20 * MS) == 0

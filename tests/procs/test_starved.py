@@ -18,7 +18,7 @@ from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.segment import Segment
-from tests.support.stage import MS, Dummy
+from tests.support.stage import MS
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.alone
@@ -45,7 +45,7 @@ DEADLINE_NS = 100 * MS
         ("RD", 0, False),
     ],
 )
-def test_the_verdict(state: str, ran_ms: float, expected: bool) -> None:
+def test_the_verdict_follows_the_state_and_the_time_run(state: str, ran_ms: float, expected: bool) -> None:
     assert starved.starved(state, round(ran_ms * MS), DEADLINE_NS) is expected
 
 
@@ -85,19 +85,19 @@ def look(own: Segment, pid: int, *, beat_pid: int = 0, deadline_ns: int = DEADLI
     return found, rung
 
 
-def helper(end: contextlib.ExitStack, action: Callable[[], None]) -> Helper:
-    made = Helper(action)
+def helper(end: contextlib.ExitStack, action: Callable[[], None], *keep: int) -> Helper:
+    made = Helper(action, keep)
     end.callback(made.end)
     return made
 
 
-def test_one_that_sleeps_is_rung_for_and_hangs(own: Segment, end: contextlib.ExitStack) -> None:
-    dummy = Dummy()
-    end.callback(dummy.close)
-    assert look(own, dummy.pid) == (False, True)
+def test_a_process_that_sleeps_is_rung_for_and_hangs(own: Segment, end: contextlib.ExitStack) -> None:
+    process = helper(end, signal.pause)
+    until(lambda: state(process.pid) == "S", "its sleep")
+    assert look(own, process.pid) == (False, True)
 
 
-def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: contextlib.ExitStack) -> None:
+def test_a_process_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: contextlib.ExitStack) -> None:
     """Its timer did not wake it; the bell makes it runnable, and it burns what little it needs."""
     waiting, wake = os.pipe()
 
@@ -105,8 +105,7 @@ def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: co
         os.read(waiting, 1)
         spin_for_ever()
 
-    process = Helper(wakes_at_the_bell, keep=(waiting,))
-    end.callback(process.end)
+    process = helper(end, wakes_at_the_bell, waiting)
     until(lambda: state(process.pid) == "S", "its sleep")
 
     class Bell:
@@ -121,7 +120,7 @@ def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: co
     os.close(waiting), os.close(wake)
 
 
-def test_one_that_is_stopped_hangs(own: Segment, end: contextlib.ExitStack) -> None:
+def test_a_process_that_is_stopped_hangs(own: Segment, end: contextlib.ExitStack) -> None:
     process = helper(end, spin_for_ever)
     process.signal(signal.SIGSTOP)
     until(lambda: state(process.pid) == "T", "its stop")
@@ -134,7 +133,7 @@ def test_an_endless_loop_hangs_once_it_has_run_for_half_its_deadline(own: Segmen
     assert look(own, process.pid)[0] is False
 
 
-def test_one_that_others_keep_from_running_is_starved(own: Segment, end: contextlib.ExitStack) -> None:
+def test_a_process_that_others_keep_from_running_is_starved(own: Segment, end: contextlib.ExitStack) -> None:
     process = helper(end, lambda: (os.setsid(), spin_for_ever())[1])
     until(lambda: os.getsid(process.pid) == process.pid, "a session of its own")
     end.enter_context(Starved(process.pid, SHARP))
@@ -152,10 +151,11 @@ def test_what_it_ran_before_its_beat_does_not_count_nor_what_its_predecessor_did
     assert not look(own, process.pid, beat_pid=1, deadline_ns=180 * MS)[0]
 
 
-def test_of_one_that_is_gone_nothing_is_known(own: Segment) -> None:
-    dummy = Dummy()
-    dummy.close()
-    assert look(own, dummy.pid) == (False, False)
+def test_of_a_process_that_is_gone_nothing_is_known(own: Segment) -> None:
+    process = Helper(signal.pause)
+    pid = process.pid
+    process.end()
+    assert look(own, pid) == (False, False)
 
 
 def test_a_beat_tells_the_processor_time(own: Segment) -> None:

@@ -191,7 +191,7 @@ def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None
         lost = records.PORT.pack(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")
         scene.views[layout.PORT_OWNER].latest_writer("port").write(lost)
         scene.turn(MS)
-        assert (scene.stopper._port.fd == -1) is let_go
+        assert (scene.fd("port") not in scene.me.files) is let_go
 
 
 def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
@@ -247,7 +247,7 @@ def test_one_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire, n
     scene.send_port(other, number)
     scene.turn()
     assert scene.open_fds() == before
-    assert scene.stopper._port.fd == scene.fd("port")
+    assert scene.fd("port") in scene.me.files
 
 
 def test_a_port_that_has_gone_is_let_go_at_once(scene: Scene) -> None:
@@ -264,7 +264,7 @@ def test_a_hang_up_met_by_a_write_lets_the_port_go(scene: Scene) -> None:
     fd = scene.fd("port")
     scene.port_owner.kill()
     scene.wire.unplug()
-    scene.stopper.turn({scene.stopper._port_owner.life.fd: 1})  # type: ignore[union-attr]
+    scene.stopper.turn(scene.news_of(scene.port_owner))
     with pytest.raises(OSError, match="Bad file descriptor"):
         scene.os.fstat(fd)
     assert scene.own.word("written_ns").get() == 0
@@ -274,7 +274,6 @@ def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Wire) -> No
     old = scene.fd("port")
     scene.send_port(other, 2)
     scene.turn()
-    assert scene.stopper._port.fd != old
     with pytest.raises(OSError, match="Bad file descriptor"):
         scene.os.fstat(old)
     scene.port_owner.kill()
@@ -306,7 +305,7 @@ def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> 
     scene.control.close()
     scene.turn()
     scene.turn()
-    assert scene.stopper._parent.control.fd not in scene.stopper.loop.wait(0)
+    assert scene.fd("control") not in scene.stopper.loop.wait(0)
 
 
 def test_a_port_owner_that_hangs_is_dead_before_the_burst(scene: Scene) -> None:

@@ -2,44 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
-from failstop.procs.world import SLEPT_NS, SuspendWatch, World, gained_ns
+import pytest
 
-MS = 1_000_000
-
-
-def watch(readings: list[int]) -> SuspendWatch:
-    """The first reading is taken three times."""
-    found: Iterator[int] = iter([readings[0], readings[0], *readings])
-    return SuspendWatch(lambda: next(found))
+from failstop.procs.suspend import SLEPT_NS, SuspendWatch
+from tests.support.stage import MS, PortMachine
 
 
-def test_a_sleep_is_told_once_with_its_length() -> None:
-    watched = watch([7, 7, 7 + 3000 * MS, 7 + 3000 * MS])
-    assert [watched.slept_ns() for _ in range(3)] == [0, 3000 * MS, 0]
+@pytest.fixture
+def machine() -> PortMachine:
+    return PortMachine()
 
 
-def test_two_sleeps_are_two() -> None:
-    watched = watch([0, 60 * MS, 120 * MS])
-    assert [watched.slept_ns() for _ in range(2)] == [60 * MS, 60 * MS]
+def told(machine: PortMachine, watch: Any, *slept_ms: float) -> list[float]:
+    """What it says at one look after the other, by when the machine has slept for so long in all."""
+    found = []
+    for ms in slept_ms:
+        machine.machine.slept_ns = round(ms * MS)
+        found.append(watch.slept_ns() / MS)
+    return found
 
 
-def test_jitter_is_no_sleep() -> None:
-    watched = watch([0, 3 * MS, 0, SLEPT_NS - 1])
-    assert [watched.slept_ns() for _ in range(3)] == [0, 0, 0]
+def watch(machine: PortMachine) -> Any:
+    return machine.load("failstop.procs.suspend").SuspendWatch()
 
 
-def test_a_start_that_was_held_up_does_not_look_like_a_sleep_for_ever() -> None:
-    watched = watch([-40 * MS, 0, 0, 0])
-    assert [watched.slept_ns() for _ in range(3)] == [0, 0, 0]
+def test_a_watch_tells_a_sleep_once_with_its_length(machine: PortMachine) -> None:
+    machine.machine.slept_ns = 7 * MS
+    assert told(machine, watch(machine), 7, 3007, 3007) == [0, 3000, 0]
 
 
-def test_being_held_up_between_the_clocks_makes_the_reading_smaller() -> None:
-    times = iter([1000, 1000 + 900 * MS])
-    assert gained_ns(lambda: next(times), lambda _clock: 1000) == -900 * MS
+def test_a_watch_tells_two_sleeps_as_two(machine: PortMachine) -> None:
+    assert told(machine, watch(machine), 60, 120) == [60, 60]
+
+
+def test_a_watch_takes_jitter_for_no_sleep(machine: PortMachine) -> None:
+    assert told(machine, watch(machine), 3, 0, (SLEPT_NS - 1) / MS) == [0, 0, 0]
+
+
+def test_a_watch_takes_the_best_of_its_first_three_looks(machine: PortMachine) -> None:
+    """Two of them are held up between the clocks."""
+    held_up_ns = iter((0, 0, 60 * MS, 0, 0, 60 * MS))
+    look = machine.system["time"].monotonic_ns
+
+    def held_up() -> int:
+        machine.machine.now_ns += next(held_up_ns, 0)
+        return int(look())
+
+    machine.system["time"].monotonic_ns = held_up
+    assert told(machine, watch(machine), 0, 0) == [0, 0]
+    assert list(held_up_ns) == []
+
+
+def test_a_start_that_was_held_up_does_not_look_like_a_sleep_for_ever(machine: PortMachine) -> None:
+    machine.machine.look_ns = 40 * MS
+    made = watch(machine)
+    machine.machine.look_ns = 0
+    assert told(machine, made, 0, 45) == [0, 0]
+
+
+def test_being_held_up_between_the_clocks_makes_the_reading_smaller(machine: PortMachine) -> None:
+    machine.machine.look_ns = 900 * MS
+    assert machine.load("failstop.procs.suspend").gained_ns() == -900 * MS
 
 
 def test_this_machine_does_not_sleep_now() -> None:
-    watched = SuspendWatch(World().gained_ns)
+    watched = SuspendWatch()
     assert [watched.slept_ns() for _ in range(1000)] == [0] * 1000

@@ -2,84 +2,71 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import socket
-import threading
-from collections.abc import Iterator
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.lab.machine.kernel import Thread
 from failstop.policy import causes
-from failstop.shm import instance, layout, segment
+from failstop.shm import layout
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
-from failstop.supervisor import grant
-from failstop.supervisor.children import WAITING, Fence
-from failstop.supervisor.events import Outbox
+from failstop.supervisor.blackbox import START_NS
+from failstop.supervisor.children import KILLED
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
-from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS, Notify
-from failstop.supervisor.stops import Stop
-from tests.support.supervisor_scene import MS, Scene
-from tests.support.waiting import until
+from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS
+from tests.support.stage import MS
+from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 from tests.support.why import said, why
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def scene() -> Scene:
+    return Scene(layout.PORT_OWNER)
+
+
+@pytest.fixture
+def alone() -> Scene:
+    """Without a port owner."""
+    return Scene()
 
 
 def test_the_first_epoch_is_told_before_any_stop(scene: Scene) -> None:
     assert scene.word("epoch").get() == scene.supervisor.epoch == 1
 
 
-def test_its_own_death_is_told_by_its_futexes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are of the thread that made it, which is a process's first one, and here one that ends."""
-    made: list[Scene] = []
-    thread = threading.Thread(target=lambda: made.append(Scene(tmp_path, monkeypatch)))
-    thread.start()
-    thread.join()
-    (scene,) = made
-    lifelines = segment.attach(scene.run.memory, "lifelines", scene.run.incarnation, write=True)
+def test_its_own_death_is_told_by_its_futexes(scene: Scene) -> None:
+    attach = scene.load("failstop.shm.segment").attach
+    lifelines = attach(scene.run.memory, "lifelines", scene.run.incarnation)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
-    try:
-        until(lambda: not any(word.held() for word in words), "the kernel has marked them")
-        assert all(word.wait_for_death() for word in words)
-    finally:
-        lifelines.close()
-        scene.close()
+    assert all(word.held() for word in words)
+    assert scene.machine.inline
+    scene.machine.mark(scene.machine.inline)
+    assert all(word.told() for word in words)
 
 
 @pytest.mark.parametrize("granted", [0, REALTIME])
-def test_what_helps_a_starved_service_depends_on_its_rights(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, granted: int
-) -> None:
-    scene = Scene(tmp_path, monkeypatch, granted=granted)
-    expected = grant.advice(realtime=bool(granted), managed=False)
-    assert scene.supervisor.processes._advice == expected != grant.advice(realtime=not granted, managed=False)
-    scene.close()
+def test_what_helps_a_starved_service_depends_on_its_rights(granted: int) -> None:
+    scene = Scene(granted=granted)
+    advice = scene.load("failstop.supervisor.grant").advice
+    scene.supervisor.processes.tell_starved("gate", MS, scene.now_ns)
+    ((_, _, text, _),) = scene.said()
+    expected = advice(realtime=bool(granted), managed=False)
+    assert text == f"the machine starves the service: gate was not run for 1 ms; {expected}"
+    assert expected != advice(realtime=not granted, managed=False)
 
 
-def test_what_people_are_told_goes_to_the_journal_where_there_is_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journald:
-        journald.bind(str(tmp_path / "journal"))
-        journal = Outbox(str(tmp_path / "journal"))
-        scene = Scene(tmp_path, monkeypatch, journal=journal)
-        scene.supervisor._events.tell("note", "from the test")
-        scene.supervisor._events.flush()
-        assert b"MESSAGE=from the test\n" in journald.recv(65536, socket.MSG_DONTWAIT)
-        assert capfd.readouterr().err == ""
-        scene.close()
-        journal.close()
+def test_what_people_are_told_goes_to_the_journal_where_there_is_one() -> None:
+    sent: list[bytes] = []
+    scene = Scene(journal=SimpleNamespace(send=lambda datagram: not sent.append(datagram)))
+    scene.run.events.tell("note", "from the test")
+    scene.run.events.flush()
+    assert b"MESSAGE=from the test\n" in sent[0]
+    assert scene.stderr.heard == []
 
 
 def test_a_stop_that_the_port_owner_wrote(scene: Scene) -> None:
@@ -121,12 +108,11 @@ def test_an_answer_without_a_new_burst_is_none(scene: Scene) -> None:
 
 def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
     scene.answers(written_ns=scene.now_ns - MS)
-    os.close(scene.master)
-    scene.master = os.open("/dev/null", os.O_RDONLY)
+    scene.wire.unplug()
     scene.notice("device lost", written_ns=0)
-    scene.supervisor.turn(scene.supervisor.loop.wait(0))
+    scene.turn()
     scene.answers()
-    scene.supervisor.turn(scene.supervisor.loop.wait(0))
+    scene.turn()
     assert scene.told() == {"reason": "device lost", "written_by": "supervisor", "written_us": None}
     assert "stop frame NOT written" in scene.events()[-1]["text"]
 
@@ -141,23 +127,22 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
     assert scene.told()["written_by"] == "supervisor"
 
 
-def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
-    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    scene.gate_stops()
-    assert scene.turn() == BURST
+def test_without_a_port_owner_the_burst_is_written_at_once(alone: Scene) -> None:
+    alone.pass_time()
+    alone.gate_stops()
+    assert alone.pass_time() == BURST
 
 
-def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
-    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    scene.fill()
-    scene.gate_stops()
-    scene.supervisor.turn({})
-    assert scene.told()["written_us"] is None
+def test_a_full_port_is_said_to_be_not_written(alone: Scene) -> None:
+    alone.wire.fill()
+    alone.gate_stops()
+    alone.pass_time()
+    assert alone.told()["written_us"] is None
 
 
 def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
     scene.turn()
-    os.unlink(instance.stop_path(scene.run.runtime_dir))
+    scene.os.unlink(f"{RUNTIME_DIR}/stop")
     scene.turn(LOOK_EVERY_NS)
     assert scene.cause()[1] == "the stop pipe was removed: restart the service"
     assert (scene.supervisor.epoch, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
@@ -174,54 +159,41 @@ def test_a_turn_does_not_forget_that_it_was_told_to_end(scene: Scene) -> None:
     assert not scene.supervisor.broken
 
 
-def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> None:
+def test_the_cause_is_there_before_the_epoch_and_ready_is_not() -> None:
     """Whoever sees the new epoch finds its cause; and nobody finds the service ready in an epoch of a stop."""
-    order: list[str] = []
-
-    class Watched:
-        def __init__(self, name: str, real: Any) -> None:
-            self.name, self.real = name, real
-
-        def set(self, value: int) -> None:
-            order.append(f"{self.name} {value}")
-            self.real.set(value)
-
-        def write(self, payload: bytes) -> None:
-            order.append(self.name)
-            self.real.write(payload)
-
+    clear = "self.ready_word.set(0)"
+    scene = Scene(patches=(("failstop.supervisor.latch", clear, f"self.look(); {clear}; self.look()"),))
+    seen: list[tuple[int, int, int]] = []
     epochs = scene.supervisor.epochs
-    for attribute in ("_epoch_word", "ready_word", "_latch_record"):
-        setattr(epochs, attribute, Watched(attribute, getattr(epochs, attribute)))
-    scene.supervisor._raise_epoch([Stop(scene.now_ns, "gate", why("x"))])
-    assert order == ["_latch_record", "ready_word 0", "_epoch_word 2"]
+    epochs.look = lambda: seen.append((scene.number("latch"), scene.word("ready").get(), scene.word("epoch").get()))
+    epochs.ready_word.set(1)
+    scene.gate_stops()
+    scene.pass_time()
+    latched = scene.number("latch")
+    assert seen == [(latched, 1, 1), (latched, 0, 1)]
+    assert scene.word("epoch").get() == 2
 
 
-def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(scene: Scene) -> None:
     """It rings after the rings were read: that ring must still wake the supervisor."""
-    real = scene.supervisor._collect
+    bells = scene.run.bells
 
-    def then_another(*arguments: Any) -> list[Stop]:
-        found = real(*arguments)
-        if found:
+    def then_another(_: Thread, call: str, about: tuple[Any, ...]) -> None:
+        if call == "write" and about[0] == bells[layout.GATE].fd:
+            scene.allow()
             scene.gate_stops("the second")
-            scene.run.bells[layout.SUPERVISOR].ring()
-        return found
+            bells[layout.SUPERVISOR].ring()
 
-    monkeypatch.setattr(scene.supervisor, "_collect", then_another)
     scene.gate_stops("the first")
-    scene.run.bells[layout.SUPERVISOR].ring()
+    bells[layout.SUPERVISOR].ring()
+    scene.machine.at_seam = then_another
     scene.turn()
-    assert scene.run.bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
+    assert scene.machine.at_seam is None
+    assert bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
 
 
 def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
-    scene.gate_stops("the first")
-    scene.turn()
-    scene.answers(written_ns=scene.now_ns)
-    scene.turn(MS)
+    scene.stops("the first")
     scene.notice("the second", written_ns=scene.now_ns)
     scene.turn(MS)
     assert scene.cause() == (2, "the first")
@@ -229,10 +201,7 @@ def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
 
 
 def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> None:
-    scene.gate_stops("the first")
-    scene.turn()
-    scene.answers(written_ns=scene.now_ns)
-    scene.turn(MS)
+    scene.stops("the first")
     assert scene.cause() == (2, "the first")
     scene.ask_reset()
     scene.turn(MS)
@@ -246,7 +215,7 @@ def test_a_reset_before_any_stop_is_done_and_tells_of_none(scene: Scene) -> None
     scene.ask_reset()
     scene.turn(MS)
     assert scene.decided() == (True, "no stop is latched")
-    assert segment.attach(scene.run.memory, layout.SUPERVISOR).latest_reader("latch").read() is None
+    assert scene.number("latch") == 0
 
 
 def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
@@ -264,10 +233,7 @@ def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
 
 def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     """Whichever the supervisor hears first, the second stop is latched."""
-    scene.gate_stops("the first")
-    scene.turn()
-    scene.answers(written_ns=scene.now_ns)
-    scene.turn(MS)
+    scene.stops("the first")
     scene.ask_reset()
     scene.notice("the second", written_ns=scene.now_ns + MS)
     scene.turn(MS)
@@ -284,8 +250,10 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     scene.answers()
     scene.turn(MS)
     assert scene.cause() == (4, "the third")
-    waiting = [bytes.fromhex(str(words["cause"])) for _, words in scene.supervisor.blackbox._waiting]
-    assert [said(causes.read(cause)) for cause in waiting] == ["the first", "the third"]
+    for _ in range(2):
+        scene.turn(START_NS)
+    saved = [word for process in scene.born for word in process.argv if word.startswith("cause=")]
+    assert [said(causes.read(bytes.fromhex(word[6:]))) for word in saved] == ["the first", "the third"]
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:
@@ -312,81 +280,60 @@ def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> No
     }
 
 
-def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a port owner that has died, and of one that does not answer."""
-    order: list[str] = []
-    real_burst, real_send = scene.supervisor._port.burst, scene.supervisor._events._send
-
-    class Port:
-        fd, number = scene.port.fd, scene.port.number
-
-        def burst(self) -> bool:
-            order.append("burst")
-            return real_burst()
-
-    def send(*told: Any) -> None:
-        order.append("event")
-        real_send(*told)
-
-    scene.supervisor._port = Port()  # type: ignore[assignment]
-    monkeypatch.setattr(scene.supervisor._events, "_send", send)
+def test_no_event_is_sent_before_the_burst(scene: Scene) -> None:
+    seen: list[object] = []
+    scene.wire.on_bytes = lambda data: seen.append(scene.events())
     scene.gate_stops("the first")
-    scene.supervisor._events.tell("note", "from before")
+    scene.run.events.tell("note", "from before")
     scene.turn()
-    assert order == []
+    assert scene.events() == []
     scene.turn(ANSWER_NS)
-    assert order[:2] == ["burst", "event"]
+    assert seen == [[]]
+    assert scene.events()[0]["text"] == "from before"
 
 
-@pytest.mark.starts
-def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
+def watched(scene: Scene) -> Any:
+    """A service manager has started it, which nobody reaches; its Status."""
+    scene.supervisor.status.notify = scene.load("failstop.supervisor.status").Notify("/nobody", 2)
+    return scene.supervisor.status
+
+
+def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(alone: Scene) -> None:
     """And only while there is a port to write it to."""
-    notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.status.notify = notify
-    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    scene.fill()
-    scene.gate_stops()
-    scene.supervisor.turn({})
-    scene.now_ns += OWED_NS - TELL_EVERY_NS
-    scene.supervisor.turn({})
-    assert scene.supervisor.status.fault == ""
-    scene.now_ns += TELL_EVERY_NS
-    scene.supervisor.turn({})
-    assert scene.supervisor.status.fault == "a stop could not be written for 2 s"
-    fd, scene.port.fd = scene.port.fd, -1
-    scene.now_ns += TELL_EVERY_NS
-    scene.supervisor.turn({})
-    assert scene.supervisor.status.fault == "", "a port that is gone is nobody's fault"
-    scene.port.fd = fd
-    for _ in range(3):  # the first of them makes room
-        scene.turn(ALONE_EVERY_NS)
-    assert scene.supervisor.status.fault == "", "written at last"
-    notify.close()
+    status = watched(alone)
+    alone.wire.fill()
+    alone.gate_stops()
+    alone.pass_time()
+    alone.pass_time(OWED_NS - TELL_EVERY_NS)
+    assert status.fault == ""
+    alone.pass_time(TELL_EVERY_NS)
+    assert status.fault == "a stop could not be written for 2 s"
+    fd, alone.port.fd = alone.port.fd, -1
+    alone.pass_time(TELL_EVERY_NS)
+    assert status.fault == "", "a port that is gone is nobody's fault"
+    alone.port.fd = fd
+    alone.wire.port.drain()
+    alone.pass_time(ALONE_EVERY_NS)
+    assert status.fault == "", "written at last"
 
 
-@pytest.mark.starts
-def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
-    notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.status.notify = notify
-    scene.gate_stops()
-    scene.turn()
-    scene.answers(written_ns=scene.now_ns)
-    scene.turn(MS)
+def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene) -> None:
+    status = watched(scene)
+    scene.stops("the first")
     scene.turn(OWED_NS)
-    assert scene.supervisor.status.fault == ""
-    notify.close()
+    assert status.fault == ""
 
 
-def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
-    notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.status.notify = notify
+def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene) -> None:
+    status = watched(scene)
+    process = scene.employ(layout.TELEMETRY)
     telemetry = scene.supervisor.processes[layout.TELEMETRY]
-    telemetry.pid, telemetry.fence = 2**31 - 1, Fence(scene.now_ns, scene.now_ns, 0)
+    telemetry.on(KILLED)
+    telemetry.fence = scene.load("failstop.supervisor.children").Fence(scene.now_ns, scene.now_ns, 0)
     scene.turn()
-    assert scene.supervisor.status.fault == ""
+    assert status.fault == ""
     scene.turn(UNDYING_NS)
-    assert scene.supervisor.status.fault == "telemetry was killed 10 s ago and is not gone"
-    telemetry.pid = 0
+    assert status.fault == "telemetry was killed 10 s ago and is not gone"
+    scene.dies(process)
     scene.turn(TELL_EVERY_NS)
-    assert scene.supervisor.status.fault == ""
-    notify.close()
+    assert status.fault == ""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy.processes import PROCESSES, Process
-from failstop.procs.loop import Loop
-from failstop.procs.world import World
+from failstop.procs.loop import Timer
 from failstop.supervisor import children
 from failstop.supervisor.children import (
     DEAD,
@@ -50,8 +51,7 @@ def child(
     row: Process = PROCESSES[0],
     lease_ns: int = LEASE_NS,
 ) -> Child:
-    world = World()
-    made = Child(world, row, None, Loop(world).timer(), limits, lease_ns)  # type: ignore[arg-type]
+    made = Child(SimpleNamespace(), row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
     made.state = state
     return made
 

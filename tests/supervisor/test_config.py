@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from failstop import config
 from failstop.cli import main as cli
-from failstop.policy.settings import DECLARED, SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import DECLARED, Settings
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
@@ -126,19 +128,16 @@ def test_whatever_is_in_a_file_is_one_short_line(file: Path, content: bytes, pro
 
 
 @pytest.mark.parametrize(("over", "allowed"), [(0, True), (1, False)])
-def test_a_file_may_be_as_long_as_said_and_comes_in_parts(
-    file: Path, monkeypatch: pytest.MonkeyPatch, over: int, allowed: bool
-) -> None:
-    head = b"limits.vx_mps = 0.35\n"
-    lines = b"#" * 999 + b"\n"
-    file.write_bytes((head + lines * 66)[: config.MOST_BYTES + over])
-    real = os.read
-    monkeypatch.setattr(os, "read", lambda fd, most: real(fd, min(most, 4096)))
+def test_a_file_may_be_as_long_as_said_and_comes_in_parts(over: int, allowed: bool) -> None:
+    most = "MOST_BYTES + 1 - len(data)"
+    scene = Scene(patches=(("failstop.config", most, f"min(4096, {most})"),))
+    scene.write("/file", ("limits.vx_mps = 0.35\n" + ("#" * 999 + "\n") * 66)[: config.MOST_BYTES + over])
+    loaded = scene.load("failstop.config")
     if allowed:
-        assert config.load(str(file))["limits.vx_mps"] == 0.35
+        assert loaded.load("/file")["limits.vx_mps"] == 0.35
     else:
-        with pytest.raises(SettingError, match="it has more than 65536 bytes"):
-            config.load(str(file))
+        with pytest.raises(loaded.SettingError, match="it has more than 65536 bytes"):
+            loaded.load("/file")
 
 
 def test_a_line_may_be_as_long_as_said(file: Path) -> None:
@@ -154,17 +153,15 @@ def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> N
     assert refusal(file, f"{longest}x = 1\n") == told
 
 
-def test_a_mistake_without_words_is_told_by_its_name(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def text(_path: str) -> str:
-        raise MemoryError
+def test_a_mistake_without_words_is_told_by_its_name() -> None:
+    scene = Scene()
+    loaded = scene.load("failstop.config")
+    scene.refuse("open", MemoryError())
+    with pytest.raises(loaded.SettingError, match="is not TOML: MemoryError;"):
+        loaded.load("/file")
 
-    monkeypatch.setattr(config, "_text", text)
-    assert "is not TOML: MemoryError;" in refusal(file, "")
 
-
-def test_a_number_of_thousands_of_digits_on_a_line_that_may_be_is_one_line(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_number_of_thousands_of_digits_on_a_line_that_may_be_is_one_line(file: Path) -> None:
     """The interpreter's limit is a setting of the environment's, and can be lower than the longest line."""
     before = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(640)

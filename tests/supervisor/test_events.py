@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import msgpack
 import pytest
 
-from failstop.procs.world import World
-from failstop.shm import layout, segment
-from failstop.shm.cell import RingReader
 from failstop.supervisor import kinds
-from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, Outbox, journal_entry, pack, say
+from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Outbox, journal_entry, pack, say
 from tests.supervisor.streams import stderr_is
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
@@ -71,123 +69,110 @@ def test_a_closed_stderr_is_no_error() -> None:
         os.close(saved)
 
 
-class Scene:
-    """Events with a ring of their own, and a journal's socket."""
+def test_a_journal_that_is_full_holds_nobody_up(tmp_path: Path) -> None:
+    path = str(tmp_path / "journal")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as journald:
+        journald.bind(path)
+        journal = Outbox(path)
+        taken = 0
+        while journal.send(b"again"):
+            taken += 1
+            assert taken < 100_000
+        journald.recv(100)
+        assert journal.send(b"again"), "and it is used again"
+        journal.close()
 
-    def __init__(self, directory: Path) -> None:
-        self.name = f"v{os.getpid()}x{time.monotonic_ns()}"
-        segment.create(self.name, layout.SUPERVISOR, 7).close()
-        own = segment.attach(self.name, layout.SUPERVISOR, write=True)
-        self._reader: RingReader = own.ring_reader("events")
-        self._path = str(directory / "journal")
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        self._socket.bind(self._path)
-        self._journal = Outbox(self._path)
-        self.events = Events(World(), self.name, own.ring_writer("events"), self._journal)
 
-    def ring(self) -> list[dict[str, Any]]:
-        found = []
-        while entry := self._reader.next():
-            found.append(msgpack.unpackb(entry[2]))
-            assert entry[1] == found[-1]["ns"]
-        return found
+class Journal:
+    """What the journal has got, while it is there."""
 
-    def journal(self) -> list[bytes]:
-        found = []
-        while select.select((self._socket,), (), (), 0)[0]:
-            found.append(self._socket.recv(65536))
-        return found
+    def __init__(self) -> None:
+        self.got: list[bytes] = []
+        self.there = True
 
-    def lose_the_journal(self) -> None:
-        self._socket.close()
-        os.unlink(self._path)
-
-    def close(self) -> None:
-        self._journal.close()
-        self._socket.close()
-        segment.unlink_all(self.name)
+    def send(self, datagram: bytes) -> bool:
+        if self.there:
+            self.got.append(datagram)
+        return self.there
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
-    made = Scene(tmp_path)
-    yield made
-    made.close()
+def journal() -> Journal:
+    return Journal()
 
 
-def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene: Scene, pipe: tuple[int, int]) -> None:
-    before = time.time()
-    with stderr_is(pipe[1]):
-        scene.events.tell("enabled", "motion enabled by nav (pid 7)", {"who": "nav", "pid": 7, "left_out": None})
-        scene.events.flush()
-    assert not select.select((pipe[0],), (), (), 0)[0]
-    (found,) = scene.ring()
-    assert before <= found.pop("t") <= time.time()
-    t_ns = found.pop("ns")
-    assert found == {
-        "kind": "enabled",
-        "level": "notice",
-        "text": "motion enabled by nav (pid 7)",
-        "fields": {"who": "nav", "pid": 7},
-    }
-    assert scene.journal() == [
+@pytest.fixture
+def scene(journal: Journal) -> Scene:
+    return Scene(journal=journal)
+
+
+def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene: Scene, journal: Journal) -> None:
+    scene.run.events.tell("enabled", "motion enabled by nav (pid 7)", {"who": "nav", "pid": 7, "left_out": None})
+    told_ns = scene.now_ns
+    scene.now_ns += LONGEST_HOLD_NS
+    scene.run.events.flush()
+    assert scene.stderr.heard == []
+    assert scene.events() == [
+        {
+            "t": (scene.machine.unix_ns + told_ns) / 1e9,
+            "ns": told_ns,
+            "kind": "enabled",
+            "level": "notice",
+            "text": "motion enabled by nav (pid 7)",
+            "fields": {"who": "nav", "pid": 7},
+        }
+    ]
+    assert journal.got == [
         (
             "MESSAGE=motion enabled by nav (pid 7)\nPRIORITY=5\nMESSAGE_ID=3bfd144a1c00461f861da553c93614d9\n"
-            f"SYSLOG_IDENTIFIER=failstop\nFAILSTOP_EVENT=enabled\nFAILSTOP_NAME={scene.name}\n"
-            f"FAILSTOP_MONOTONIC_NS={t_ns}\nFAILSTOP_WHO=nav\nFAILSTOP_PID=7\n"
+            "SYSLOG_IDENTIFIER=failstop\nFAILSTOP_EVENT=enabled\nFAILSTOP_NAME=stage\n"
+            f"FAILSTOP_MONOTONIC_NS={told_ns}\nFAILSTOP_WHO=nav\nFAILSTOP_PID=7\n"
         ).encode()
     ]
 
 
-def test_without_its_journal_an_event_is_a_line_on_stderr(scene: Scene, pipe: tuple[int, int]) -> None:
-    scene.lose_the_journal()
-    with stderr_is(pipe[1]):
-        scene.events.tell("stop", "STOP latched: key1", {"reason": "key1"})
-        scene.events.flush()
-    assert os.read(pipe[0], 1000) == b"failstop: STOP latched: key1\n"
-    assert len(scene.ring()) == 1
+def test_without_its_journal_an_event_is_a_line_on_stderr(scene: Scene, journal: Journal) -> None:
+    journal.there = False
+    scene.run.events.tell("stop", "STOP latched: key1", {"reason": "key1"})
+    assert len(scene.said()) == 1
+    assert scene.stderr.heard == [b"failstop: STOP latched: key1\n"]
 
 
-def test_a_journal_that_is_full_holds_nobody_up(scene: Scene, pipe: tuple[int, int]) -> None:
-    with stderr_is(pipe[1]):
-        for _ in range(MOST_WAITING):
-            scene.events.tell("note", "again")
-            scene.events.flush()
-    told = len(scene.journal())
-    assert 0 < told < MOST_WAITING, "the rest went to stderr"
-    assert os.read(pipe[0], 1_000_000).count(b"failstop: again\n") == MOST_WAITING - told
+def test_a_stderr_that_takes_nothing_is_no_error(scene: Scene, journal: Journal) -> None:
+    journal.there = False
+    scene.refuse("write", OSError(errno.EIO, os.strerror(errno.EIO)), lambda fd, _: fd == 2)
+    scene.run.events.tell("note", "here")
+    assert len(scene.said()) == 1
 
 
-def test_nothing_is_sent_before_flush_and_not_while_a_stop_is_on_its_way(scene: Scene) -> None:
-    scene.events.tell("stop_also", "also: key1", {"reason": "key1"})
-    now_ns = time.monotonic_ns()
-    scene.events.flush(now_ns, hold=True)
-    assert scene.ring() == scene.journal() == []
-    scene.events.flush(now_ns, hold=False)
-    assert len(scene.ring()) == len(scene.journal()) == 1
+def test_nothing_is_sent_before_flush_and_not_while_a_stop_is_on_its_way(scene: Scene, journal: Journal) -> None:
+    scene.run.events.tell("stop_also", "also: key1", {"reason": "key1"})
+    scene.run.events.flush(scene.now_ns, hold=True)
+    assert scene.events() == journal.got == []
+    scene.run.events.flush(scene.now_ns, hold=False)
+    assert len(scene.events()) == len(journal.got) == 1
 
 
 def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Scene) -> None:
-    scene.events.tell("note", "here")
-    scene.events.flush(time.monotonic_ns() + LONGEST_HOLD_NS, hold=True)
-    assert [event["text"] for event in scene.ring()] == ["here"]
+    scene.run.events.tell("note", "here")
+    scene.run.events.flush(scene.now_ns + LONGEST_HOLD_NS - 1, hold=True)
+    assert scene.events() == []
+    scene.run.events.flush(scene.now_ns + LONGEST_HOLD_NS, hold=True)
+    assert [event["text"] for event in scene.events()] == ["here"]
 
 
 def test_what_was_left_out_is_counted_for_programs_too(scene: Scene) -> None:
     for _ in range(MOST_WAITING + 7):
-        scene.events.tell("stop", "x", {"reason": "x"}, level="critical")
-    scene.events.flush()
-    *_, told = scene.ring()
-    assert (told["kind"], told["level"], told["fields"]) == ("left_out", "critical", {"of": "stop", "count": 7})
-    assert told["text"] == "7 events of the kind stop were left out: too many to tell of each"
+        scene.run.events.tell("stop", "x", {"reason": "x"}, level="critical")
+    text = "7 events of the kind stop were left out: too many to tell of each"
+    assert scene.said()[-1] == ("left_out", "critical", text, {"of": "stop", "count": 7})
 
 
-def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene) -> None:
-    scene.events.tell("surprise", "boo", level="loud")
-    scene.events.tell("scan", "scan is back", level="info")
-    scene.events.flush()
-    assert [(event["kind"], event["level"]) for event in scene.ring()] == [("note", "info"), ("scan", "info")]
-    assert b"PRIORITY=6\n" in scene.journal()[1]
+def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene, journal: Journal) -> None:
+    scene.run.events.tell("surprise", "boo", level="loud")
+    scene.run.events.tell("scan", "scan is back", level="info")
+    assert [told[:2] for told in scene.said()] == [("note", "info"), ("scan", "info")]
+    assert b"PRIORITY=6\n" in journal.got[1]
 
 
 @pytest.mark.parametrize("size", [1, 47, 200, 5_000, 100_000])

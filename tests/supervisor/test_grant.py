@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,11 +10,22 @@ from hypothesis import strategies as st
 
 from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
-from failstop.procs import rights
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.shm.layout import GATE
 from failstop.supervisor import grant
+from tests.support.supervisor_scene import Scene
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene()
+
+
+@pytest.fixture
+def here(scene: Scene) -> Any:
+    """The module, as a service on the machine has it."""
+    return scene.load("failstop.supervisor.grant")
 
 
 @pytest.mark.parametrize(
@@ -29,11 +37,12 @@ from failstop.supervisor import grant
         ("failstop@left.service", True, "`sudo systemctl edit failstop@left.service`"),
     ],
 )
-def test_the_command_fits_the_case(unit: str, container: bool, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grant, "own_unit", lambda: unit)
-    monkeypatch.setattr(grant, "in_container", lambda: container)
-    assert told in grant.advice(realtime=False, managed=bool(unit))
-    assert "give it" not in grant.advice(realtime=True, managed=bool(unit))
+def test_the_command_fits_the_case(scene: Scene, here: Any, unit: str, container: bool, told: str) -> None:
+    scene.write(grant.CONTROL_GROUP, f"0::/system.slice/{unit}\n")
+    if container:
+        scene.me.environ[grant.CONTAINER_VARIABLE] = "podman"
+    assert told in here.advice(realtime=False, managed=bool(unit))
+    assert "give it" not in here.advice(realtime=True, managed=bool(unit))
 
 
 def test_each_is_one_line() -> None:
@@ -41,12 +50,12 @@ def test_each_is_one_line() -> None:
 
 
 @pytest.mark.parametrize("sign", ["/.dockerenv", "/run/.containerenv", "variable", ""])
-def test_a_container_is_known_by_its_signs(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os.path, "exists", lambda path: path == sign)
-    monkeypatch.delenv(grant.CONTAINER_VARIABLE, raising=False)
+def test_a_container_is_known_by_its_signs(scene: Scene, here: Any, sign: str) -> None:
     if sign == "variable":
-        monkeypatch.setenv(grant.CONTAINER_VARIABLE, "podman")
-    assert grant.in_container() is bool(sign)
+        scene.me.environ[grant.CONTAINER_VARIABLE] = "podman"
+    elif sign:
+        scene.write(sign, "")
+    assert here.in_container() is bool(sign)
 
 
 @pytest.mark.parametrize(
@@ -57,14 +66,10 @@ def test_a_container_is_known_by_its_signs(sign: str, monkeypatch: pytest.Monkey
         ("0::/\n", "UNIT"),
     ],
 )
-def test_the_unit_is_that_of_the_control_group(
-    groups: str, unit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "cgroup").write_text(groups)
-    monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "cgroup"))
-    assert grant.own_unit() == unit
-    monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "absent"))
-    assert grant.own_unit() == "UNIT"
+def test_the_unit_is_that_of_the_control_group(scene: Scene, here: Any, groups: str, unit: str) -> None:
+    assert here.own_unit() == "UNIT"
+    scene.write(grant.CONTROL_GROUP, groups)
+    assert here.own_unit() == unit
 
 
 def test_what_is_lacking_is_told_of() -> None:
@@ -82,29 +87,19 @@ def test_a_lease_is_told_with_what_it_costs() -> None:
     assert grant.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
 
 
-class Asked:
-    """A kernel that grants real-time priority, or does not; and which priority it was asked for."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, grants: bool) -> None:
-        self.grants = grants
-        self.priority = 0
-        monkeypatch.setattr(rights, "realtime", self.realtime)
-
-    @contextlib.contextmanager
-    def realtime(self, priority: int) -> Iterator[bool]:
-        self.priority = priority
-        yield self.grants
-
-
-def leased(chosen: dict[str, object]) -> float:
+def leased(scene: Scene, chosen: dict[str, object]) -> float:
     """The lease of a service that is started with these settings."""
-    return grant.leased(Settings(dict(chosen)), chosen)[grant.LEASE]
+    settings = scene.load("failstop.policy.settings").Settings(dict(chosen))
+    found: float = scene.load("failstop.supervisor.grant").leased(settings, chosen)[grant.LEASE]
+    return found
 
 
-def test_with_the_rights_of_every_process_the_lease_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = Asked(monkeypatch, grants=True)
-    assert leased({}) == grant.LEASE_S
-    assert asked.priority == max(SUPERVISOR_PRIORITY, *(row.priority for row in PROCESSES))
+def test_with_the_rights_of_every_process_the_lease_is_the_default() -> None:
+    scene = Scene(granted=REALTIME)
+    asked: list[int] = []
+    scene.refuse("sched_setscheduler", OSError(), lambda priority: bool(asked.append(priority)))
+    assert leased(scene, {}) == grant.LEASE_S
+    assert asked == [max(SUPERVISOR_PRIORITY, *(row.priority for row in PROCESSES))]
 
 
 @pytest.mark.parametrize(
@@ -121,10 +116,9 @@ def test_with_the_rights_of_every_process_the_lease_is_the_default(monkeypatch: 
     ],
 )
 def test_without_rights_the_lease_is_long_unless_somebody_chose_one(
-    chosen: dict[str, object], lease_s: float, monkeypatch: pytest.MonkeyPatch
+    scene: Scene, chosen: dict[str, object], lease_s: float
 ) -> None:
-    Asked(monkeypatch, grants=False)
-    assert leased(chosen) == pytest.approx(lease_s)
+    assert leased(scene, chosen) == pytest.approx(lease_s)
 
 
 def test_who_stops_first_stays_who_stops_first() -> None:
@@ -132,14 +126,15 @@ def test_who_stops_first_stays_who_stops_first() -> None:
     assert all(Settings().ns(grant.LEASE) / 1e9 <= grant.LEASE_WITHOUT_S < other_s for other_s in others_s)
 
 
+ONCE = Scene()
+
+
 @given(st.floats(0.0601, 2.0), st.floats(0.0601, 2.0), st.floats(0.005, 0.05))
 def test_no_rights_never_make_settings_wrong_that_were_right(
     command_s: float, source_s: float, period_s: float
 ) -> None:
     timeouts = {"gate.command_timeout_s": command_s, "sources.cmd_vel.timeout_s": source_s}
-    with pytest.MonkeyPatch.context() as patch:
-        Asked(patch, grants=False)
-        lease_s = leased({**timeouts, "gate.period_s": period_s})
+    lease_s = leased(ONCE, {**timeouts, "gate.period_s": period_s})
     assert grant.LEASE_S <= lease_s < min(command_s, source_s)
 
 

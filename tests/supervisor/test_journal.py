@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from failstop.supervisor import events
 from failstop.supervisor.events import Outbox, encode, is_journal
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.mark.parametrize(
@@ -55,24 +52,15 @@ def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     sender.close()
 
 
-ASK = "import os; from failstop.supervisor.events import is_journal; print(is_journal(os.environ['JOURNAL_STREAM']))"
-
-
-@pytest.mark.parametrize(("offset", "answer"), [(0, "True\n"), (1, "False\n")])
-def test_only_a_stderr_that_is_the_journal_s_means_the_journal(tmp_path: Path, offset: int, answer: str) -> None:
-    """In a process of its own, whose stderr is a file."""
-    with open(tmp_path / "stderr", "wb") as file:
-        found = os.fstat(file.fileno())
-        environment = {**os.environ, "JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + offset}"}
-        done = subprocess.run(
-            [sys.executable, "-c", ASK], stdout=subprocess.PIPE, stderr=file, env=environment, text=True
-        )
-    assert done.stdout == answer
-
-
-def test_without_a_stderr_there_is_no_journal_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(events, "STDERR", 1 << 20)
-    assert not is_journal("8:9")
+def test_only_a_stderr_that_is_the_journal_s_means_the_journal() -> None:
+    scene = Scene()
+    is_its = scene.load("failstop.supervisor.events").is_journal
+    found = scene.os.fstat(2)
+    assert is_its(f"{found.st_dev}:{found.st_ino}")
+    for device, inode in ((0, 1), (1, 0)):
+        assert not is_its(f"{found.st_dev + device}:{found.st_ino + inode}")
+    scene.os.close(2)
+    assert not is_its(f"{found.st_dev}:{found.st_ino}"), "there is none"
 
 
 @pytest.mark.parametrize("stream", ["", "8", "8:", ":9", "x:y", "1:2:3"])

@@ -8,7 +8,7 @@ import pytest
 
 from failstop import config
 from failstop.cli import main as cli
-from failstop.policy.settings import SettingError
+from failstop.policy.setting import SettingError
 
 KEY = "pad.mode_button"
 

@@ -3,198 +3,184 @@ whatever moment it came at."""
 
 from __future__ import annotations
 
-import itertools
+import errno
 import os
-import pty
-import shutil
-from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
-from failstop import NoService, Robot, State, instances
-from failstop.api.client import Run as Found
-from failstop.api.events import EventLog
-from failstop.api.state import StateReader
-from failstop.policy.settings import Settings
-from failstop.procs.world import World
-from failstop.shm import instance, layout, segment
-from failstop.supervisor import entry
-from failstop.supervisor.main import Supervisor
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.run import Run
-from failstop.supervisor.status import Notify
+from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM, Process, Thread
+from failstop.lab.machine.robot import DEVICE, MS, Robot
+from failstop.shm import layout
 
-_numbers = itertools.count()
-SET = {"device.path": "/dev/board", "interlocks.seat.timeout_s": 1.0}
+DIRECTORY = "/run/failstop/failstop"
+SUPERVISOR = 1 + len(layout.PROCESSES)
+"""How many eventfds a supervisor makes before it can begin: a bell each, and one for the early news."""
 
 
 class Service:
-    """The runs of a service before their first process is started; their supervisor is this process."""
+    """The runs of a service on a machine of which the test is a client."""
 
     def __init__(self) -> None:
-        self.name = f"last{os.getpid()}x{next(_numbers)}"
-        self.directory = instances.make_runtime_dir(self.name)
-        self._runs: list[Run] = []
-        self._supervisors: list[Supervisor] = []
-        self._ports = pty.openpty()
+        self.robot = Robot(settings={"interlocks.seat.timeout_s": 1.0})
+        self.machine, self.load = self.robot.machine, self.robot.loader.load
+        self.me = self.machine.join("client", {"HOME": "/root"})
+        self.robot.streams(self.me)
+        self.os = self.robot.loader.system["os"]
+        self.failstop = self.load("failstop")
+        self.find = (
+            self.load("failstop.api.state").StateReader,
+            self.load("failstop.api.events").EventLog,
+            self.load("failstop.api.client").Run,
+        )
+        self.read_state, self.read_events, _ = self.find
 
-    def make(self) -> Run:
-        """All of a run but its name."""
-        self._runs.append(Run(World(), Settings(SET), self.name, self.directory))
-        return self._runs[-1]
+    def start(self, call: str = "rename", about: str = "run.new", *, after: bool = True) -> Process:
+        """Start a run, which is held up at this call of the system, or just after it: when it has its name."""
+        self.process = self.robot.start()
+        self.hold_up(call, about, after=after)
+        return self.process
 
-    def start(self) -> Run:
-        """A run that can be found."""
-        made = self.make()
-        self._supervisors.append(entry._found(made, OwnPort(self._ports[1]), Notify()))
-        return made
+    def hold_up(self, call: str, about: str, *, after: bool = False) -> None:
+        """Let the supervisor run until it makes this call."""
+        process, made = self.process, [not after]
 
-    def die(self, run: Run) -> None:
+        def at_seam(thread: Thread, name: str, given: tuple[Any, ...]) -> None:
+            if thread.process is not process:
+                return
+            if made[0] and (after or self._is(call, about, name, given)):
+                self.machine.at_seam = None
+                self.machine.hold(process, FOREVER_NS)
+            made[0] = made[0] or self._is(call, about, name, given)
+
+        self.machine.at_seam = at_seam
+        assert self.machine.run(lambda: process.held_until_ns > 0, 5_000 * MS)
+
+    @staticmethod
+    def _is(call: str, about: str, name: str, given: tuple[Any, ...]) -> bool:
+        return name == call and about in str(given[0])
+
+    def die(self) -> None:
         """As by SIGKILL: all that a dying process lets go of is its descriptors, and what it has made stays."""
-        for made in run._segments:
-            made.close()
+        self.machine.die(self.process, -9)
+        self.machine.run(lambda: self.process.code is not None, MS)
 
-    def close(self) -> None:
-        for supervisor in self._supervisors:
-            for control in supervisor.handover.controls.values():
-                control.close()
-            os.close(supervisor.handover.opener._spare)
-            os.close(supervisor.processes.early.bell.fd)
-            os.close(supervisor._run.published)
-        for run in self._runs:
-            run.remove()
-            fds = (run.stop_pipe, run.client_bell, *(bell.fd for bell in run.bells.values()))
-            for fd in (*fds, *(pair[1] for pair in run.controls.values())):
-                os.close(fd)
-        for fd in self._ports:
-            os.close(fd)
-        shutil.rmtree(self.directory)
+    def memory(self) -> str:
+        """Of the run that has the name."""
+        incarnation, _ = self.load("failstop.shm.instance").run(DIRECTORY)
+        found: str = self.load("failstop.shm.segment").memory("failstop", incarnation)
+        return found
+
+    def serves(self, robot: Any) -> bool:
+        """Whether a Robot follows the run that was started last."""
+        pid: int = robot.state.processes[layout.SUPERVISOR].pid
+        return pid == self.process.pid
+
+    def finds_nothing(self) -> None:
+        for find in self.find:
+            with pytest.raises(self.failstop.NoService):
+                find("failstop")
 
 
 @pytest.fixture
-def service() -> Iterator[Service]:
-    made = Service()
-    yield made
-    made.close()
+def service() -> Service:
+    return Service()
 
 
-def at_the_name(monkeypatch: pytest.MonkeyPatch, look: Callable[[], None]) -> None:
-    """Look when the name has just been published, and nothing else has happened since."""
-    publish = instance.publish
-
-    def published(runtime_dir: str, incarnation: int) -> int:
-        fd = publish(runtime_dir, incarnation)
-        look()
-        return fd
-
-    monkeypatch.setattr(instance, "publish", published)
-
-
-def test_all_that_a_client_reads_is_there_when_the_name_is(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[State] = []
-
-    def look() -> None:
-        reader = StateReader(service.name)
-        assert not reader.over()
-        assert reader.settings() == Settings(SET).flat()
-        reader.check("interlock", "seat")
-        reader.check("source", "cmd_vel")
-        assert EventLog(service.name).read() == []
-        with Robot(service.name, client="early") as robot:
-            seen.append(robot.state)
-            assert not robot.drive(0.1, 0.0, 0.0, manual=True)
-            robot.sensed()
-
-    at_the_name(monkeypatch, look)
+def test_all_that_a_client_reads_is_there_when_the_name_is(service: Service) -> None:
     service.start()
-    (state,) = seen
-    assert state.processes[layout.SUPERVISOR].pid == os.getpid()
+    reader = service.read_state("failstop")
+    assert not reader.over()
+    assert reader.settings()["interlocks.seat.timeout_s"] == 1.0
+    reader.check("interlock", "seat")
+    reader.check("source", "cmd_vel")
+    assert service.read_events("failstop").read() == []
+    with service.failstop.Robot(client="early") as robot:
+        state = robot.state
+        assert not robot.drive(0.1, 0.0, 0.0, manual=True)
+        robot.sensed()
+    assert state.processes[layout.SUPERVISOR].pid == service.process.pid
     assert set(state.processes) == set(layout.PROCESSES)
     assert state.waiting_for == "port_owner, stopper, gate, telemetry"
     assert (state.enabled, state.blocked, state.cause) == (False, "disabled", None)
-    assert (state.device.path, state.device.state, state.device.link) == ("/dev/board", "open", "unproven")
+    assert (state.device.path, state.device.state, state.device.link) == (DEVICE, "open", "unproven")
 
 
 def test_nothing_is_found_before_the_name(service: Service) -> None:
-    service.make()
-    for find in (StateReader, EventLog, Found):
-        with pytest.raises(NoService):
-            find(service.name)
-    robot = Robot(service.name)
-    with pytest.raises(NoService):
+    service.start(after=False)
+    service.finds_nothing()
+    robot = service.failstop.Robot()
+    with pytest.raises(service.failstop.NoService):
         _ = robot.state
 
 
 def test_nor_is_a_dead_run_found_under_the_pipes_of_the_next(service: Service) -> None:
-    service.die(service.start())
-    service.make()
-    for find in (StateReader, EventLog, Found):
-        with pytest.raises(NoService):
-            find(service.name)
+    service.start()
+    service.die()
+    service.start(after=False)
+    service.finds_nothing()
 
 
 def test_a_run_that_dies_with_nothing_but_its_name_lets_its_clients_go(service: Service) -> None:
-    first = service.start()
-    robot, log, reader = Robot(service.name), EventLog(service.name), StateReader(service.name)
+    service.start()
+    robot, log, reader = service.failstop.Robot(), service.read_events("failstop"), service.read_state("failstop")
     assert robot.state.cause is None
-    service.die(first)
+    assert service.serves(robot)
+    service.die()
     assert reader.over()
-    with pytest.raises(NoService):
+    with pytest.raises(service.failstop.NoService):
         log.read()
-    second = service.start()
-    assert robot.state.cause is None
-    assert robot._current().found[0] == second.memory != first.memory
-    assert EventLog(service.name)._run.found[0] == second.memory
+    service.start()
+    assert service.serves(robot)
+    assert service.read_events("failstop").read() == []
 
 
-def test_a_robot_that_was_made_at_the_name_follows_the_next_run(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Robot] = []
-    at_the_name(monkeypatch, lambda: made.append(Robot(service.name)))
-    first = service.start()
-    assert [robot._current().found[0] for robot in made] == [first.memory]
-    service.die(first)
-    second = service.start()
-    assert [robot._current().found[0] for robot in made] == [second.memory] * 2
-
-
-def test_a_supervisor_that_can_t_begin_leaves_nothing_but_the_memory_of_the_run_before(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    service.die(dead := service.start())
-
-    def begin(*_: object) -> Supervisor:
-        raise OSError(24, os.strerror(24))
-
-    monkeypatch.setattr(entry, "Supervisor", begin)
-    with pytest.raises(OSError, match="Too many open files"):
+def test_a_robot_that_was_made_at_the_name_follows_the_next_run(service: Service) -> None:
+    made: list[Any] = []
+    for _ in range(2):
         service.start()
-    assert os.listdir(service.directory) == ["last"], "how the run before was started"
-    assert segment.dead_runs(service.name) == [dead.memory]
+        made.append(service.failstop.Robot())
+        assert all(map(service.serves, made))
+        service.die()
+
+
+def test_a_supervisor_that_can_t_begin_leaves_nothing_but_the_memory_of_the_run_before(service: Service) -> None:
+    service.start()
+    dead = service.memory()
+    service.die()
+    made: list[Process] = []
+
+    def no_descriptor(thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        made.extend([thread.process] * (call == "eventfd"))
+        if call == "eventfd" and len(made) == SUPERVISOR:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    service.machine.at_seam = no_descriptor
+    process = service.robot.start()
+    service.machine.run(lambda: process.code is not None, 5_000 * MS)
+    assert process.code == 1
+    assert b"Too many open files" in b"".join(service.robot.stderr.heard)
+    assert sorted(service.os.listdir(DIRECTORY)) == ["last", "lock"], "how the run before was started"
+    assert service.load("failstop.shm.segment").dead_runs("failstop") == [dead]
 
 
 def test_a_program_that_has_closed_every_descriptor_finds_its_run_again(service: Service) -> None:
-    run = service.start()
-    robot = Robot(service.name)
-    reader = robot._current()
-    os.close(reader._life)
+    service.start()
+    robot, reader = service.failstop.Robot(), service.read_state("failstop")
+    assert service.serves(robot)
+    for fd in set(service.me.files) - {0, 1, 2}:
+        service.os.close(fd)
     assert reader.over()
     assert robot.state.cause is None
-    assert robot._current().found[0] == run.memory
+    assert service.serves(robot)
 
 
-def test_the_name_goes_first(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = service.start()
-    unlink = segment.unlink
-    found: list[bool] = []
-
-    def gone(memory: str, name: str) -> None:
-        found.append(os.path.exists(instance.run_path(service.directory)) or not segment.living(run.memory))
-        unlink(memory, name)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(segment, "unlink", gone)
-        run.remove()
-    assert found
-    assert not found[0], "its memory is there, and its supervisor lives, while it can be found"
+def test_the_name_goes_first(service: Service) -> None:
+    service.start()
+    memory = service.memory()
+    service.machine.resume(service.process)
+    service.machine.run(lambda: service.robot.named(layout.GATE) is not None, 1_000 * MS)
+    service.machine.kill(service.process, SIGTERM)
+    service.hold_up("unlink", memory)
+    assert not service.os.path.exists(f"{DIRECTORY}/run")
+    assert service.load("failstop.shm.segment").living(memory), "its supervisor lives, while it can be found"

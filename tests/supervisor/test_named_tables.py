@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.policy.settings import FAMILIES, SettingError, Settings
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import FAMILIES, Settings
 from failstop.procs.gate import sources
 
 BY_PRIORITY = FAMILIES["sources"][0]

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.supervisor import port as own_port
 from failstop.supervisor.port import OwnPort
 from tests.support.ptys import Pty, new_pty
-from tests.support.stand_ins import Time
+from tests.support.supervisor_scene import DEVICE, Scene
 from tests.support.unprivileged import unprivileged
 
 
@@ -80,86 +79,79 @@ def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() ->
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Time:
-    made = Time()
-    monkeypatch.setattr(own_port, "time", made)
+def scene() -> Scene:
+    """Its own port is closed, and can be opened anew."""
+    made = Scene()
+    made.port.close()
     return made
 
 
+def open_and_stop(scene: Scene, told: list[int]) -> str:
+    """How it ends; who holds the port is looked at at the times that are `told`."""
+    module = scene.load("failstop.board.port")
+    try:
+        scene.load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
+    except module.PortError as error:
+        return str(error.kind)
+    return "opened"
+
+
 @pytest.mark.parametrize(
-    ("kind", "is_new", "waited_s"),
+    ("kind", "number", "device", "waited_s"),
     [
-        ("busy", False, 1.0),
-        ("permission", True, 2.0),
-        ("permission", False, 0.0),
-        ("absent", True, 0.0),
-        ("io", True, 0.0),
+        ("busy", 0, (0, 0, 0o660), 1.0),
+        ("permission", errno.EACCES, (0, 0, 0o600), 2.0),
+        ("permission", errno.EACCES, (1, 0, 0o600), 0.0),
+        ("permission", errno.EACCES, (0, 1, 0o600), 0.0),
+        ("permission", errno.EACCES, (0, 0, 0o660), 0.0),
+        ("absent", 0, None, 0.0),
+        ("io", errno.EIO, (0, 0, 0o600), 0.0),
     ],
 )
 def test_how_long_a_port_that_is_refused_is_tried_again(
-    clock: Time,
-    monkeypatch: pytest.MonkeyPatch,
-    kind: port.Kind,
-    is_new: bool,
-    waited_s: float,
+    scene: Scene, kind: str, number: int, device: tuple[int, int, int] | None, waited_s: float
 ) -> None:
-    tried: list[bool] = []
-    told: list[float] = []
+    """A device is new as long as it is as the kernel made it: owner, group and mode."""
+    tried: list[int] = []
+    told: list[int] = []
+    if device:
+        node = scene.wire.port
+        node.uid, node.gid, node.mode = device
+    else:
+        scene.wire.unplug()
+    if kind == "busy":
+        scene.system["fcntl"].flock(scene.os.open(DEVICE, os.O_RDWR), fcntl.LOCK_EX)
 
-    def refuse(_path: str, *, exclusive: bool) -> int:
-        tried.append(exclusive)
-        raise port.PortError(kind, "refused")
+    def refused(path: str, *_: object) -> bool:
+        tried.append(scene.now_ns)
+        return number > 0
 
-    monkeypatch.setattr(port, "open_port", refuse)
-    monkeypatch.setattr(own_port, "_is_new", lambda _: is_new)
-    began_s = clock.now_s
-    with pytest.raises(port.PortError, match="refused"):
-        OwnPort.open_and_stop("/dev/board", lambda: told.append(clock.now_s))
-    assert clock.now_s - began_s == pytest.approx(waited_s, abs=0.01)
+    scene.refuse("open" if device else "stat", OSError(number, os.strerror(number)), refused)
+    began_ns = scene.now_ns
+    assert open_and_stop(scene, told) == kind
+    assert (scene.now_ns - began_ns) / 1e9 == pytest.approx(waited_s, abs=0.01)
     assert len(tried) >= 1 + waited_s / 0.02, "it is stopped soon after it is free"
-    assert all(tried), "no unprivileged process opens it from then on"
-    assert len(told) == (len(tried) - 1 if kind == "busy" else 0), "who holds it is looked at each time"
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="gives files to others: only root")
-@pytest.mark.parametrize(
-    ("owner", "group", "mode", "is_new"),
-    [(0, 0, 0o600, True), (1, 0, 0o600, False), (0, 1, 0o600, False), (0, 0, 0o660, False)],
-)
-def test_a_device_is_new_as_long_as_it_is_as_the_kernel_made_it(
-    tmp_path: Path, owner: int, group: int, mode: int, is_new: bool
-) -> None:
-    device = tmp_path / "board"
-    device.touch()
-    os.chown(device, owner, group)
-    device.chmod(mode)
-    assert own_port._is_new(str(device)) is is_new
-
-
-def test_a_device_that_is_not_there_is_not_new(tmp_path: Path) -> None:
-    assert not own_port._is_new(str(tmp_path / "board"))
+    assert told == (tried[:-1] if kind == "busy" else []), "who holds it is looked at each time"
 
 
 def test_each_port_of_a_run_has_a_number() -> None:
-    with new_pty() as pty:
-        own = OwnPort(os.dup(pty.slave))
-        numbers = [own.number]
-        for fd in (-1, os.dup(pty.slave), os.dup(pty.slave)):
-            own.adopt(fd)
-            numbers.append(own.number)
-        assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
-        own.close()
+    scene = Scene()
+    numbers = [scene.port.number]
+    for fd in (-1, scene.os.dup(0), scene.os.dup(0)):
+        scene.port.adopt(fd)
+        numbers.append(scene.port.number)
+    assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
 
 
-@pytest.mark.parametrize(("unsent", "holds"), [(0, False), (1, True)])
-def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held(unsent: int, holds: bool) -> None:
-    with new_pty() as pty:
-        assert OwnPort(pty.slave, unsent_bytes=lambda _: unsent).holds() is holds
+def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held() -> None:
+    scene = Scene()
+    assert not scene.port.holds()
+    scene.wire.hold()
+    assert scene.port.holds()
 
 
 def test_of_a_port_that_can_not_say_what_it_holds_nobody_says_that_it_takes_nothing() -> None:
-    def refused(_fd: int) -> int:
-        raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
-
-    with new_pty() as pty:
-        assert not OwnPort(pty.slave, unsent_bytes=refused).holds()
+    scene = Scene()
+    scene.wire.hold()
+    scene.refuse("ioctl", OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))
+    assert not scene.port.holds()

@@ -3,200 +3,169 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from typing import Any
 
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
-from failstop.shm.bell import EventBell
 from failstop.shm.futex import BLOCKS
-from failstop.shm.heartbeat import RUNNING
-from failstop.shm.lifeline import Lifeline
-from failstop.supervisor import starter
-from failstop.supervisor.children import DIED, WAITING
+from failstop.supervisor.children import DIED
 from failstop.supervisor.process_table import TRY_AGAIN_NS
+from tests.support.stage import Early
 from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+def scene() -> Scene:
+    return Scene(layout.PORT_OWNER)
 
 
-def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene) -> None:
-    started: list[int] = []
+@pytest.fixture
+def processes(scene: Scene) -> Any:
+    return scene.supervisor.processes
 
-    def start(*_: object) -> int:
-        started.append(os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
-        return started[-1]
 
-    def no_descriptor(_pid: int) -> None:
-        raise OSError(24, "Too many open files")
+@pytest.fixture
+def gate(processes: Any) -> Any:
+    return processes[layout.GATE]
 
-    processes = scene.supervisor.processes
-    scene.world.play("spawn", start)
-    scene.world.play("lifeline", no_descriptor)
-    gate = processes[layout.GATE]
+
+@pytest.mark.parametrize("call", ["pidfd_open", "epoll_ctl"])
+def test_a_process_that_can_not_be_watched_is_not_left_running(
+    scene: Scene, processes: Any, gate: Any, call: str
+) -> None:
+    reason = "[Errno 24] Too many open files"
+    before = scene.open_fds()
+    scene.refuse(call, OSError(24, "Too many open files"))
     processes.start(gate)
-    (pid,) = started
-    assert not os.path.exists(f"/proc/{pid}")
+    assert scene.born[-1].name == layout.GATE
+    assert scene.born[-1].reaped
+    assert scene.open_fds() == before
     assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
     assert gate.restart.ns == scene.now_ns + TRY_AGAIN_NS
-    scene.supervisor._events.flush()
-    (event,) = scene.events()
-    reason = "[Errno 24] Too many open files"
-    assert (event["kind"], event["fields"]) == ("start_failed", {"process": "gate", "reason": reason})
-    assert event["text"] == f"cannot start gate: {reason}; trying again"
+    text = f"cannot start gate: {reason}; trying again"
+    assert scene.said() == [("start_failed", "error", text, {"process": "gate", "reason": reason})]
 
 
-def test_nor_one_whose_news_the_loop_does_not_take(scene: Scene) -> None:
-    found: list[Lifeline] = []
-
-    def unwatchable(pid: int) -> Lifeline:
-        found.append(Lifeline(pid))
-        os.close(found[0].fd)
-        found[0].fd = os.open(__file__, os.O_RDONLY)  # a file: epoll takes none
-        return found[0]
-
-    scene.world.play("spawn", lambda *_: os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
-    scene.world.play("lifeline", unwatchable)
-    gate = scene.supervisor.processes[layout.GATE]
-    scene.supervisor.processes.start(gate)
-    assert not os.path.exists(f"/proc/{found[0].pid}")
-    assert found[0].fd == -1, "it is closed"
-    assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
-
-
-def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> None:
+def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene, processes: Any, gate: Any) -> None:
     """As while a debugger holds the dead process; here it has not even died, and its pidfd is said to be ready."""
-    processes = scene.supervisor.processes
-    gate = processes[layout.GATE]
-    pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-    gate.started(Lifeline(pid), 1, scene.now_ns)
-    assert gate.life
-    scene.supervisor.loop.watch(gate.life.fd, READ)
+    process = scene.employ(layout.GATE)
     gate.on(DIED)
     processes.reap({gate.life.fd: READ}, scene.now_ns)
-    assert (gate.pid, gate.restart.ns) == (pid, NEVER)
-    os.kill(pid, signal.SIGKILL)
-    assert gate.life.wait(20.0)
+    assert (gate.pid, gate.restart.ns) == (process.pid, NEVER)
+    scene.dies(process)
+    assert gate.life.wait(0)
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
     processes.reap({}, scene.now_ns)
     assert (gate.pid, gate.life, gate.last_exit, gate.state) == (0, None, "killed by SIGKILL", "waiting")
-    scene.supervisor._events.flush()
-    assert scene.events()[0]["text"] == f"gate (pid {pid}) was killed by SIGKILL"
+    assert scene.said()[0][2] == f"gate (pid {process.pid}) was killed by SIGKILL"
 
 
-@pytest.mark.parametrize(("number", "told"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGRTMIN + 2, "36")])
-def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int, told: str) -> None:
-    gate = scene.supervisor.processes[layout.GATE]
-    gate.started(Lifeline(os.posix_spawnp("sleep", ["sleep", "120"], os.environ)), 1, scene.now_ns)
-    os.kill(gate.pid, number)
-    assert gate.life
-    assert gate.life.wait(20.0)
-    assert gate.reap() == gate.last_exit == f"killed by {told}"
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        (-signal.SIGTERM, "killed by SIGTERM"),
+        (-(signal.SIGRTMIN + 2), "killed by 36"),
+        (0, "exited with code 0"),
+    ],
+)
+def test_it_is_told_how_one_ended(scene: Scene, gate: Any, code: int, told: str) -> None:
+    scene.dies(scene.employ(layout.GATE), code)
+    assert gate.reap() == gate.last_exit == told
 
 
-def test_one_that_ends_by_itself_is_told_by_its_code_also_when_that_is_0(scene: Scene) -> None:
-    gate = scene.supervisor.processes[layout.GATE]
-    gate.started(Lifeline(os.posix_spawnp("true", ["true"], os.environ)), 1, scene.now_ns)
-    assert gate.life
-    assert gate.life.wait(20.0)
-    assert gate.reap() == gate.last_exit == "exited with code 0"
+def test_a_process_that_is_ended_is_collected(scene: Scene, gate: Any) -> None:
+    process = scene.employ(layout.GATE)
+    for _ in range(2):
+        gate.kill(20.0)
+        assert (gate.pid, gate.life) == (0, None)
+        assert process.reaped
 
 
-def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
-    gate = scene.supervisor.processes[layout.GATE]
-    pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-    gate.started(Lifeline(pid), 1, scene.now_ns)
-    gate.kill(20.0)
-    assert (gate.pid, gate.life) == (0, None)
-    assert not os.path.exists(f"/proc/{pid}")
-    gate.kill(20.0)
+def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(
+    scene: Scene, processes: Any, gate: Any
+) -> None:
+    scene.employ(layout.STOPPER)
+    processes[layout.STOPPER].block = 3
+    assert processes[layout.PORT_OWNER].block == 1
+    found = []
+    for _ in range(BLOCKS):
+        processes.start(gate)
+        found.append(gate.block)
+        gate.kill(20.0)
+    free = [*range(4, BLOCKS), 2]
+    assert layout.SUPERVISOR_BLOCK == 0
+    assert found == (2 * free)[:BLOCKS]
 
 
-def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(scene: Scene) -> None:
-    processes = scene.supervisor.processes
-    processes[layout.PORT_OWNER].block = 3
-    found = [processes._free_block() for _ in range(BLOCKS)]
-    assert found == [*(block for block in range(BLOCKS) if block not in (layout.SUPERVISOR_BLOCK, 3)), 1, 2]
-
-
-def test_what_a_process_is_told_on_its_command_line(scene: Scene) -> None:
-    told: list[tuple[list[str], Sequence[int]]] = []
-
-    def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
-        told.append((arguments, passed))
-        assert environ == starter.environment(Settings())
-        raise OSError("no further")
-
-    scene.world.play("spawn", spawn)
+def test_what_a_process_is_told_on_its_command_line(scene: Scene, processes: Any) -> None:
+    told: list[list[str]] = []
+    scene.refuse("spawn", OSError("no further"), lambda arguments: not told.append(arguments))
+    scene.port.adopt(-1)
     scene.port.number = 5
-    scene.port.fd, fd = -1, scene.port.fd
+    processes[layout.PORT_OWNER].kill(20.0)
     for child in scene.supervisor.children:
-        child.state, child.pid = WAITING, 0
-        scene.supervisor.processes.start(child)
-        row, (arguments, passed) = child.row, told.pop()
-        assert arguments[:3] == [sys.executable, "-I", "-S"]
+        processes.start(child)
+        row, arguments = child.row, told.pop()
+        assert arguments[:3] == ["/usr/bin/python3", "-I", "-S"]
         assert arguments[3].endswith("/supervisor/child.py")
         assert os.path.exists(arguments[3])
         assert arguments[4] == row.name
-        run, block = scene.run, scene.supervisor.processes._block
-        words = [f"name={run.name}", f"run={run.incarnation:x}", f"dir={run.runtime_dir}", f"parent={os.getpid()}"]
+        run, me = scene.run, scene.me
+        words = [f"name={run.name}", f"run={run.incarnation:x}", f"dir={run.runtime_dir}", f"parent={me.pid}"]
         numbers = run.descriptors(row.name, -1)
         given = [f"{key}={numbers[key]}" for key in row.descriptors]
-        assert arguments[5:] == [*words, f"block={block}", "number=5", *given]
-        assert list(passed) == [numbers[key] for key in row.descriptors if key != "port"]
-    scene.port.fd = fd
+        assert arguments[5:9] == words
+        assert arguments[10:] == ["number=5", *given]
 
 
-def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene) -> None:
-    processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
-    scene.world.play("spawn", lambda *_: os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
-    processes.start(gate)
-    assert (gate.block, gate.state, gate.restart.ns) == (1, "starting", NEVER)
-    assert gate.started_ns == scene.now_ns
-    assert scene.word("gate_life").get() == records.life(gate.pid, 1)
+def test_what_a_process_is_given(scene: Scene, processes: Any) -> None:
+    for child in scene.supervisor.children:
+        if not child.pid:
+            processes.start(child)
+        process, row = scene.machine.processes[child.pid], child.row
+        numbers = scene.run.descriptors(row.name, scene.port.fd)
+        assert set(process.files) == {0, 1, 2, *(numbers[key] for key in row.descriptors)}
+        assert process.environ == scene.load("failstop.supervisor.starter").environment(scene.settings)
+        assert f"block={child.block}" in process.argv
+
+
+def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, processes: Any, gate: Any) -> None:
     for process in (layout.PORT_OWNER, layout.STOPPER):
-        assert select.select([scene.run.bells[process].fd], [], [], 0)[0]
-    os.kill(gate.pid, signal.SIGKILL)
-    assert gate.life
-    assert gate.life.wait(20.0)
-    assert gate.life.fd in scene.supervisor.loop.wait(0), "its death wakes the supervisor"
-    gate.kill(0.0)
+        scene.rung(process)
+    processes.start(gate)
+    assert (gate.block, gate.state, gate.restart.ns) == (2, "starting", NEVER)
+    assert gate.started_ns == scene.now_ns
+    assert scene.word("gate_life").get() == records.life(gate.pid, 2)
+    for process in (layout.PORT_OWNER, layout.STOPPER):
+        assert scene.rung(process)
+    fd = gate.life.fd
+    scene.dies(scene.machine.processes[gate.pid])
+    assert fd in scene.supervisor.loop.wait(0), "its death wakes the supervisor"
 
 
-def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    processes, telemetry = scene.supervisor.processes, scene.supervisor.processes[layout.TELEMETRY]
-    told: list[tuple[str, str, dict[str, object]]] = []
+def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, processes: Any) -> None:
+    telemetry = processes[layout.TELEMETRY]
+    told = []
     for _ in range(5):
-        pid = os.posix_spawnp("false", ["false"], os.environ)
-        telemetry.started(Lifeline(pid), 1, scene.now_ns)
-        assert telemetry.life
-        assert telemetry.life.wait(20.0)
+        process = scene.employ(layout.TELEMETRY)
+        scene.dies(process, 1)
         telemetry.on(DIED)
-        scene.supervisor.loop.watch(telemetry.life.fd, READ)
         processes.reap({}, scene.now_ns)
-        scene.supervisor._events.flush()
-        died, then = ((event["kind"], event["text"], event["fields"]) for event in scene.events())
-        how = {"process": "telemetry", "pid": pid, "how": "exited with code 1"}
-        assert died == ("died", f"telemetry (pid {pid}) exited with code 1", how)
-        told.append(then)
+        died, then = scene.said()
+        how = {"process": "telemetry", "pid": process.pid, "how": "exited with code 1"}
+        assert died[::2] == ("died", f"telemetry (pid {process.pid}) exited with code 1")
+        assert died[3] == how
+        told.append((then[0], *then[2:]))
     waits = ((0.0, "now"), (0.1, "in 0.1 s"), (0.2, "in 0.2 s"), (0.4, "in 0.4 s"))
     restarts = [
         ("restarting", f"restarting telemetry {when}", {"process": "telemetry", "wait_s": wait_s})
         for wait_s, when in waits
     ]
-    todo = f"next: see to the cause, then `failstop reset --name {scene.run.name}` restarts it"
+    todo = "next: see to the cause, then `failstop reset --name stage` restarts it"
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
     assert (telemetry.state, telemetry.restart.ns) == ("down", NEVER)
@@ -204,57 +173,27 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     assert (telemetry.state, telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
-Stopping = Callable[[], None] | None
-
-
-class Asked:
-    """Early news: who asks for which."""
-
-    def __init__(self, bell: EventBell) -> None:
-        self.bell = bell
-        self.of: list[tuple[int, int, int, int]] = []
-        """Whose death, at which futex (block, watcher), and the priority of who dies."""
-        self.stops: list[Stopping] = []
-        """What is done at once when it comes."""
-
-    def arm(self, life: Lifeline, block: int, watcher: int, stop: Stopping = None, dying: int = 0) -> None:
-        life.armed = True
-        self.of.append((life.pid, block, watcher, dying))
-        self.stops.append(stop)
-
-
-def test_the_early_news_of_each_process_that_runs_is_waited_for_once_and_that_of_the_port_owner_stops(
-    scene: Scene,
-) -> None:
+def test_the_early_news_of_each_process_that_runs_is_waited_for_once_and_that_of_the_port_owner_stops() -> None:
+    scene = Scene()
     processes = scene.supervisor.processes
+    early = processes.early = Early(processes.early.bell)
     port_owner, gate, stopper = (processes[name] for name in (layout.PORT_OWNER, layout.GATE, layout.STOPPER))
-    asked = Asked(processes.early.bell)
-    processes.early = asked  # type: ignore[assignment]
-    port_owner.state = WAITING
-    for child, block in ((port_owner, 4), (gate, 5), (stopper, 6)):
-        child.started(Lifeline(os.posix_spawnp("sleep", ["sleep", "120"], os.environ)), block, scene.now_ns)
-    for child, own in ((port_owner, scene.port_owner), (gate, scene.gate)):
-        own.word("beat_pid").set(child.pid)
-        own.word("beat_state").set(RUNNING)
-    processes.arm()
-    processes.arm()
-    assert asked.of == [
-        (port_owner.pid, 4, 0, port_owner.row.priority),
-        (gate.pid, 5, 0, gate.row.priority),
-    ], "one that starts holds nothing yet"
-    stop, none = asked.stops
-    assert none is None, "for others the port owner stops"
-    assert stop is not None, "the port owner's death is stopped for by the thread that learns of it"
-    stop()
-    assert os.read(scene.master, 65536) == BOARD.first_stop
-    for child in (port_owner, gate, stopper):
-        child.kill(20.0)
+    processes.start(stopper)
+    for child in (port_owner, gate):
+        scene.employ(child.row.name)
+        processes.arm()
+    assert early.armed == [(port_owner.pid, 2, 0), (gate.pid, 3, 0)], "one that starts holds nothing yet"
+    assert early.dying == {child.pid: child.row.priority for child in (port_owner, gate)}
+    early.tell(gate.pid)
+    assert scene.wire.read() == b"", "for others the port owner stops"
+    early.tell(port_owner.pid)
+    assert scene.wire.read() == BOARD.first_stop, "by the thread that learns of it"
 
 
-def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
-    monkeypatch.setattr(type(processes), "start", lambda _processes, child: child.restart.set(NEVER))
-    for _ in range(3):
+def test_every_restart_is_counted(scene: Scene, processes: Any, gate: Any) -> None:
+    for times in (1, 2, 3):
         gate.restart.set(scene.now_ns)
         processes.restart_due(scene.now_ns)
-    assert gate.times_restarted == 3
+        assert gate.times_restarted == times
+        assert gate.restart.ns == NEVER
+        gate.kill(20.0)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from failstop.procs.loop import READ
 from failstop.shm import layout
 from failstop.supervisor.main import BEATS_ALONE, EXCUSE_NS
-from tests.support.supervisor_scene import MS, Scene
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
+def scene() -> Scene:
+    made = Scene(layout.PORT_OWNER)
     made.turn()
     made.answers()
     made.turn(MS)
-    yield made
-    made.close()
+    return made
 
 
 def rest(scene: Scene) -> tuple[int, dict[int, int]]:

@@ -3,346 +3,289 @@
 from __future__ import annotations
 
 import errno
-import grp
 import itertools
 import os
 import stat
-from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from failstop.lab.machine.kernel import LATE_NS
 from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
 from failstop.procs.world import World
-from failstop.shm import bell, claim, instance, layout, segment
-from failstop.supervisor import run as module
-from failstop.supervisor.events import Events
-from failstop.supervisor.run import LOOK_EVERY_NS, Run, client_gid
+from failstop.shm import layout
+from failstop.supervisor.run import LOOK_EVERY_NS, Run
+from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 
-_numbers = itertools.count()
+GROUP = 4321
+NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
-def name() -> str:
-    return f"r{os.getpid()}x{next(_numbers)}"
+def scene() -> Scene:
+    return Scene()
 
 
-def new(name: str, directory: Path | str) -> Run:
-    """A run that can be found."""
-    found = Run(World(), Settings(), name, str(directory))
-    found.publish()
+@pytest.fixture
+def ended(scene: Scene) -> Scene:
+    """A run has ended in order."""
+    scene.run.remove()
+    return scene
+
+
+def segments(scene: Scene) -> list[str]:
+    found: list[str] = scene.os.listdir("/dev/shm")
     return found
 
 
-def close(made: Run) -> None:
-    made.remove()
-    for fd in (made.stop_pipe, made.client_bell, made.published, *(found.fd for found in made.bells.values())):
-        os.close(fd)
-    for pair in made.controls.values():
-        for fd in pair:
-            os.close(fd)
+def mode(scene: Scene, name: str) -> str:
+    return stat.filemode(scene.os.stat(f"{RUNTIME_DIR}/{name}").st_mode)
 
 
-@pytest.fixture
-def made(name: str, tmp_path: Path) -> Iterator[Run]:
-    created = new(name, tmp_path)
-    yield created
-    close(created)
+def incarnation(scene: Scene, run: Any, process: str) -> int:
+    found: int = scene.load("failstop.shm.segment").attach(run.memory, process).incarnation
+    return found
 
 
-def left(name: str) -> list[str]:
-    return [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
+def dies_before(scene: Scene) -> str:
+    """Another process makes a run, which is killed; its memory."""
+    made: list[Any] = []
+
+    def body(_: object) -> None:
+        made.append(scene.new_run())
+        made[0].publish()
+        bell = scene.load("failstop.shm.bell")
+        bell.send(bell.open_pipe_to_write(f"{RUNTIME_DIR}/stop"), b"old\n")
+        scene.machine.block()
+
+    process = scene.machine.process("before", body)
+    scene.machine.run(lambda: process.threads[0].waiting, LATE_NS)
+    scene.machine.die(process, -9)
+    scene.now_ns += LATE_NS
+    memory: str = made[0].memory
+    return memory
 
 
-def mode(path: str) -> int:
-    return stat.S_IMODE(os.stat(path).st_mode)
-
-
-def test_every_segment_is_there_and_of_this_run(made: Run) -> None:
-    assert len(left(made.name)) == len(layout.SEGMENTS)
+def test_every_segment_is_there_and_of_this_run(scene: Scene) -> None:
+    assert len(segments(scene)) == len(layout.SEGMENTS)
     for process in layout.PROCESSES:
-        assert segment.attach(made.memory, process).incarnation == made.incarnation
+        assert incarnation(scene, scene.run, process) == scene.run.incarnation
 
 
-def test_two_runs_differ(made: Run, name: str, tmp_path: Path) -> None:
-    other = new(f"{name}b", tmp_path)
-    assert other.incarnation != made.incarnation
-    close(other)
+def test_two_runs_differ(ended: Scene) -> None:
+    assert ended.new_run().incarnation != ended.run.incarnation
 
 
-def test_everyone_may_ask_to_stop_and_nobody_else_may_take_a_request_away(made: Run) -> None:
-    """A pipe that others can read is one from which they can take stop requests before the port owner sees them."""
-    path = instance.stop_path(made.runtime_dir)
-    assert stat.S_ISFIFO(os.stat(path).st_mode)
-    assert mode(path) == 0o622
+@pytest.mark.parametrize(
+    ("name", "rights"),
+    [
+        ("stop", "prw--w--w-"),  # who could read it could take a request away before the port owner sees it
+        ("bell", "prw--w----"),
+        ("claims", "-rw-rw----"),
+    ],
+)
+def test_who_may_ask_ring_and_claim(scene: Scene, name: str, rights: str) -> None:
+    assert mode(scene, name) == rights
 
 
-def test_the_group_may_ring_and_nobody_else_may_take_a_ring_away(made: Run) -> None:
-    path = instance.bell_path(made.runtime_dir)
-    assert stat.S_ISFIFO(os.stat(path).st_mode)
-    assert mode(path) == 0o620
-
-
-def test_only_the_group_may_claim(made: Run) -> None:
-    assert mode(instance.claims_path(made.runtime_dir)) == 0o660
-
-
-def test_a_request_waits_in_the_pipe_while_nobody_reads_it(made: Run) -> None:
+def test_a_request_waits_in_the_pipe_while_nobody_reads_it(scene: Scene) -> None:
     """As while the port owner is being restarted: the supervisor keeps the pipe open."""
-    fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
+    bell = scene.load("failstop.shm.bell")
+    fd = bell.open_pipe_to_write(f"{RUNTIME_DIR}/stop")
     assert bell.send(fd, b"stop\n")
-    os.close(fd)
-    assert bell.take(made.stop_pipe) == b"stop\n"
-    assert bell.take(made.stop_pipe) == b"", "and no end of file when the client has gone"
+    scene.os.close(fd)
+    assert bell.take(scene.run.stop_pipe) == b"stop\n"
+    assert bell.take(scene.run.stop_pipe) == b"", "and no end of file when the client has gone"
 
 
-def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("needs root, to give files to any group")
-    monkeypatch.setattr(module, "client_gid", lambda: 4321)
-    made = new(name, tmp_path)
-    try:
-        for path in (instance.bell_path, instance.claims_path):
-            assert os.stat(path(str(tmp_path))).st_gid == 4321
-        assert os.stat(segment.path_of(made.memory, "client.0")).st_gid == 4321
-        assert os.stat(segment.path_of(made.memory, layout.GATE)).st_gid == os.getegid(), "what clients only read stays"
-    finally:
-        close(made)
+def group_is(scene: Scene, gid: int) -> None:
+    """The group of those who may drive."""
+    scene.system["grp"].getgrnam = lambda name: SimpleNamespace(gr_gid={"failstop": gid}[name])
+
+
+def test_the_group_is_the_client_s_where_it_exists(ended: Scene) -> None:
+    group_is(ended, GROUP)
+    made = ended.new_run()
+    path_of = ended.load("failstop.shm.segment").path_of
+    paths = f"{RUNTIME_DIR}/bell", f"{RUNTIME_DIR}/claims", path_of(made.memory, "client.0")
+    assert [ended.os.stat(path).st_gid for path in paths] == [GROUP] * 3
+    assert ended.os.stat(path_of(made.memory, layout.GATE)).st_gid == 0, "what clients only read stays"
 
 
 @pytest.mark.parametrize(
     ("gid", "user", "groups", "given"),
-    [(0, 0, [], 0), (4321, 0, [], 4321), (4321, 7, [4321], 4321), (4321, 7, [4322], -1), (-1, 0, [], -1)],
+    [(0, 0, [], 0), (GROUP, 0, [], GROUP), (GROUP, 7, [GROUP], GROUP), (GROUP, 7, [4322], -1), (-1, 0, [], -1)],
 )
 def test_only_who_may_gives_files_to_the_group(
-    monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
+    scene: Scene, gid: int, user: int, groups: list[int], given: int
 ) -> None:
     """Root, and a member; anybody else's service has the clients of its own group, and so where there is none."""
-
-    def group(name: str) -> grp.struct_group:
-        if gid < 0:
-            raise KeyError(name)
-        return grp.struct_group((name, "x", gid, []))
-
-    monkeypatch.setattr(grp, "getgrnam", group)
-    monkeypatch.setattr(os, "geteuid", lambda: user)
-    monkeypatch.setattr(os, "getgroups", lambda: groups)
-    assert client_gid() == given
+    if gid >= 0:
+        group_is(scene, gid)
+    scene.os.geteuid, scene.os.getgroups = (lambda: user), (lambda: groups)
+    assert scene.load("failstop.supervisor.run").client_gid() == given
 
 
-def test_what_a_dead_run_left_is_replaced(made: Run, tmp_path: Path) -> None:
-    fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
-    bell.send(fd, b"old\n")
-    os.close(fd)
-    for dead in made._segments:
-        dead.close()
-    again = new(made.name, tmp_path)
-    assert segment.attach(again.memory, layout.GATE).incarnation == again.incarnation
-    assert bell.take(again.stop_pipe) == b""
-    close(again)
+def test_what_a_dead_run_left_is_replaced(ended: Scene) -> None:
+    dead = dies_before(ended)
+    again = ended.new_run()
+    again.publish()
+    assert incarnation(ended, again, layout.GATE) == again.incarnation
+    assert not any(dead in name for name in segments(ended))
+    assert ended.load("failstop.shm.bell").take(again.stop_pipe) == b""
 
 
 @pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
-def test_every_descriptor_that_a_process_is_to_get_is_there(made: Run, row: Process) -> None:
-    found = made.descriptors(row.name, 55)
+def test_every_descriptor_that_a_process_is_to_get_is_there(scene: Scene, row: Process) -> None:
+    found = scene.run.descriptors(row.name, 55)
     assert set(row.descriptors) <= set(found)
     assert found["port"] == 55
-    assert found["bell"] == made.bells[row.name].fd
+    assert found["bell"] == scene.run.bells[row.name].fd
 
 
-def test_no_descriptor_is_inherited_unless_it_is_passed_on(made: Run) -> None:
-    for row in PROCESSES:
-        for key, fd in made.descriptors(row.name, -1).items():
-            assert fd < 0 or not os.get_inheritable(fd), key
-
-
-def test_both_ends_of_the_sockets_stay_with_the_supervisor(made: Run) -> None:
-    """A successor inherits the same end, with what was sent to its predecessor."""
-    assert set(made.controls) == {layout.PORT_OWNER, layout.STOPPER}
-    for process, (_, theirs) in made.controls.items():
-        assert made.descriptors(process, -1)["control"] == theirs
-
-
-def test_nothing_is_left_but_how_it_was_started(name: str, tmp_path: Path) -> None:
-    made = new(name, tmp_path)
-    close(made)
-    assert left(name) == []
-    assert os.listdir(tmp_path) == ["last"], "how it was started"
+def test_no_descriptor_is_inherited_unless_it_is_passed_on(tmp_path: Path) -> None:
+    """Of the kernel's own."""
+    made = Run(World(), Settings(), f"r{os.getpid()}", str(tmp_path))
+    fds = {fd for row in PROCESSES for fd in made.descriptors(row.name, -1).values() if fd >= 0}
+    inherited = [fd for fd in fds if os.get_inheritable(fd)]
     made.remove()
+    for fd in fds | {mine for mine, _ in made.controls.values()}:
+        os.close(fd)
+    assert inherited == []
 
 
-def test_claims_of_clients_work_on_the_file(made: Run) -> None:
-    path = instance.claims_path(made.runtime_dir)
-    client, service = claim.open_claims(path), os.open(path, os.O_RDONLY)
+def test_both_ends_of_the_sockets_stay_with_the_supervisor(scene: Scene) -> None:
+    """A successor inherits the same end, with what was sent to its predecessor."""
+    assert set(scene.run.controls) == {layout.PORT_OWNER, layout.STOPPER}
+    for process, (_, theirs) in scene.run.controls.items():
+        assert scene.run.descriptors(process, -1)["control"] == theirs
+
+
+def test_nothing_is_left_but_how_it_was_started(ended: Scene) -> None:
+    for _ in range(2):
+        assert segments(ended) == []
+        assert ended.os.listdir(RUNTIME_DIR) == ["last"], "how it was started"
+        ended.run.remove()
+
+
+def test_claims_of_clients_work_on_the_file(scene: Scene) -> None:
+    claim, path = scene.load("failstop.shm.claim"), f"{RUNTIME_DIR}/claims"
+    client, service = claim.open_claims(path), scene.os.open(path, os.O_RDONLY)
     assert claim.take(client, 3)
     assert claim.held(service, 3)
-    os.close(client)
+    scene.os.close(client)
     assert not claim.held(service, 3)
-    os.close(service)
 
 
-def failing(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def fail(scene: Scene, at: int) -> None:
     """No room from the segment of this number on; past the last one, none for the file that names the run."""
-    made = iter(range(100))
-    allocate = os.posix_fallocate
-
-    def fallocate(fd: int, offset: int, size: int) -> None:
-        if next(made) >= at:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        allocate(fd, offset, size)
-
-    def pipe(path: str, mode: int, gid: int = -1) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
-
-    monkeypatch.setattr(os, "posix_fallocate", fallocate)
-    if at >= len(layout.SEGMENTS):
-        monkeypatch.setattr(bell, "make_pipe", pipe)
+    made = itertools.count()
+    call = "fallocate" if at < len(layout.SEGMENTS) else "mkfifo"
+    scene.refuse(call, NO_SPACE, lambda *_: call == "mkfifo" or next(made) >= at)
 
 
 @pytest.mark.parametrize("at", [0, 1, 7, len(layout.SEGMENTS)])
-def test_a_start_that_fails_midway_leaves_nothing(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
-) -> None:
-    failing(at, monkeypatch)
-    with pytest.raises((segment.AttachError, OSError), match=r"No space|no room"):
-        new(name, tmp_path)
-    assert left(name) == []
-    assert list(tmp_path.iterdir()) == []
+def test_a_start_that_fails_midway_leaves_nothing(ended: Scene, at: int) -> None:
+    fail(ended, at)
+    with pytest.raises((ended.load("failstop.shm.segment").AttachError, OSError), match=r"No space|no room"):
+        ended.new_run()
+    assert segments(ended) == []
+    assert ended.os.listdir(RUNTIME_DIR) == ["last"]
 
 
-def test_nor_does_it_cost_the_black_box_of_the_run_before(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = segment.memory(name, 7)
-    for spec in layout.SEGMENTS:
-        segment.create(before, spec.name, 7).close()
-    with monkeypatch.context() as patch:
-        failing(3, patch)
-        with pytest.raises(segment.AttachError, match="no room"):
-            new(name, tmp_path)
-    assert segment.dead_runs(name) == [before]
-    made = new(name, tmp_path)
+def test_nor_does_it_cost_the_black_box_of_the_run_before(ended: Scene) -> None:
+    before, segment = dies_before(ended), ended.load("failstop.shm.segment")
+    fail(ended, 3)
+    with pytest.raises(segment.AttachError, match="no room"):
+        ended.new_run()
+    assert segment.dead_runs("stage") == [before]
+    ended.allow()
+    made = ended.new_run()
     assert set(made.left) == set(layout.PROCESSES)
-    assert segment.dead_runs(name) == []
-    for fd in made.left.values():
-        os.close(fd)
-    close(made)
+    made.publish()
+    assert segment.dead_runs("stage") == []
 
 
-def test_what_a_living_run_has_is_not_taken_from_it(made: Run) -> None:
+def test_what_a_living_run_has_is_not_taken_from_it(scene: Scene) -> None:
     """Whatever has become of the lock's file."""
-    before = sorted(os.listdir(made.runtime_dir))
-    with pytest.raises(instance.InstanceError, match="already running"):
-        new(made.name, made.runtime_dir)
-    assert sorted(os.listdir(made.runtime_dir)) == before
-    assert len(left(made.name)) == len(layout.SEGMENTS)
+    before = scene.os.listdir(RUNTIME_DIR), segments(scene)
+    with pytest.raises(scene.load("failstop.shm.instance").InstanceError, match="already running"):
+        scene.new_run()
+    assert (scene.os.listdir(RUNTIME_DIR), segments(scene)) == before
 
 
-def test_a_segment_that_is_taken_away_during_the_start_is_named(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = segment.open_all
-
-    def but_the_gate_s(memory: str) -> dict[str, int]:
-        found = real(memory)
-        os.close(found.pop(layout.GATE))
-        return found
-
-    monkeypatch.setattr(segment, "open_all", but_the_gate_s)
-    with pytest.raises(segment.AttachError, match=r"^shared memory gate was there and can't be opened: try again"):
-        new(name, tmp_path)
-    assert left(name) == []
+def test_a_segment_that_is_taken_away_during_the_start_is_named(ended: Scene) -> None:
+    ended.refuse("open", FileNotFoundError(errno.ENOENT, "gone"), lambda path, *_: path.endswith(f".{layout.GATE}"))
+    error = ended.load("failstop.shm.segment").AttachError
+    with pytest.raises(error, match=r"^shared memory gate was there and can't be opened: try again"):
+        ended.new_run()
+    assert segments(ended) == []
 
 
-def test_whatever_others_find_by_its_name_is_watched(made: Run) -> None:
+def test_whatever_others_find_by_its_name_is_watched(scene: Scene) -> None:
     others = {"the stop pipe", "the bell of the clients", "the name of the run"}
-    assert set(made.named) == {*others, *(f"shared memory {spec.name}" for spec in layout.SEGMENTS)}
-    assert all(os.fstat(fd).st_nlink for fd in made.named.values())
+    assert set(scene.run.named) == {*others, *(f"shared memory {spec.name}" for spec in layout.SEGMENTS)}
+    assert all(scene.os.fstat(fd).st_nlink for fd in scene.run.named.values())
 
 
-ALL = (
-    "shared memory gate",
-    "shared memory lifelines",
-    "shared memory client.0",
-    "shared memory client.7",
-    "the stop pipe",
-)
+VITAL = ("gate", "lifelines", "stop")
+SLOTS = ("client.0", "client.7")
+TEXT = {"gate": "shared memory gate", "lifelines": "shared memory lifelines", "stop": "the stop pipe"}
 
 
-class Told(Events):
-    """What people were told."""
-
-    def __init__(self) -> None:
-        super().__init__(World(), "none")
-        self.found: list[tuple[str, str]] = []
-
-    def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
-        self.found.append((level, text))
+def remove(scene: Scene, name: str) -> str:
+    """Take a name away; returns its path."""
+    path_of = scene.load("failstop.shm.segment").path_of
+    path: str = f"{RUNTIME_DIR}/stop" if name == "stop" else path_of(scene.run.memory, name)
+    scene.os.unlink(path)
+    return path
 
 
-class Scene:
-    """A run, for which files that can be taken away stand in for what it has made."""
-
-    def __init__(self, made: Run, directory: Path) -> None:
-        self.paths = {name: directory / name for name in ALL}
-        self.named = {name: os.open(path, os.O_CREAT | os.O_RDWR) for name, path in self.paths.items()}
-        self.run = made
-        self.run.named = dict(self.named)
-        self.run.events = self.told = Told()
-        self.now_ns = 5 * LOOK_EVERY_NS
-
-    def lost(self, *removed: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
-        for name in removed:
-            self.paths[name].unlink()
-        self.now_ns += elapsed_ns
-        return str(self.run.lost(self.now_ns) or "")
-
-
-@pytest.fixture
-def scene(made: Run, tmp_path: Path) -> Iterator[Scene]:
-    found = Scene(made, tmp_path)
-    yield found
-    for fd in found.named.values():
-        os.close(fd)
+def lost(scene: Scene, *names: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
+    for name in names:
+        remove(scene, name)
+    scene.now_ns += elapsed_ns
+    return str(scene.run.lost(scene.now_ns) or "")
 
 
 def test_nothing_is_lost(scene: Scene) -> None:
-    assert scene.lost() == ""
-    assert scene.told.found == []
+    assert lost(scene) == ""
+    assert scene.said() == []
 
 
-@pytest.mark.parametrize("name", [name for name in ALL if "client" not in name])
+@pytest.mark.parametrize("name", VITAL)
 def test_a_name_that_the_service_needs(scene: Scene, name: str) -> None:
-    assert scene.lost(name) == f"{name} was removed: restart the service"
-    ((level, text),) = scene.told.found
+    assert lost(scene, name) == f"{TEXT[name]} was removed: restart the service"
+    ((_, level, text, _),) = scene.said()
     assert level == "error"
-    assert name in text
+    assert TEXT[name] in text
     assert "RemoveIPC" in text
-    assert scene.lost() == "", "once"
+    assert lost(scene) == "", "once"
 
 
 def test_a_client_slot_is_told_of_once(scene: Scene) -> None:
-    assert scene.lost("shared memory client.7") == ""
-    assert scene.lost() == ""
-    ((level, text),) = scene.told.found
+    assert lost(scene, "client.7") == ""
+    assert lost(scene) == ""
+    ((_, level, text, _),) = scene.said()
     assert level == "warning"
     assert "client.7" in text
 
 
 def test_all_at_once_is_one_remark(scene: Scene) -> None:
-    assert scene.lost(*ALL) == "shared memory gate was removed: restart the service"
-    ((_, text),) = scene.told.found
+    assert lost(scene, *VITAL, *SLOTS) == "shared memory gate was removed: restart the service"
+    ((_, _, text, _),) = scene.said()
     assert "lifelines" in text
 
 
 def test_a_name_that_somebody_else_has_taken_is_gone(scene: Scene) -> None:
-    scene.paths["the stop pipe"].unlink()
-    scene.paths["the stop pipe"].touch()
-    assert scene.lost() == "the stop pipe was removed: restart the service"
+    scene.os.mkfifo(remove(scene, "stop"))
+    assert lost(scene) == "the stop pipe was removed: restart the service"
 
 
 def test_it_looks_once_a_second(scene: Scene) -> None:
-    assert scene.lost() == ""
-    assert scene.lost("the stop pipe", elapsed_ns=LOOK_EVERY_NS - 1) == ""
-    assert scene.lost(elapsed_ns=1)
+    assert lost(scene) == ""
+    assert lost(scene, "stop", elapsed_ns=LOOK_EVERY_NS - 1) == ""
+    assert lost(scene, elapsed_ns=1)

@@ -11,19 +11,8 @@ from hypothesis import strategies as st
 
 from failstop.board.codec import RPS_CEILING
 from failstop.policy import kinematics
-from failstop.policy.settings import (
-    BY_KEY,
-    DECLARED,
-    FAMILIES,
-    LAYOUTS,
-    WHEEL_IDS,
-    Setting,
-    SettingError,
-    Settings,
-    declaration,
-    shortened,
-    shown,
-)
+from failstop.policy.setting import Setting, SettingError, shortened, shown
+from failstop.policy.settings import BY_KEY, DECLARED, FAMILIES, LAYOUTS, WHEEL_IDS, Settings, declaration
 from failstop.supervisor.children import LONGEST_WAIT_NS
 from failstop.supervisor.main import TICK_NS
 

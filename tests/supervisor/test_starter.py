@@ -8,9 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
+import failstop
+from failstop.lab.machine.kernel import Replaced
 from failstop.policy.settings import Settings
-from failstop.procs.world import World
+from failstop.procs.world import spawn
 from failstop.supervisor import starter
+from tests.support.supervisor_scene import Scene
 
 SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
 
@@ -35,7 +38,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 def child(pipe: tuple[int, int]) -> Iterator[int]:
     """A started process, with something that waits in the place of the real program."""
     environ = {**starter.environment(Settings()), "OUT": str(pipe[1])}
-    pid = World().spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
+    pid = spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -61,25 +64,23 @@ def test_the_environment_is_what_it_needs_and_no_more() -> None:
     assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
 
 
-def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(
-    monkeypatch: pytest.MonkeyPatch, pipe: tuple[int, int]
-) -> None:
-    told: list[tuple[str, list[str], dict[str, str]]] = []
-    monkeypatch.setattr(os, "execve", lambda *arguments: told.append(arguments))
-    monkeypatch.setenv("NOTIFY_SOCKET", "/run/notify")
-    monkeypatch.delenv("WATCHDOG_USEC", raising=False)
-    starter.become_supervisor("left", "/run/x", Settings(), *pipe, "failstop run --name left")
-    ((program, arguments, environ),) = told
-    assert program == arguments[0] == sys.executable
-    words = ["name=left", "dir=/run/x", f"lock={pipe[0]}", f"port={pipe[1]}", "again=failstop run --name left"]
+def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port() -> None:
+    scene = Scene()
+    scene.me.environ |= {"NOTIFY_SOCKET": "/run/notify", "SHELL": "/bin/sh"}
+    here, lock, port = scene.load("failstop.supervisor.starter"), scene.os.dup(0), scene.port.fd
+    expected = here.environment(scene.settings)
+    with pytest.raises(Replaced) as found:
+        here.become_supervisor("left", "/run/x", scene.settings, lock, port, "failstop run --name left")
+    arguments = found.value.argv
+    assert arguments[0] == scene.system["sys"].executable
+    words = ["name=left", "dir=/run/x", f"lock={lock}", f"port={port}", "again=failstop run --name left"]
     assert arguments[4:] == ["supervisor", *words]
-    assert environ.items() >= starter.environment(Settings()).items()
-    assert environ["NOTIFY_SOCKET"] == "/run/notify"
-    assert "WATCHDOG_USEC" not in environ
-    assert all(os.get_inheritable(fd) for fd in pipe)
+    assert scene.me.environ == {**expected, "NOTIFY_SOCKET": "/run/notify"}
+    assert scene.open_fds() == {0, 1, 2, lock, port}
 
 
-def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = os.path.dirname(starter._PACKAGE)
-    monkeypatch.setattr(sys, "path", ["", "here", "/abs", own, "/abs"])
-    assert starter.environment(Settings())["FAILSTOP_PATH"] == f"{own}:/abs"
+def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere() -> None:
+    scene = Scene()
+    own = os.path.dirname(os.path.dirname(failstop.__file__))
+    scene.me.sys_path = ["", "here", "/abs", own, "/abs"]
+    assert scene.load("failstop.supervisor.starter").environment(scene.settings)["FAILSTOP_PATH"] == f"{own}:/abs"

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import pytest
 
 from failstop.policy import causes
-from failstop.procs.world import World
-from failstop.shm import layout, segment
+from failstop.shm import layout
 from failstop.shm.packing import Note
-from failstop.supervisor.aftermath import MOST_SAID, Aftermath
-from failstop.supervisor.events import Events
-from failstop.supervisor.status import WAITED_NS, Status
+from failstop.supervisor.aftermath import MOST_SAID
+from failstop.supervisor.kinds import BY_NAME
+from failstop.supervisor.status import WAITED_NS
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
@@ -21,60 +19,55 @@ from tests.support.why import why
 T0 = 10**12
 
 
-class Told(Events):
-    """Keeps what is told."""
-
-    def __init__(self) -> None:
-        super().__init__(World(), "x")
-        self.kinds: list[str] = []
-        self.whole: list[tuple[str, str, object, str]] = []
-
-    def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
-        self.kinds.append(kind)
-        self.whole.append((kind, text, fields, level))
+@pytest.fixture
+def scene() -> Scene:
+    return Scene(layout.PORT_OWNER)
 
 
 @pytest.fixture
-def events() -> Told:
-    return Told()
-
-
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, events: Told) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    made.run.events = made.supervisor.processes._events = events
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def aftermath(scene: Scene) -> Aftermath:
+def aftermath(scene: Scene) -> Any:
     return scene.supervisor.aftermath
 
 
 @pytest.fixture
-def status(scene: Scene) -> Status:
+def status(scene: Scene) -> Any:
     return scene.supervisor.status
 
 
-def answered(stop: Stop, written_ns: int, by: str = "port owner", latched: Stop | None = None, epoch: int = 7) -> Stop:
+def told(scene: Scene) -> list[tuple[str, str, object, str]]:
+    """What people were told: kind, text, fields, and the level that is not the kind's."""
+    return [
+        (kind, text, fields, "" if level == BY_NAME[kind].level else level)
+        for kind, level, text, fields in scene.said()
+    ]
+
+
+def made(scene: Scene, stop: Stop) -> Any:
+    """As the supervisor has it."""
+    return scene.made_stop(stop.cause, stop.noticed_by, stop.t_ns)
+
+
+def answered(scene: Scene, stop: Stop, written_ns: int, by: str = "port owner", latched: Stop | None = None) -> Any:
     """A stop of this cause that somebody has written, while another was latched."""
-    found = Stop(stop.t_ns, stop.noticed_by, stop.cause)
-    found.answered_by(by, written_ns, latched or found, epoch)
+    found = made(scene, stop)
+    found.answered_by(by, written_ns, made(scene, latched) if latched else found, 7)
     return found
 
 
-def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
-    aftermath: Aftermath, events: Told
-) -> None:
-    aftermath.latched(Stop(T0, layout.PORT_OWNER, why("key1")))
-    for number in range(1000):
-        aftermath.also(Stop(T0, layout.PORT_OWNER, why(str(number))))
-        assert len(aftermath._said) <= MOST_SAID
-    before = len(events.kinds)
-    aftermath.also(Stop(T0, layout.PORT_OWNER, why("gate died")))
-    aftermath.also(Stop(T0, layout.SUPERVISOR, why("gate died")))
-    assert len(events.kinds) == before + 1
+def test_of_many_reasons_the_oldest_are_forgotten_and_no_death_is_hidden(scene: Scene, aftermath: Any) -> None:
+    """Of a thousand all would be told."""
+
+    def news(reason: str) -> bool:
+        aftermath.also(made(scene, Stop(T0, layout.PORT_OWNER, why(reason))))
+        return bool(scene.said())
+
+    aftermath.latched(made(scene, KEY))
+    assert all(news(str(number)) for number in range(MOST_SAID - 1))
+    assert not news("key1")
+    assert not news("0")
+    assert news("one more")
+    assert news("key1")
+    assert (news("gate died"), news("gate died")) == (True, False)
 
 
 TWICE = "stopped; the stop was written twice, "
@@ -93,17 +86,17 @@ DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITC
     ],
 )
 def test_the_end_is_told_with_what_is_known_of_the_stop(
-    aftermath: Aftermath, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
+    scene: Scene, aftermath: Any, heard_ns: int, link: str, written: bool, level: str, text: str
 ) -> None:
     aftermath.ended(heard_ns, link, written=written, sent=written)
-    acknowledged_us = 3140.3 if heard_ns else None
-    assert events.whole == [("stopped", text, {"link": link, "acknowledged_us": acknowledged_us}, level)]
+    acknowledged = {"acknowledged_us": 3140.3} if heard_ns else {}
+    assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
 
 
 KEY = Stop(T0, layout.PORT_OWNER, why("key1"))
 STUCK = Stop(T0, layout.PORT_OWNER, causes.STUCK())
 DEATH = Stop(T0 + 5, layout.SUPERVISOR, why("gate died"))
-NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
+NEXT = "next: `failstop reset --name stage`, then `failstop enable --name stage`"
 
 
 @pytest.mark.parametrize(
@@ -126,105 +119,105 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
     ],
 )
 def test_a_stop_is_told_with_who_wrote_it_and_when(
-    aftermath: Aftermath, events: Told, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
+    scene: Scene, aftermath: Any, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
 ) -> None:
     written_ns = 0 if after_ns is None else stop.t_ns + after_ns
-    aftermath.latched(KEY)
-    aftermath.answered(answered(stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
+    aftermath.latched(made(scene, KEY))
+    aftermath.answered(answered(scene, stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
         "noticed_by": stop.noticed_by,
         "written_by": "nobody" if after_ns is None else "stopper",
-        "latency_us": None if after_ns is None else max(0.0, round(after_ns / 1e3, 1)),
         "epoch": 7,
     }
+    latency = {} if after_ns is None else {"latency_us": max(0.0, round(after_ns / 1e3, 1))}
     latched = {"latched": "key1"} if kind == "stop_again" else {}
     wrote = "stop frame written by the stopper after"
-    assert events.whole == [(kind, text.format(wrote=wrote), {**fields, **latched}, level)]
+    assert told(scene) == [(kind, text.format(wrote=wrote), {**fields, **latency, **latched}, level)]
 
 
-def test_what_came_together_is_told_once_until_the_next_latch(aftermath: Aftermath, events: Told) -> None:
+def test_what_came_together_is_told_once_until_the_next_latch(scene: Scene, aftermath: Any) -> None:
     also = (
         "stop_also",
         "also: gate died",
         {"reason": "gate died", "cause": "died", "noticed_by": layout.SUPERVISOR},
         "",
     )
-    for count in (1, 2):
-        aftermath.latched(KEY)
+    for _ in range(2):
+        aftermath.latched(made(scene, KEY))
         for cause in (KEY, DEATH, DEATH):
-            aftermath.also(cause)
-        aftermath.answered(answered(DEATH, DEATH.t_ns, latched=KEY), ending=False)
-        assert events.whole == [also] * count
+            aftermath.also(made(scene, cause))
+        aftermath.answered(answered(scene, DEATH, DEATH.t_ns, latched=KEY), ending=False)
+        assert told(scene) == [also]
 
 
-def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene: Scene, events: Told) -> None:
-    ring = segment.attach(scene.run.memory, layout.GATE, write=True).ring_writer("notes")
+def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene: Scene) -> None:
+    ring = scene.gate.ring_writer("notes")
     ring.put(b"damaged")
-    ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="notice").pack())
+    ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="warning").pack())
     scene.supervisor.processes.pass_notes()
-    assert events.whole == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "notice")]
+    assert told(scene) == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "warning")]
 
 
-def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(aftermath: Aftermath, events: Told) -> None:
+def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(scene: Scene, aftermath: Any) -> None:
     aftermath.ended(0, "deaf", written=True, sent=False)
     handed = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
-    assert events.whole == [("stopped", handed + DEAF, {"link": "deaf", "acknowledged_us": None}, "critical")]
+    assert told(scene) == [("stopped", handed + DEAF, {"link": "deaf"}, "critical")]
 
 
-def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(aftermath: Aftermath, events: Told) -> None:
-    aftermath._holds = lambda: True
-    aftermath.answered(answered(STUCK, KEY.t_ns + 80_000), ending=False)
-    [(kind, text, _, level)] = events.whole
+def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, aftermath: Any) -> None:
+    scene.wire.hold()
+    aftermath.answered(answered(scene, STUCK, KEY.t_ns + 80_000), ending=False)
+    [(kind, text, _, level)] = told(scene)
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
     assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {NEXT}", "critical")
 
 
 @pytest.mark.parametrize(("stop", "held"), [(KEY, True), (STUCK, False)])
 def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent(
-    aftermath: Aftermath, events: Told, stop: Stop, held: bool
+    scene: Scene, aftermath: Any, stop: Stop, held: bool
 ) -> None:
     """Any burst is held for a moment, and a port that was stuck has drained again."""
-    aftermath._holds = lambda: held
-    aftermath.answered(answered(stop, KEY.t_ns + 80_000), ending=False)
-    [(_, text, _, level)] = events.whole
+    if held:
+        scene.wire.hold()
+    aftermath.answered(answered(scene, stop, KEY.t_ns + 80_000), ending=False)
+    [(_, text, _, level)] = told(scene)
     assert (text, level) == (
         f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {NEXT}",
         "",
     )
 
 
-def test_what_was_not_handed_over_is_held_by_nobody(aftermath: Aftermath, events: Told) -> None:
-    aftermath._holds = lambda: True
-    aftermath.answered(answered(STUCK, 0), ending=True)
-    [(_, text, _, level)] = events.whole
+def test_what_was_not_handed_over_is_held_by_nobody(scene: Scene, aftermath: Any) -> None:
+    scene.wire.hold()
+    aftermath.answered(answered(scene, STUCK, 0), ending=True)
+    [(_, text, _, level)] = told(scene)
     assert (text, level) == (f"{STUCK.cause}; stop frame NOT written", "critical")
 
 
-def test_a_short_wait_is_not_told_of(status: Status, events: Told) -> None:
+def test_a_short_wait_is_not_told_of(scene: Scene, status: Any) -> None:
     for since_ns, missing in ((0, "gate, telemetry"), (WAITED_NS - 1, "gate"), (WAITED_NS, "gate"), (WAITED_NS, "")):
         status.tell_people(missing, T0 + since_ns)
-    assert events.kinds == []
+    assert told(scene) == []
 
 
-def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(status: Status, events: Told) -> None:
-    status.tell_people("the port", T0)
-    status.tell_people("the port", T0 + WAITED_NS)
-    status.tell_people("the port", T0 + 2 * WAITED_NS)
-    text = "waiting for the port: motion can't be enabled; next: `failstop status --name x`"
-    assert events.whole == [("waiting", text, {"for": "the port"}, "")]
+def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(scene: Scene, status: Any) -> None:
+    for since_ns in (0, WAITED_NS, 2 * WAITED_NS):
+        status.tell_people("the port", T0 + since_ns)
+    text = "waiting for the port: motion can't be enabled; next: `failstop status --name stage`"
+    assert told(scene) == [("waiting", text, {"for": "the port"}, "")]
     assert status.publish("")
     status.tell_people("", T0 + 3 * WAITED_NS)
-    assert events.kinds == ["waiting", "ready"], "once"
+    assert [kind for kind, *_ in told(scene)] == ["ready"], "once"
 
 
-def test_each_long_wait_and_its_end_are_told(status: Status, events: Told) -> None:
+def test_each_long_wait_and_its_end_are_told(scene: Scene, status: Any) -> None:
     assert status.publish("")
     for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
         status.tell_people(missing, T0 + at * WAITED_NS)
-    assert events.kinds == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
-    assert events.whole[0][1].endswith(
-        " is ready: the stop is written, motion disabled; next: `failstop enable --name x`"
-    )
-    assert events.whole[3][1] == "gate, the port is there now: motion can be enabled again"
+    found = told(scene)
+    assert [kind for kind, *_ in found] == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
+    text = " is ready: the stop is written, motion disabled; next: `failstop enable --name stage`"
+    assert found[0][1].endswith(text)
+    assert found[3][1] == "gate, the port is there now: motion can be enabled again"

@@ -1,17 +1,13 @@
-"""A port owner at work: the test plays everybody else, and a kernel that takes only some of its bytes."""
+"""The port owner on a stage."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from collections.abc import Callable
 
-import pytest
-
-from failstop.board import codec, stop_port
+from failstop.board import codec
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.port_owner import main
-from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
 from tests.support.stage import MOST_LATE, MS, Stage
 
@@ -25,9 +21,15 @@ class Scene(Stage):
     """A port owner at work on its stage."""
 
     def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
+        self,
+        *,
+        open_port: bool = True,
+        named: bool = True,
+        before: Callable[[Scene], object] = lambda scene: None,
+        **changed: object,
     ) -> None:
-        super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
+        """`before`: called before the port owner starts."""
+        super().__init__(layout.PORT_OWNER, open_port=open_port, **changed)
         if named:
             self.gate = self.start(layout.GATE)
         self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
@@ -36,7 +38,8 @@ class Scene(Stage):
         self.stays = True
         self.late = 0
         self.asked: list[int] = []
-        self.owner = PortOwner(self)  # type: ignore[arg-type]
+        before(self)
+        self.owner = self.load("failstop.procs.port_owner.main").PortOwner(self)
 
     def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
         """Time passes, the others beat, the port owner wakes up; returns what it wrote."""
@@ -46,7 +49,7 @@ class Scene(Stage):
         self.stays = self.owner.turn(self.owner.loop.wait(0))
         self.late = self.late + 1 if self.stays and self.next_ns() <= self.clock() else 0
         assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
-        return self._without_pings(self.pty.read() if self.pty.master >= 0 else b"")
+        return self._without_pings(self.wire.read())
 
     def next_ns(self) -> int:
         """When it turns without any news."""
@@ -63,11 +66,27 @@ class Scene(Stage):
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
         self.frames.put(records.FRAME.pack(epoch, kind, frame), self.clock() - age_ns)
 
+    def forward(
+        self,
+        frame: bytes = MOTION,
+        *,
+        epoch: int = 1,
+        age_ns: int = 0,
+        kind: int = records.MOTION,
+        elapsed_ns: int = 0,
+    ) -> bytes:
+        """What it writes in a turn for a frame of the gate's."""
+        self.put(frame, epoch=epoch, age_ns=age_ns, kind=kind)
+        return self.turn(elapsed_ns)
+
+    def answer(self, elapsed_ns: int = 0, *, alive: bool = True) -> tuple[bytes, list[str]]:
+        """What it writes in a turn, and the reasons of its own stops."""
+        return self.turn(elapsed_ns, alive=alive), self.reasons()
+
     def drive(self) -> None:
         """Get it to where a motion frame has just been written."""
         self.turn()
-        self.put()
-        assert self.turn() == MOTION
+        assert self.forward() == MOTION
         assert self.owner.admission.wheels_move
 
     def causes(self) -> list[tuple[int, int, str]]:
@@ -82,7 +101,7 @@ class Scene(Stage):
         return [reason for _, _, reason in self.causes()]
 
     def word(self, name: str) -> int:
-        return self.segment(layout.PORT_OWNER).word(name).get()
+        return int(self.views[layout.PORT_OWNER].word(name).get())
 
     def kept(self) -> list[tuple[int, int, int]]:
         """What the black box has got since the last call, without pings: (kind, bytes, how many of them were taken)."""
@@ -105,34 +124,3 @@ class Scene(Stage):
         entry = self.port_record.read()
         assert entry is not None
         return records.PORT.unpack(entry[2])
-
-    def close(self) -> None:
-        self.owner.wire.close()
-        self.owner._parent.control.close()
-        for life in (self.owner._parent.life, *(peer.life for peer in self.owner._peers)):
-            if life:
-                life.close()
-        super().close()
-
-
-class Kernel:
-    """Takes at most `room` more bytes for the port, then EAGAIN; None takes everything."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.room: int | None = None
-        self.taken = [0]
-
-        class Os:
-            write = staticmethod(self.write)
-
-        monkeypatch.setattr(stop_port, "os", Os)
-
-    def write(self, fd: int, data: bytes) -> int:
-        if self.room is None:
-            self.taken[0] = os.write(fd, data)
-            return self.taken[0]
-        part = data[: self.room]
-        if not part:
-            raise BlockingIOError
-        self.room -= len(part)
-        return os.write(fd, part)

@@ -8,17 +8,42 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import Port
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.files import IN, OUT, Open, Pidfd, Port
+from failstop.lab.machine.kernel import Machine, Thread
+from failstop.lab.machine.loading import File, Loader
 from failstop.shm import heartbeat, layout, records
 
 MS = 1_000_000
 MOST_LATE = 3
 """Turns in a row that are due at once: one for each thing that is overdue."""
 INCARNATION = 0xFA11_5709
-BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
+BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell", "gate_bell")
 RUNTIME_DIR = "/run/failstop/stage"
+
+
+class BoardPort(Port):
+    """A port whose driver has little room, or counts bytes that are under way."""
+
+    room: int | None = None
+    """How many bytes it still takes; None: as many as a port does."""
+    under_way = 0
+    """What the kernel says that it holds, beside what it does."""
+
+    def takes(self, room: int | None = None) -> None:
+        """So many bytes from here on; None: all."""
+        self.room = room
+        self.notify()
+
+    def mask(self, opened: Open) -> int:
+        return super().mask(opened) & ~(OUT if self.room == 0 else 0)
+
+    def unsent(self) -> int:
+        return super().unsent() + self.under_way
+
+    def write(self, opened: Open, data: bytes) -> int:
+        taken = super().write(opened, data if self.room is None else data[: self.room])
+        self.room = None if self.room is None else self.room - taken
+        return taken
 
 
 class Wire:
@@ -27,7 +52,7 @@ class Wire:
     def __init__(self, machine: Machine, number: int = 0) -> None:
         self.machine, self.number = machine, number
         self.link = f"/dev/ttyACM{number}"
-        self.port = Port(machine, number)
+        self.port = BoardPort(machine, number)
         self.port.board = self
         self._folder = machine.root.folder("/dev")
         self._came = bytearray()
@@ -51,6 +76,11 @@ class Wire:
         """The port takes nothing more until it drains."""
         self.port.drains = False
         self.port.held += bytes(self.port.ROOM - len(self.port.held))
+
+    def hold(self) -> None:
+        """The kernel has bytes for the port, and passes nothing on until it drains."""
+        self.port.drains = False
+        self.port.held += b"\0"
 
     def unplug(self) -> None:
         """The board goes: the port is hung up."""
@@ -99,7 +129,8 @@ class Dummy:
 
     def __init__(self, machine: Machine, name: str) -> None:
         self._machine = machine
-        self._process = machine.process(name, lambda process: machine.block(), parent=machine.inline.process)
+        parent = machine.inline.process if machine.inline else None
+        self._process = machine.process(name, lambda process: machine.block(), parent=parent)
         self.pid = self._process.pid
 
     def kill(self) -> None:
@@ -134,30 +165,60 @@ class Clock:
         self._machine.run(lambda: False, t_ns - self._machine.now_ns)
 
 
-class Stage:
-    """Plays supervisor, gate and clients around one process. The context that the process is given is this object.
+class PortMachine:
+    """A simulated machine with a board's port. The test is a process of it.
 
-    load() gives failstop's modules as the process has them. Who asks a module that the test itself imports asks the
+    load() gives failstop's modules as that process has them. Who asks a module that the test itself imports asks the
     real machine."""
+
+    def __init__(self, process: str = "test") -> None:
+        self.machine = Machine(step_ns=0, look_ns=0)
+        self.me = self.machine.join(process)
+        loader = Loader(self.machine)
+        self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
+        self.clock = Clock(self.machine)
+        self.wire = Wire(self.machine)
+
+    def open(self, wire: Wire) -> int:
+        """A descriptor of that board's port."""
+        found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
+        return found
+
+    def open_fds(self) -> int:
+        """The number of descriptors that are open."""
+        return len(self.me.files)
+
+    def after(self, ns: int, action: Callable[[], object]) -> None:
+        """Have something happen when so much time has passed."""
+        self.machine.at(self.clock() + ns, lambda: (action(), None)[1])
+
+    def at_next(self, call: str, action: Callable[[], object]) -> None:
+        """Have something happen once, just before the process's next call of the system by this name."""
+
+        def seam(thread: Thread, made: str, about: tuple[Any, ...]) -> None:
+            if made == call:
+                self.machine.at_seam = None
+                action()
+
+        self.machine.at_seam = seam
+
+
+class Stage(PortMachine):
+    """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
 
     changed: ClassVar[dict[str, object]] = {}
     """Settings that are not the defaults."""
 
     def __init__(self, process: str, *, open_port: bool = True, **changed: object) -> None:
+        super().__init__(process)
         self.process = process
         self.name = self.instance = "stage"
-        self.machine = Machine(step_ns=0, look_ns=0)
-        self.machine.join(process)
-        loader = Loader(self.machine)
-        self.load, self.os = loader.load, loader.system["os"]
         for path in ("/dev/shm", "/proc", "/tmp", RUNTIME_DIR):
             self.machine.root.folder(path)
         self.runtime_dir = RUNTIME_DIR
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
-        self.clock = Clock(self.machine)
-        self.wire = Wire(self.machine)
         self.settings = self.load("failstop.policy.settings").Settings(
             {"device.path": self.wire.link, **self.changed, **changed}
         )
@@ -165,8 +226,7 @@ class Stage:
         self.parent = self.supervisor.pid
         self.early = Early(self._bell.EventBell.create())
         self.own = self.owned(process)
-        pid = self.machine.inline.process.pid
-        self.heartbeat = self.load("failstop.shm.heartbeat").Heartbeat(self.own, pid, 0, self.clock())
+        self.heartbeat = self.load("failstop.shm.heartbeat").Heartbeat(self.own, self.me.pid, 0, self.clock())
         self._bell.make_pipe(f"{RUNTIME_DIR}/stop", 0o600)
         handover = self.load("failstop.procs.handover")
         mine, theirs = handover.pair()
@@ -204,14 +264,10 @@ class Stage:
         """A segment as its own process has it."""
         return self._segment.attach(self.name, name, INCARNATION, write=True)
 
-    def open(self, wire: Wire) -> int:
-        """A descriptor of that board's port."""
-        found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
-        return found
-
-    def open_fds(self) -> int:
-        """The number of descriptors that are open."""
-        return len(self.machine.inline.process.files)
+    def news_of(self, dummy: Dummy) -> dict[int, int]:
+        """What a wait returns to which the news of its death has come, and no other."""
+        files = {fd: opened.node for fd, opened in self.me.files.items()}
+        return {fd: IN for fd, node in files.items() if isinstance(node, Pidfd) and node.process.pid == dummy.pid}
 
     def raise_epoch(self, epoch: int) -> None:
         self.views[layout.SUPERVISOR].word("epoch").set(epoch)
@@ -247,3 +303,13 @@ class Stage:
         self.wire = self.wire.replug()
         self.send_port(self.wire, number)
         return self.wire
+
+    def write_text(self, path: str, text: str) -> None:
+        """A file of the machine, in a folder that is there."""
+        with File(self.os, path, "w", None) as file:
+            file.write(text)
+
+    def read_text(self, path: str) -> str:
+        """The text of a file of the machine."""
+        with File(self.os, path, "r", None) as file:
+            return str(file.read())

@@ -1,76 +1,199 @@
-"""The supervisor, turn by turn inside the test: the test moves its clock, and is all of its processes and its port."""
+"""The supervisor, turn by turn inside the test, on a simulated machine: the test lets time pass, and is all of its
+processes and the board."""
 
 from __future__ import annotations
 
-import itertools
 import os
-import pty
-import signal
-import tty
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
-import pytest
 
+from failstop.lab.machine.files import Directory, Null, Open
+from failstop.lab.machine.kernel import LATE_NS, Machine, Process
+from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.policy import causes
 from failstop.policy.reply import unpack
-from failstop.policy.settings import Settings
-from failstop.procs import rights
-from failstop.shm import layout, records, segment
+from failstop.shm import layout, records
 from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import children, main
-from failstop.supervisor.events import Outbox
-from failstop.supervisor.main import Supervisor
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.run import Run
-from failstop.supervisor.status import Notify
-from tests.support.played import PlayedWorld
-from tests.support.ptys import fill
-from tests.support.stage import MOST_LATE
+from failstop.shm.packing import pack
+from failstop.supervisor import main
+from tests.support.stage import MOST_LATE, MS, Clock, Wire
 from tests.support.why import said, told, why
 
-MS = 1_000_000
-_numbers = itertools.count()
+DEVICE = "/dev/ttyACM0"
+RUNTIME_DIR = "/run/failstop/stage"
+NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
+"""What is told of a machine that runs everybody."""
 
 
 class Scene:
-    """A supervisor without children on a pty, with a clock that the test moves; the test plays the port owner."""
+    """A supervisor whose processes are programs that only wait; the test beats and writes for them. `own` are their
+    segments, `born` all that it has started: when, and with which arguments."""
 
     def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, granted: int = 0, journal: Outbox | None = None
+        self,
+        *running: str,
+        granted: int = 0,
+        settings: dict[str, object] | None = None,
+        journal: Any = None,
+        patches: Patches = (),
     ) -> None:
-        self.now_ns = 40_000 * MS
+        """`running`: whom it has started already; `granted`: its rights, as bits of the heartbeat."""
+        self.machine = Machine(step_ns=0, look_ns=0)
+        self.machine.refused = EVERY_RIGHT & ~granted
+        me = self.machine.join(layout.SUPERVISOR, {"HOME": "/root"})
+        loader = Loader(self.machine, patches)
+        self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
+        for path in ("/dev/shm", "/sys/dev/char", "/root", RUNTIME_DIR):
+            self.os.makedirs(path)
+        self.write("/proc/self/ns/pid", "")
+        self.stderr = Null()
+        for _ in range(3):
+            me.descriptor(Open(self.stderr), 0)
+        self.clock = Clock(self.machine)
+        self.born: list[Process] = []
+        self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
+        self.machine.programs["child.py"] = self.wait
+        self.plug()
         self.late = 0
-        self.world = PlayedWorld(now_ns=lambda: self.now_ns, sleep=self.sleep)
-        monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
-        self.master, slave = pty.openpty()
-        tty.setraw(slave)
-        for fd in (self.master, slave):
-            os.set_blocking(fd, False)
-        self.run = Run(self.world, Settings(), f"a{os.getpid()}x{next(_numbers)}", str(directory), journal)
-        self.port = OwnPort(slave, unsent_bytes=self.world.unsent_bytes)
-        self.supervisor = Supervisor(self.run, self.port, Notify())
+        changed = {"device.path": DEVICE, **(settings or {})}
+        self.settings = self.load("failstop.policy.settings").Settings(changed)
+        self.run = self.new_run(journal)
+        self.port = self.load("failstop.supervisor.port").OwnPort(self.os.open(DEVICE, os.O_RDWR | os.O_NONBLOCK))
+        notify = self.load("failstop.supervisor.status").Notify()
+        self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()
-        memory = self.run.memory
-        self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
-        self.gate = segment.attach(memory, layout.GATE, write=True)
-        self.stop_record = segment.attach(memory, layout.SUPERVISOR).latest_reader("stop")
-        self.word = segment.attach(memory, layout.SUPERVISOR).word
-        self._events = segment.attach(memory, layout.SUPERVISOR).ring_reader("events")
-        child = self.supervisor.processes[layout.PORT_OWNER]
-        child.state = children.RUNNING
-        child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
-        self.port_owner.word("beat_pid").set(child.pid)
-        self.port_owner.word("beat_state").set(RUNNING)
-        self.port_owner.word("beat_ns").set(self.now_ns)
-        port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
-        self.port_owner.latest_writer("port").write(port)
+        attach = self.load("failstop.shm.segment").attach
+        self.view = attach(self.run.memory, layout.SUPERVISOR)
+        self.word = self.view.word
+        self._told, self._box = self.view.ring_reader("events"), self.view.ring_reader("box")
+        self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESSES}
+        self.port_owner, self.gate, self.telemetry, self.stopper = (
+            self.own[name] for name in (layout.PORT_OWNER, layout.GATE, layout.TELEMETRY, layout.STOPPER)
+        )
+        for name in running:
+            self.employ(name)
+        self.has_port(layout.PORT_OWNER)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
-    def sleep(self, seconds: float) -> None:
-        """The supervisor sleeps."""
-        self.now_ns += round(seconds * 1e9)
+    def wait(self, process: Process, argv: list[str]) -> int:
+        """A program that waits to be killed."""
+        self.machine.block()
+        return 0
+
+    def new_run(self, journal: Any = None) -> Any:
+        """All of a run but its name, made as the supervisor makes it."""
+        world = self.load("failstop.procs.world").World()
+        return self.load("failstop.supervisor.run").Run(world, self.settings, "stage", RUNTIME_DIR, journal)
+
+    def plug(self) -> None:
+        """A board is there, under the path of the settings."""
+        devices = self.machine.root.names["dev"]
+        assert isinstance(devices, Directory)
+        self.wire = Wire(self.machine, devices, 0)
+
+    @property
+    def me(self) -> Process:
+        """The supervisor's own process, in which the test is."""
+        assert self.machine.inline
+        return self.machine.inline.process
+
+    def write(self, path: str, text: str) -> None:
+        """Make a file."""
+        self.os.makedirs(os.path.dirname(path))
+        fd = self.os.open(path, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+        self.os.write(fd, text.encode())
+        self.os.close(fd)
+
+    # Time.
+
+    @property
+    def now_ns(self) -> int:
+        return self.clock()
+
+    @now_ns.setter
+    def now_ns(self, t_ns: int) -> None:
+        self.clock.now_ns = t_ns
+
+    def pass_time(self, elapsed_ns: int = 0) -> bytes:
+        """Time passes, nobody beats, and the supervisor wakes up; returns what it wrote to a port that drains."""
+        self.now_ns += elapsed_ns
+        self.supervisor.turn(self.supervisor.loop.wait(0))
+        self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
+        assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
+        return self.wire.read() if self.wire.port.drains else b""
+
+    def turn(self, elapsed_ns: int = 0) -> bytes:
+        """The same, and the port owner beats."""
+        self.now_ns += elapsed_ns
+        self.beat(layout.PORT_OWNER)
+        return self.pass_time()
+
+    def tick(self, elapsed_ns: int, *, beating: tuple[str, ...] = ()) -> bytes:
+        """Time passes with a turn at each tick, in which these beat; returns what it wrote."""
+        wrote = b""
+        while elapsed_ns > 0:
+            step_ns = min(elapsed_ns, main.TICK_NS)
+            self.now_ns += step_ns
+            elapsed_ns -= step_ns
+            self.beat(*beating)
+            wrote += self.pass_time()
+        return wrote
+
+    def next_ns(self) -> int:
+        """When it turns without any news."""
+        due_ns: int = self.supervisor.loop.due_ns()
+        return min(self.now_ns + main.TICK_NS, due_ns)
+
+    # Its processes.
+
+    def employ(self, name: str) -> Process:
+        """A process that says that it runs; started, unless it is."""
+        child = self.supervisor.processes[name]
+        if not child.pid:
+            self.supervisor.processes.start(child)
+        for word, value in (("beat_pid", child.pid), ("beat_state", RUNNING)):
+            self.own[name].word(word).set(value)
+        self.beat(name)
+        self.supervisor.processes.arm()
+        return self.machine.processes[child.pid]
+
+    def dies(self, who: str | Process, code: int = -9) -> None:
+        """A process dies, and the late news of it has come; by its name one that runs."""
+        self.machine.die(self.employ(who) if isinstance(who, str) else who, code)
+        self.now_ns += LATE_NS
+
+    def starve(self, name: str) -> None:
+        """The machine does not run it."""
+        self.machine.hold(self.employ(name), 1 << 61, starved=True)
+
+    def running(self, program: str) -> list[Process]:
+        """The living processes of a program."""
+        return [process for process in self.born if process.name == program and not process.dead]
+
+    def state(self, name: str) -> str:
+        """What the supervisor makes of it."""
+        state: str = self.supervisor.processes[name].state
+        return state
+
+    def beat(self, *names: str) -> None:
+        for name in names:
+            self.own[name].word("beat_ns").set(self.now_ns)
+
+    def keep_beating(self) -> None:
+        """All of them beat from now on each millisecond."""
+        self.beat(*layout.PROCESSES[1:])
+        self.machine.at(self.now_ns + MS, self.keep_beating)
+
+    def has_port(self, name: str, number: int = 1, state: int = records.PORT_OPEN) -> None:
+        """Port owner or stopper says of a port that it has it, or `state`."""
+        if name == layout.STOPPER:
+            self.stopper.word("port_number").set(number)
+        else:
+            packed = records.PORT.pack(number, self.now_ns, state, DEVICE)
+            self.port_owner.latest_writer("port").write(packed)
 
     def answers(self, *, written_ns: int = 0) -> None:
         """The port owner answers the epoch; `written_ns`: with a burst written then."""
@@ -78,64 +201,50 @@ class Scene:
             self.port_owner.word("written_ns").set(written_ns)
         self.port_owner.word("stopped_epoch").set(self.supervisor.epoch)
 
-    def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
+    def enabled(self, epoch: int = 1, **more: object) -> None:
+        """The gate has enabled motion."""
+        self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch, **more}))
+
+    def notice(self, reason: str = "key1", *, written_ns: int = 0, late_ns: int = 0) -> None:
         """The port owner has stopped for a cause of its own."""
-        stop = records.STOPPED.pack(1, self.now_ns, written_ns, why(reason).pack())
-        self.port_owner.ring_writer("stops").put(stop)
+        self.raises(layout.PORT_OWNER, why(reason), written_ns=written_ns, late_ns=late_ns)
 
     def gate_stops(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("stops").put(records.STOPPED.pack(1, self.now_ns, 0, why(reason).pack()))
+        self.raises(layout.GATE, why(reason))
 
-    def turn(self, elapsed_ns: int = 0) -> bytes:
-        """Time passes and the supervisor wakes up; returns what it wrote to the port."""
-        self.now_ns += elapsed_ns
-        self.port_owner.word("beat_ns").set(self.now_ns)
-        self.supervisor.turn(self.supervisor.loop.wait(0))
-        self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
-        assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
-        try:
-            return os.read(self.master, 65536)
-        except BlockingIOError:
-            return b""
+    def raises(self, name: str, cause: causes.Cause, *, written_ns: int = 0, late_ns: int = 0) -> None:
+        """A process publishes a cause, as of a while later than now."""
+        stop = records.STOPPED.pack(1, self.now_ns + late_ns, written_ns, cause.pack())
+        self.own[name].ring_writer("stops").put(stop)
 
-    def next_ns(self) -> int:
-        """When it turns without any news."""
-        return min(self.now_ns + main.TICK_NS, self.supervisor.loop.due_ns())
+    def pings(self, index: int, *, answered: bool = True) -> None:
+        """A ping goes out now; its answer comes a millisecond later."""
+        self.port_owner.word(f"ping_{index}").set(self.now_ns)
+        if answered:
+            self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
 
-    def events(self) -> list[dict[str, Any]]:
-        """What people were told since the last call."""
-        found = []
-        while entry := self._events.next():
-            found.append(msgpack.unpackb(entry[2]))
-        return found
-
-    def told(self) -> dict[str, Any]:
-        entry = self.stop_record.read()
-        assert entry is not None
-        found: dict[str, Any] = msgpack.unpackb(entry[2])
-        times = {key: found[key] for key in ("written_by", "written_us")}
-        return {"reason": said(causes.read(found["cause"])), **times}
-
-    def cause(self) -> tuple[int, str]:
-        """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
-        entry = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("latch").read()
-        assert entry is not None
-        since, _, _, cause = records.LATCH.unpack(entry[2])
-        return since, said(causes.read(cause))
+    def judge(self, *, still: bool) -> None:
+        """The IMU's verdict of just now."""
+        self.telemetry.word("still_ns").set(self.now_ns if still else 0)
+        self.telemetry.word("judged_ns").set(self.now_ns)
 
     def ask_reset(self, asked_ns: int | None = None) -> None:
         """The gate passes a reset on."""
         self.gate.word("reset_asked_ns").set(asked_ns or self.now_ns)
         self.gate.word("resets_asked").set(self.gate.word("resets_asked").get() + 1)
 
-    def decided(self) -> tuple[bool, str] | None:
-        """What became of the last reset; None: it is not decided."""
-        if self.word("resets").get() != self.gate.word("resets_asked").get():
-            return None
-        entry = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("reset").read()
-        assert entry is not None
-        return told(unpack(entry[2])[2])
+    def made_stop(self, cause: causes.Cause, by: str, t_ns: int = 0) -> Any:
+        """A Stop of the supervisor's own modules, noticed at that time, or now."""
+        found = self.load("failstop.policy.causes").read(cause.pack())
+        return self.load("failstop.supervisor.stops").Stop(t_ns or self.now_ns, by, found)
+
+    def stops(self, reason: str) -> None:
+        """The gate stops, and the port owner answers."""
+        self.gate_stops(reason)
+        self.turn()
+        self.answers(written_ns=self.now_ns)
+        self.turn(MS)
 
     def reset(self) -> None:
         """Somebody resets, and it is done."""
@@ -143,24 +252,91 @@ class Scene:
         self.turn(MS)
         assert self.decided() is not None
 
-    def fill(self) -> None:
-        """The port takes nothing more."""
-        fill(self.port.fd, self.master)
+    # What it tells.
 
-    def close(self) -> None:
-        self.run.remove()
-        for control in self.supervisor.handover.controls.values():
-            control.close()
-        os.close(self.supervisor.handover.opener._spare)
-        for pair in self.run.controls.values():
-            os.close(pair[1])
-        for fd in (self.master, self.run.stop_pipe, self.run.client_bell, self.run.published):
-            os.close(fd)
-        for bell in (*self.run.bells.values(), self.supervisor.processes.early.bell):
-            os.close(bell.fd)
-        for pid, saver in self.supervisor.blackbox._savers.items():
-            os.killpg(pid, signal.SIGKILL)
-            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-            self.world.reap(pid)
-            saver.close()
-        self.port.close()
+    def read(self, record: str) -> bytes:
+        """A record of the supervisor's."""
+        entry = self.view.latest_reader(record).read()
+        assert entry is not None
+        found: bytes = entry[2]
+        return found
+
+    def number(self, record: str) -> int:
+        """How often it was written."""
+        entry = self.view.latest_reader(record).read()
+        return entry[0] if entry else 0
+
+    def table(self, record: str) -> dict[str, Any]:
+        """A record that is a map."""
+        found: dict[str, Any] = msgpack.unpackb(self.read(record))
+        return found
+
+    def waits_for(self) -> str:
+        """What motion waits for, as everybody reads."""
+        found: str = self.table("processes")["waiting_for"] or ""
+        return found
+
+    def told(self) -> dict[str, Any]:
+        """Of the last stop: why, who wrote it, and when."""
+        found = self.table("stop")
+        times = {key: found[key] for key in ("written_by", "written_us")}
+        return {"reason": said(causes.read(found["cause"])), **times}
+
+    def cause(self) -> tuple[int, str]:
+        """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
+        since, _, _, cause = records.LATCH.unpack(self.read("latch"))
+        return since, said(causes.read(cause))
+
+    def decided(self) -> tuple[bool, str] | None:
+        """What became of the last reset; None: it is not decided."""
+        if self.word("resets").get() != self.gate.word("resets_asked").get():
+            return None
+        return told(unpack(self.read("reset"))[2])
+
+    def boxed(self) -> list[tuple[int, bytes]]:
+        """What the black box has of it since the last call, and when that was written."""
+        found = []
+        while entry := self._box.next():
+            found.append((entry[1], entry[2]))
+        return found
+
+    def events(self) -> list[dict[str, Any]]:
+        """What people were told since the last call."""
+        found = []
+        while entry := self._told.next():
+            found.append(msgpack.unpackb(entry[2]))
+        return found
+
+    def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
+        """The same at once: kind, level, text and fields."""
+        self.run.events.flush()
+        return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
+
+    def starved(self) -> list[tuple[str, int, int]]:
+        """What people were told of the machine since the last call."""
+        found = [event["fields"] for event in self.events() if event["kind"] == "starved"]
+        return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
+
+    def rung(self, process: str) -> bool:
+        """Whether its bell was rung since the last call."""
+        bell = self.run.bells[process]
+        found: bool = self.supervisor.loop.readable(bell.fd)
+        bell.clear()
+        return found
+
+    def open_fds(self) -> set[int]:
+        """The descriptors that the supervisor has."""
+        return set(self.me.files)
+
+    def refuse(self, call: str, error: Exception, when: Callable[..., bool] = lambda *about: True) -> None:
+        """From now on that call of the system fails, of the supervisor."""
+
+        def at_seam(thread: Any, name: str, about: tuple[Any, ...]) -> None:
+            if name == call and thread is self.machine.inline and when(*about):
+                raise error
+
+        self.machine.at_seam = at_seam
+
+    def allow(self) -> None:
+        """No call fails any more."""
+        self.machine.at_seam = None

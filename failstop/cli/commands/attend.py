@@ -59,7 +59,7 @@ class Questions:
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """What came from the terminal: answers are taken, and the rest, which a person typed, comes back."""
+        """Take the terminal's answers out of its bytes; the rest, which a person typed, comes back."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._take(int(found[2]))

@@ -10,7 +10,8 @@ from textwrap import indent
 
 from failstop import config
 from failstop.cli import style
-from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Setting, Settings, declaration
+from failstop.policy.setting import Setting
+from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin

@@ -58,7 +58,7 @@ def main(arguments: Namespace) -> int:
         log = EventLog(name)
         show(log.read())
     except NoService as error:
-        # What a service told that has died and was not started again.
+        # The last words of a service that has died and was not started again.
         show(left[1] if (left := follow.left(name)) else [])
         raise follow.refusal(name, error) from None
     while arguments.follow:

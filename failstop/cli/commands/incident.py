@@ -114,7 +114,7 @@ def unsaved(name: str) -> Stop | None:
     except FailstopError:
         return None
     stop = state.last_stop
-    # What comes while a stop is latched belongs to that one's file.
+    # A cause that comes while a stop is latched belongs to that one's file.
     if not stop or state.cause not in (None, stop.cause):
         return None
     heads, _ = files.heads(name, files.folders(name, os.environ))

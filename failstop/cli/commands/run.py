@@ -10,7 +10,8 @@ from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
-from failstop.policy.settings import BY_KEY, SettingError
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import BY_KEY
 from failstop.procs import rights
 from failstop.shm import instance
 from failstop.supervisor import grant, starter
@@ -18,7 +19,7 @@ from failstop.supervisor.port import OwnPort
 
 DEVICE = "device.path"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
-"""What can keep the service from starting."""
+"""Errors that keep the service from starting."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings

@@ -123,7 +123,7 @@ def spark(values: Iterable[float | None], top: float, columns: int) -> str:
 
 
 class Live:
-    """What the screen remembers from one state to the next."""
+    """The screen's memory from one state to the next."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -16,7 +16,8 @@ from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
-from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
 from failstop.shm import instance
 
 TYPE_CHECKING = False
@@ -83,7 +84,7 @@ def main(arguments: Namespace) -> int:
     try:
         if _by_service(arguments.name, reason, who, port):
             return 0
-    except Exception as error:  # whatever it is, the port is still to be written to
+    except Exception as error:  # the port is still to be written to
         standard.say(f"no service can be asked ({error}): writing to the port itself")
     after_s = port.stop(late=lambda: _late(arguments.name, reason, who, port))
     if port.by_service:
@@ -165,11 +166,11 @@ class Port:
         self._name = arguments.name
         self._config = arguments.config
         self._problems: list[str] = []
-        """What is wrong with the file, and not told yet."""
+        """Faults of the file that are not told yet."""
         self._unknown = False
         """The file may have named a port: it can't be read, or its port is none."""
         self.known = ""
-        """What a service that runs says of its port."""
+        """The port of a service that runs, by its own word."""
         self.asked: list[str] = []
         """Services that were asked, and are not known to have stopped."""
         self.by_service = False
@@ -186,7 +187,7 @@ class Port:
         return self._instead or self.wanted() or self.known or self._last.device or self._guess()
 
     def told(self) -> str:
-        """The same for people, with what it was chosen for."""
+        """The port for people, with the reason for its choice."""
         of = ", the port of the last run" if self._is_last() else ""
         return f"{self.device()}{of}"
 
@@ -211,7 +212,7 @@ class Port:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """What the file sets, of these two what is allowed; nothing where there is none, or it can't be read."""
+        """The file's values of these two, where they are allowed; nothing where there is none, or it can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:

@@ -111,7 +111,7 @@ class Pilot:
         self.percent = FIRST_PERCENT
         self.hold = Hold()
         self.note: Span = ("", PLAIN)
-        """What came of the last key, and its role; told until the state changes."""
+        """The result of the last key, and its role; told until the state changes."""
         self.enabled = False
         """Motion is enabled by this program, or may be soon."""
         self.leaving = False
@@ -128,7 +128,7 @@ class Pilot:
         self._asked = False
         """An arm was on its way to the drive pose then, to enable motion."""
         self._rival = ""
-        """Who else commands as this source."""
+        """Another program that commands as this source."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
@@ -141,11 +141,11 @@ class Pilot:
             self.hold.let_go()
             with self._noted():
                 self.robot.estop("space key")
-            late = True  # what was typed before it, or with it, must not undo it
+            late = True  # keys typed before it, or with it, must not undo it
         if late:
             keys = [key for key in keys if key in LEAVE]
         if late or not state.enabled:
-            self._send(self.hold.let_go(), now_s)  # nor does anything drive on that something else has stopped
+            self._send(self.hold.let_go(), now_s)  # a held key must not drive on after another stop
         moving = []
         for key in keys:
             if key in AXES:
@@ -261,7 +261,7 @@ class Pilot:
         return (rival, WARN) if self._rival else None
 
     def holds(self, state: State) -> Span | None:
-        """What holds the wheels, and the keys that help; None: the keys drive."""
+        """The reason why the wheels stand, and the keys that help; None: the keys drive."""
         if any(process.state == "dead" for process in state.processes.values()):
             return "the service has died, and the wheels are stopped: q leaves", FAIL
         first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
@@ -307,7 +307,7 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """What the arm does, and the chosen joint: where it is, or was sent."""
+        """A line on the arm and the chosen joint: where it is, or was sent."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

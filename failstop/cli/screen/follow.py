@@ -35,7 +35,7 @@ class Follower:
         self.note = ""
         """Why there is no state now."""
         self.events: list[Event] = []
-        """What this run has told, oldest first, the last of it."""
+        """The last events of this run, oldest first."""
         self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
@@ -85,8 +85,8 @@ def _variance(values: Sequence[float]) -> float:
 
 
 def left(name: str) -> tuple[Why, list[Event]] | None:
-    """What a run that was not ended in order has left in memory, until the service is started again, or the machine:
-    the answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
+    """The memory left by a run that was not ended in order, until the service is started again, or the machine: the
+    answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
     dead = segment.dead_runs(name)
     fds = segment.open_all(dead[-1]) if dead else {}
     try:
@@ -121,7 +121,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
 
 
 def refusal(name: str, error: NoService) -> NoService:
-    """What to tell whoever asks for a service that does not run, if it is more than the error says."""
+    """A better error for a service that does not run, where its last run left one."""
     if found := left(name):
         return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
     if host.unit(name):

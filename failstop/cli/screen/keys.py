@@ -61,7 +61,7 @@ AXES: dict[str, Velocity] = {
 }
 """Keys that move: forward, to the left, counter-clockwise."""
 COMMAND_S = 0.3
-"""What one command is worth by default (gate.command_timeout_s)."""
+"""The time that one command is good for by default (gate.command_timeout_s)."""
 ENDS_S = 0.35
 """After the last repeat: by then the service's own timeout has stopped the wheels; for a source with a longer one, a
 zero is sent."""
@@ -80,8 +80,8 @@ class Hold:
         """When it ends unless it is repeated."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """What to send for these keys, or for the time that has passed without any: each axis within -1 to 1; None:
-        nothing."""
+        """The command for these keys, or for the time that has passed without any: each axis within -1 to 1; None:
+        there is none."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()

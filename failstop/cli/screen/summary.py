@@ -62,7 +62,7 @@ def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
 
 
 def headline(state: State) -> Line:
-    """What the wheels do, and why."""
+    """A line on the wheels and why they do it."""
     word = verdict.word(state)
     role = WORDS.get(word) or (FAIL if state.cause else WARN)
     if verdict.unproven(state) and role == OK:
@@ -71,7 +71,7 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """The same, and the next command."""
+    """That line, and the next command."""
     rows = [headline(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -151,7 +151,7 @@ def processes(state: State) -> list[Line]:
 
 
 def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
-    """What the process table says, in words."""
+    """The process table in words."""
     found: list[Line] = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
@@ -173,7 +173,7 @@ def event(told: Event, now_s: float) -> Line:
 
 
 def arm_headline(arm: ArmState) -> str:
-    """What the arm does, in a line."""
+    """A line on the arm."""
     if arm.mode:
         return f"{arm.mode} for {arm.by}{f', {arm.phase}' if arm.phase else ''}"
     if arm.released:

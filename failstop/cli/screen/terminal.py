@@ -40,7 +40,7 @@ class Terminal:
             term = os.environ.get("TERM", "")
             raise FailstopError(f"this needs a terminal with a screen, and TERM is {term!r}; see `failstop status`")
         self._shown: list[str] | None = None
-        """What is on the screen, line by line; None: it may show anything."""
+        """The screen's lines; None: it may show anything."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
@@ -53,7 +53,7 @@ class Terminal:
             self._handlers[number] = signal.signal(number, self._note)
         with contextlib.suppress(termios.error):
             self._saved = termios.tcgetattr(IN)
-            tty.setcbreak(IN)  # what was typed before is forgotten
+            tty.setcbreak(IN)  # keys typed before are forgotten
         self._measure()
         self.write(ENTER)
         return self
@@ -104,7 +104,7 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """What was typed; empty when nothing was until the time is over."""
+        """Keys that were typed; empty when none were until the time is over."""
         if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
@@ -128,7 +128,7 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """What to write so that a screen that shows `before` (None: anything) shows these rows from its top; they must
+    """The bytes to write so that a screen that shows `before` (None: anything) shows these rows from its top; they must
     fit."""
     shown = before or []
     parts = [CLEAR] if before is None else []

@@ -7,6 +7,7 @@ import mmap
 import os
 import stat
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -153,6 +154,10 @@ class Directory(Node):
         super().__init__(mode)
         self.names: dict[str, Node] = {}
         self.above = above or self
+
+    def found(self) -> dict[str, Node]:
+        """The names that are looked up."""
+        return self.names
 
     def put(self, name: str, node: Node) -> None:
         self.names[name] = node
@@ -393,6 +398,8 @@ class Port(Node):
         self.held = bytearray()
         """What a port that does not drain keeps."""
         self.drains = True
+        self.refuses = False
+        """It takes nothing for the moment."""
         self.gone = False
         self.board: Any = None
         self.settings: list[Any] = [0, 0, 0, 0, 0, 0, [b"\0"] * 32]
@@ -404,7 +411,7 @@ class Port(Node):
     def mask(self, opened: Open) -> int:
         if self.gone:
             return IN | OUT | ERR | HUP
-        return (IN if self.came else 0) | (OUT if len(self.held) < self.ROOM else 0)
+        return (IN if self.came else 0) | (OUT if len(self.held) < self.ROOM and not self.refuses else 0)
 
     def read(self, opened: Open, most: int) -> bytes:
         if self.gone:
@@ -419,13 +426,17 @@ class Port(Node):
         if self.gone:
             raise OSError(errno.EIO, "the device is gone")
         taken = bytes(data[: self.ROOM - len(self.held)])
-        if not taken:
+        if not taken or self.refuses:
             raise BlockingIOError(errno.EAGAIN, "full")
         if self.drains:
             self.board.receive(taken)
         else:
             self.held += taken
         return len(taken)
+
+    def unsent(self) -> int:
+        """What the kernel says that it holds."""
+        return len(self.held)
 
     def drain(self) -> None:
         """It takes bytes again."""
@@ -441,12 +452,21 @@ class Port(Node):
             self.came += data[: max(0, self.ROOM - len(self.came))]
             self.notify()
 
-    def unplug(self) -> None:
-        """The device is gone, for good: a replug is another node."""
+    def take_again(self) -> None:
+        """It refuses nothing any more."""
+        self.refuses = False
+        self.notify()
+
+    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
+        """The device is gone, for good: a replug is another node. `late_ns`: so much later who has it open is woken."""
         self.gone = True
         self.came.clear()
         self.held.clear()
-        self.notify()
+        for opened in tuple(self.opened):
+            if ns := late_ns(opened):
+                self.machine.at(self.machine.now_ns + ns, opened.notify)
+            else:
+                opened.notify()
 
     def closed(self, opened: Open) -> None:
         if not self.opened:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import heapq
+import os
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +28,10 @@ LATE_NS = 400_000
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
 IGNORED = (SIGCHLD, SIGCONT)
 """Signals that do nothing by default."""
+LAND_NS = 100_000
+"""From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
+SCHED_FIFO = 1
 FOREVER_NS = 1 << 61
 
 
@@ -46,7 +50,10 @@ class Death(BaseException):
 class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
-    __slots__ = ("body", "greenlet", "number", "process", "ready", "robust", "started", "token", "waiting", "woken")
+    __slots__ = (
+        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "started", "token", "waiting"),
+        "woken",
+    )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
         """`hub`: the greenlet of a thread that runs inline."""
@@ -58,6 +65,8 @@ class Thread:
         """Of a thread that runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
+        self.scheduling = (SCHED_FIFO, 10)
+        """Policy and priority: every process of a service has real-time rights here."""
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
         self.waiting = False
@@ -74,6 +83,8 @@ class Process:
         self.machine = machine
         self.pid = pid
         self.parent = parent
+        self.group: int = parent.group if parent else pid
+        """Its process group: what is sent to that comes to all in it."""
         self.name = name
         self.environ = environ
         machine.processes[pid] = self
@@ -82,6 +93,8 @@ class Process:
         self.threads: list[Thread] = []
         self.handlers: dict[int, Any] = {}
         self.pending: deque[int] = deque()
+        self.in_write: Callable[[], None] | None = None
+        """Puts the bytes on the wire that it is handing to the kernel: a death waits for it."""
         self.dead = False
         self.code: int | None = None
         """Exit code, or the negative signal; None: it lives, or its end is not yet complete."""
@@ -98,8 +111,13 @@ class Process:
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
+        self.uid: int = parent.uid if parent else 0
+        self.gid: int = parent.gid if parent else 0
+        self.umask: int = parent.umask if parent else 0o22
         self.sys_path: list[str] = []
         self.argv: list[str] = []
+        self.most_files = 1 << 20
+        """A descriptor is below this (RLIMIT_NOFILE)."""
         self._random = pid
 
     def descriptor(self, opened: Open, lowest: int = 3) -> int:
@@ -107,6 +125,8 @@ class Process:
         fd = lowest
         while fd in self.files:
             fd += 1
+        if fd >= self.most_files:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
         self.files[fd] = opened
         opened.references += 1
         return fd
@@ -142,6 +162,8 @@ class Machine:
         self.current: Thread | None = None
         self.programs: dict[str, Callable[[Process, list[str]], int]] = {}
         """The programs that there are, by the last part of a script's path; any other one ends at once."""
+        self.refused = 0
+        """Rights that it grants to nobody, as bits of the heartbeat."""
         self.shortened = False
         """The next write takes a half of what it is given."""
         self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
@@ -285,6 +307,12 @@ class Machine:
             thread.woken = not for_signal
             self._runnable.append(thread)
 
+    def pause(self, ns: int) -> None:
+        """Run nothing of the current thread for so long; the other threads of its process go on."""
+        until_ns = self.now_ns + ns
+        while self.now_ns < until_ns:
+            self.block(until_ns)
+
     def give_way(self) -> None:
         """Let every other runnable thread run first."""
         thread = self.current
@@ -302,12 +330,16 @@ class Machine:
         body: Callable[[Process], object],
         environ: dict[str, str] | None = None,
         parent: Process | None = None,
+        after_ns: int = 0,
     ) -> Process:
-        """Start a process."""
+        """Start a process; its first line runs after so long."""
         made = Process(self, self._take_pid(), parent, name, environ or {})
         thread = Thread(made, lambda: body(made), made.pid)
         made.threads.append(thread)
-        self._runnable.append(thread)
+        if after_ns:
+            self.at(self.now_ns + after_ns, lambda: self._runnable.append(thread))
+        else:
+            self._runnable.append(thread)
         self.told("started", made, name)
         return made
 
@@ -319,6 +351,10 @@ class Machine:
     def die(self, process: Process, code: int) -> None:
         """A process dies at once: nothing of it runs any more. Its futexes tell of it now, the rest later."""
         if process.dead:
+            return
+        if lands := process.in_write:
+            process.in_write = None
+            self.at(self.now_ns + LAND_NS, lambda: (lands(), self.die(process, code)))
             return
         process.dead = True
         self.told("died", process, code)
@@ -343,12 +379,26 @@ class Machine:
         if process.parent:
             self.kill(process.parent, SIGCHLD)
 
+    def threads(self) -> dict[int, Thread]:
+        """All threads of all living processes, by number."""
+        living = [each for each in self.processes.values() if not each.dead]
+        return {thread.number: thread for process in living for thread in process.threads}
+
     def living(self, pid: int) -> Process:
         """The process with this number, until it is reaped. Raises ProcessLookupError."""
         found = self.processes.get(pid)
         if found is None or found.reaped:
             raise ProcessLookupError(errno.ESRCH, "no such process")
         return found
+
+    def addressed(self, pid: int) -> list[Process]:
+        """The process with this number; below 0: the whole group. Raises ProcessLookupError."""
+        if pid > 0:
+            return [self.living(pid)]
+        group = [each for each in self.processes.values() if each.group == -pid and not each.reaped]
+        if not group:
+            raise ProcessLookupError(errno.ESRCH, "no such process group")
+        return group
 
     def kill(self, process: Process, number: int) -> None:
         """Send a signal."""
@@ -396,6 +446,20 @@ class Machine:
         process.starved = False
         self._runnable.extend(process.parked)
         process.parked = []
+
+    def collecting(self) -> bool:
+        """True in a call of the garbage collector's, which comes in the middle of anything: it is no process's."""
+        try:
+            return self.current is None or getcurrent() is not self.current.greenlet
+        except RuntimeError:  # of a greenlet that is being collected itself
+            return True
+
+    def point(self, name: str) -> None:
+        """A place between two calls at which something may happen, where a process runs at all."""
+        if self.at_seam is not None and (thread := self.current) is not None:
+            if thread.process.dead or getcurrent() is not thread.greenlet:
+                raise Death
+            self.at_seam(thread, name, ())
 
     def call(self, name: str, *about: Any) -> Process:
         """Begin a call of the system: returns the process that makes it."""

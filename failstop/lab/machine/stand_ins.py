@@ -16,6 +16,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
 from failstop.shm.words import LINE_BYTES
 
+EVERY_RIGHT = REALTIME | MEMORY_LOCKED | EARLY_NEWS
 OWNER_DIED = 1 << 30
 WAITERS = 1 << 31
 NUMBER = OWNER_DIED - 1
@@ -119,7 +120,7 @@ def make_futex(calls: Calls) -> ModuleType:
 
 
 def make_rights(calls: Calls) -> ModuleType:
-    """failstop.procs.rights: every right is granted."""
+    """failstop.procs.rights: every right is granted, but for what the machine refuses."""
 
     def die_with_parent(parent: int) -> None:
         process = calls.process("prctl")
@@ -132,14 +133,15 @@ def make_rights(calls: Calls) -> ModuleType:
 
     @contextlib.contextmanager
     def realtime(priority: int) -> Iterator[bool]:
-        yield True
+        calls.process("sched_setscheduler", priority)
+        yield not calls.machine.refused & REALTIME
 
     return Module(
         "failstop.procs.rights",
         calls,
         name_process=nothing,
         die_with_parent=die_with_parent,
-        take_rights=lambda priority: REALTIME | MEMORY_LOCKED | EARLY_NEWS,
+        take_rights=lambda priority: EVERY_RIGHT & ~calls.machine.refused,
         leave_no_dump=nothing,
         settle=nothing,
         take_descriptors=nothing,

@@ -10,8 +10,9 @@ import struct
 import termios
 from typing import Any
 
+from failstop.lab.machine import users
 from failstop.lab.machine.calls import Calls, Module, constants
-from failstop.lab.machine.files import Directory, Fifo, Open, Port, Regular, Socket
+from failstop.lab.machine.files import IN, Directory, Fifo, Open, Port, Regular, Socket
 from failstop.lab.machine.kernel import Process
 
 WHOLE = -1
@@ -59,7 +60,7 @@ class Fcntl(Module):
         if isinstance(node, Port):
             if node.gone:
                 raise OSError(errno.EIO, "the device is gone")
-            return _FD.pack(len(node.held)) if request == termios.TIOCOUTQ else argument
+            return _FD.pack(node.unsent()) if request == termios.TIOCOUTQ else argument
         if isinstance(node, Fifo) and request == termios.FIONREAD:
             return _FD.pack(len(node.data))
         raise OSError(errno.ENOTTY, "not a terminal")
@@ -108,12 +109,14 @@ class SimulatedSocket:
     def __init__(self, calls: Calls, fd: int) -> None:
         self._calls = calls
         self._fd = fd
+        self._blocking = True
 
     def fileno(self) -> int:
         return self._fd
 
     def setblocking(self, blocking: bool) -> None:
-        """Nothing here waits in a socket."""
+        """Whether recv() waits; no other call does."""
+        self._blocking = blocking
 
     def _own(self, call: str) -> tuple[Process, Open, Socket]:
         process = self._calls.process(call, self._fd)
@@ -140,7 +143,9 @@ class SimulatedSocket:
         return self._own("write")[2].send(data)
 
     def recv(self, most: int) -> bytes:
-        return self._own("read")[2].take(most)[0]
+        _, opened, node = self._own("read")
+        self._calls.wait_for((opened,), lambda: node.mask(opened) & IN, None if self._blocking else 0)
+        return node.take(most)[0]
 
     def shutdown(self, how: int) -> None:
         peer = self._own("shutdown")[2].peer
@@ -195,7 +200,7 @@ class SharedMemory:
         process, folder = calls.process("shm_open", name), shared_folder(calls)
         if name.lstrip("/") in folder.names:
             raise Error("there is one of this name")
-        made = Regular(mode)
+        made = users.made(process, Regular(mode))
         folder.put(name.lstrip("/"), made)
         self.fd = process.descriptor(Open(made))
 
@@ -219,10 +224,14 @@ class PosixIpc(Module):
         return SharedMemory(self._calls, name, mode)
 
     def unlink_shared_memory(self, name: str) -> None:
-        self._calls.process("unlink", name)
+        process = self._calls.process("unlink", name)
         folder = shared_folder(self._calls)
         if name.lstrip("/") not in folder.names:
             raise Error("no such name")
+        node = folder.names[name.lstrip("/")]
+        users.check_drop(process, folder, node, name)
+        if isinstance(node, Directory):
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", name)
         folder.drop(name.lstrip("/"))
 
 

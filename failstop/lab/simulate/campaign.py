@@ -12,24 +12,20 @@ import json
 import multiprocessing
 import os
 import signal
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import Any
 
 from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS
-from failstop.lab.simulate.faults import faults
+from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
-LINES = 2
-"""By so many lines of the call stack two calls are told apart."""
 SHARES = 4
 """Into so many parts the calls of a scenario are divided, so that no core waits for the other."""
 
@@ -112,11 +108,13 @@ class Explorer:
         self.result = Result()
 
     def explore(self) -> Result:
-        """Every fault of the plan. The scenario is run once before, so that every module is compiled before a fork."""
+        """Every fault of the plan. The scenario is run once before, and what it has loaded is loaded before a fork."""
         plan = self._plan
-        if not plan.only:
-            Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches).run()
+        before = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        before.run()
         self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        for name in before.robot.loader.loaded():
+            self.stage.robot.loader.load(name)
         self.stage.machine.at_seam = self._only if plan.only else self._fork_here
         gc.collect()
         gc.freeze()
@@ -138,7 +136,7 @@ class Explorer:
         plan, self._count = self._plan, self._count + 1
         if not self.stage.explored or thread.process.name == "last.py":
             return
-        where = f"{thread.process.name} {call} {_line(call, about)}"
+        where = f"{thread.process.name} {call} {line_of(call, about)}"
         self._seen[thread.process.name, where] += 1
         if plan.most and self._seen[thread.process.name, where] > plan.most:
             return
@@ -166,7 +164,7 @@ class Explorer:
         if self._count == self._plan.only[0]:
             for fault, inject in faults(self.stage, thread, call, about):
                 if fault == self._plan.only[1]:
-                    self._begin(fault, f"{thread.process.name} {call} {_line(call, about)}")
+                    self._begin(fault, f"{thread.process.name} {call} {line_of(call, about)}")
                     inject()
 
     def _begin(self, fault: str, where: str) -> None:
@@ -197,18 +195,6 @@ def _send(to: int, run: Run) -> None:
     while data:
         data = data[os.write(to, data) :]
     os._exit(0)
-
-
-def _line(call: str, about: tuple[Any, ...]) -> str:
-    """The line of the service's code that makes the call, and the one that called it; of a write how much."""
-    frame: FrameType | None = sys._getframe(2)
-    while frame and "/lab/" in frame.f_code.co_filename:
-        frame = frame.f_back
-    lines: list[str] = []
-    while frame and len(lines) < LINES:
-        lines.append(f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}")
-        frame = frame.f_back
-    return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
 
 
 def explore(plan: Plan) -> Result:

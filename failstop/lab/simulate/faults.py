@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import sys
 from collections.abc import Callable, Iterator
+from types import FrameType
 from typing import Any
 
 from failstop.lab.machine.files import Open, Port, Regular
@@ -15,6 +18,8 @@ from failstop.lab.simulate.witness import SERVICE, WRITERS
 
 Fault = tuple[str, Callable[[], None]]
 HELD_NS = 300 * MS
+LINES = 2
+"""By so many lines of the call stack two calls are told apart."""
 ASLEEP_S = 20.0
 SHORT_OF: dict[str, int] = {
     "write": errno.EAGAIN,
@@ -31,14 +36,29 @@ PORT_REFUSES = (errno.EAGAIN, errno.EIO)
 DISK_REFUSES = (errno.ENOSPC, errno.EIO)
 
 
-def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]) -> Iterator[Fault]:
+def line_of(call: str, about: tuple[Any, ...]) -> str:
+    """The line of the service's code that makes the call, and the one that called it; of a write how much."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame and "/lab/" in frame.f_code.co_filename:
+        frame = frame.f_back
+    lines: list[str] = []
+    while frame and len(lines) < LINES:
+        lines.append(f"{'/'.join(frame.f_code.co_filename.split('/')[-2:])}:{frame.f_lineno}")
+        frame = frame.f_back
+    return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
+
+
+def faults(
+    stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS
+) -> Iterator[Fault]:
     """The faults that may happen at this call, with their names."""
     process = thread.process
+    told = "" if held_ns == HELD_NS else f" for {held_ns // MS} ms"
     yield "dies", lambda: stage.machine.die(process, -9)
-    yield "held", lambda: _held(stage, process)
+    yield f"held{told}", lambda: _held(stage, process, held_ns)
     if process.name not in SERVICE:
         return
-    yield "starved", lambda: _held(stage, process, starved=True)
+    yield f"starved{told}", lambda: _held(stage, process, held_ns, starved=True)
     yield "machine sleeps", lambda: stage.sleep_machine(ASLEEP_S)
     opened = process.files.get(about[0]) if call in ("write", "read") else None
     for number in _refusals(call, opened):
@@ -46,6 +66,7 @@ def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...]) -> I
     if call == "write" and opened and isinstance(opened.node, Port):
         yield "short write", lambda: _shortened(stage, process)
         yield "dies in mid-write", lambda: _cut(stage, process, opened, about[1])
+        yield f"held{told} in the write", lambda: _held_in_write(stage, process, opened, about[1], held_ns)
     if process.name in WRITERS:
         for name in SERVICE:
             other = stage.robot.named(name)
@@ -61,10 +82,23 @@ def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
     return (SHORT_OF[call],) if call in SHORT_OF else ()
 
 
-def _held(stage: Stage, process: Process, *, starved: bool = False) -> None:
+def _held(stage: Stage, process: Process, ns: int, *, starved: bool = False) -> None:
     """For so long it runs nothing; `starved`: for want of a processor, which the service can tell."""
-    stage.witness.held(process, HELD_NS)
-    stage.machine.hold(process, HELD_NS, starved=starved)
+    stage.witness.held(process, ns)
+    stage.machine.hold(process, ns, starved=starved)
+
+
+def _held_in_write(stage: Stage, process: Process, opened: Open, data: bytes, ns: int) -> None:
+    """Held while the kernel has its bytes in hand: who kills it meanwhile finds them on the wire a little later."""
+    process.in_write = lambda: _land(stage, process, opened, data)
+    _held(stage, process, ns)
+    process.in_write = None
+
+
+def _land(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
+    stage.witness.tell(f"the write that {process.name} was in is done")
+    with contextlib.suppress(OSError):
+        opened.node.write(opened, data)
 
 
 def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable[[], None]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
-from failstop.lab.machine.robot import MS, Robot
+from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 
@@ -29,7 +29,6 @@ ARM_NS = 8_000 * MS
 """An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
-PERIOD_S = 0.02
 DRIVER_NS = 500 * MS
 STOP_PIPE = "/run/failstop/failstop/stop"
 
@@ -37,21 +36,44 @@ STOP_PIPE = "/run/failstop/failstop/stop"
 class Stage:
     """`failstop` is the package as the simulated machine has it, `time` its clock."""
 
-    def __init__(self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = ()) -> None:
+    def __init__(
+        self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = (), *, stores: bool = False
+    ) -> None:
+        """`stores`: what is stored in shared memory is a place for a fault too."""
         self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
         self.machine = self.robot.machine
         self.witness = Witness(self.robot, SPEED_RPS)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
-        self.time: Any = self.robot.loader.system["time"]
+        self.time = self.robot.time
+        self.take(play)
+        self.hang_up_ns: Callable[[Any], int] = lambda opened: 0
+        """How much later a descriptor tells of the loss of the port."""
+        self._begun = False
+        self._keep = True
+        self.player: Process | None = None
+        if stores:
+            self._watch_stores()
+
+    def take(self, play: Callable[[Stage], object]) -> None:
+        """Play this scenario, on a robot that has its settings."""
         self._play = play
         told = SETTINGS.get(play, {})
         self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
-        self._keep = True
-        self.player: Process | None = None
+
+    def _watch_stores(self) -> None:
+        machine, load = self.machine, self.robot.loader.load
+        for where, name in ((load("failstop.shm.words").Word, "set"), (load("failstop.shm.cell")._Cells, "_store")):
+            store = getattr(where, name)
+
+            def told(*arguments: Any, _store: Any = store) -> None:
+                machine.point("store")
+                _store(*arguments)
+
+            setattr(where, name, told)
 
     # What a scenario may do.
 
@@ -77,11 +99,7 @@ class Stage:
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
-        until_s = self.time.monotonic() + seconds
-        while self.time.monotonic() < until_s:
-            robot.sensed()
-            robot.drive(speed_mps, 0.0, 0.0)
-            self.time.sleep(PERIOD_S)
+        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0))
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -105,8 +123,7 @@ class Stage:
 
     def kill(self, name: str) -> None:
         """SIGKILL a process of the service."""
-        if found := self.robot.named(name):
-            self.machine.die(found, -9)
+        self.robot.kill(name)
 
     def freeze(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long."""
@@ -116,7 +133,7 @@ class Stage:
 
     def unplug(self) -> None:
         self.witness.tell("the plug is pulled")
-        self.robot.unplug()
+        self.robot.unplug(self.hang_up_ns)
 
     def replug(self) -> None:
         self.robot.plug()
@@ -157,7 +174,7 @@ class Stage:
         began_ns = self.machine.now_ns
         driver = self.robot.program("driver.py", drive)
         while self.witness.moved_ns < began_ns and self.machine.now_ns < began_ns + DRIVER_NS:
-            self.time.sleep(PERIOD_S)
+            self.time.sleep(COMMAND_EVERY_S)
         return driver
 
     def kill_driver(self, driver: Process) -> None:
@@ -212,14 +229,21 @@ class Stage:
         self._prove_alive()
 
     def play(self) -> None:
-        """From the start of the service to the end of the scenario."""
-        self.robot.start()
-        self._keep_running()
+        """From the start of the service, if that was not begun before, to the end of the scenario."""
+        if not self._begun:
+            self.begin()
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
         if not self.machine.run(lambda: player.dead, LONGEST_NS):
             self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
+
+    def begin(self, warm_ns: int = 0) -> None:
+        """Start the service, and let it run for so long."""
+        self._begun = True
+        self.robot.start()
+        self._keep_running()
+        self.machine.run(lambda: False, warm_ns)
 
     def _played(self, failstop: Any) -> None:
         try:
@@ -239,6 +263,7 @@ class Stage:
 
     def _prove_alive(self) -> None:
         machine = self.machine
+        machine.at_seam = None
         for process in machine.processes.values():
             if process.held_until_ns:
                 machine.resume(process)
@@ -247,8 +272,10 @@ class Stage:
             self.witness.hears_ns = machine.now_ns + ZEROS_NS
         if self.robot.board.port is None:
             self.replug()
-        elif not self.robot.board.port.drains:
-            self.robot.board.port.drain()
+        else:
+            self.robot.board.port.take_again()
+            if not self.robot.board.port.drains:
+                self.robot.board.port.drain()
         began_ns = machine.now_ns
         last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
         moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, self.live_ns)
@@ -265,7 +292,7 @@ class Stage:
                     robot.reset()  # what is down starts again by it
                 self.enable(robot)
                 while robot.state.enabled:
-                    self.drive(robot, PERIOD_S)
+                    self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
                 self.witness.tell(f"the last program is told: {error}")
                 self.time.sleep(0.02)

@@ -51,6 +51,8 @@ class Witness:
         self._forbidden = "no program has asked for motion yet"
         """Why no frame may turn the wheels now; empty: one may."""
         self._asked = 0
+        self._late_ns = 0
+        """Until then a thread of who writes to the board may pause."""
         self._late = False
         """The one frame that may follow a stop which came while the port owner was held up has come."""
         robot.machine.told = self._told
@@ -97,9 +99,9 @@ class Witness:
         up for less than others need to notice it."""
         port = self._robot.board.port
         living = (each for each in self._machine.processes.values() if not each.dead and not each.held_until_ns)
-        if port is None or not port.drains or self._robot.board.model.deaf or self._unnoticed():
+        if port is None or not port.drains or port.refuses or self._robot.board.model.deaf or self._unnoticed():
             return False
-        if self._machine.now_ns < self.hears_ns:
+        if self._machine.now_ns < max(self.hears_ns, self._late_ns):
             return False
         return any(_has(each, port) for each in living if each.name in WRITERS)
 
@@ -157,6 +159,16 @@ class Witness:
             self.must_stop(f"{process.name} is silent", HANG_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
+
+
+    def late(self, process: Process, ns: int) -> None:
+        """A thread of a process pauses for so long."""
+        if process.name in WRITERS:
+            self._late_ns = max(self._late_ns, self._machine.now_ns + ns)
+
+    def asked(self) -> None:
+        """Somebody's bytes came to the stop pipe."""
+        self.must_stop("a stop was asked for", ASKED_NS)
 
 
 def _has(process: Process, port: Port) -> bool:

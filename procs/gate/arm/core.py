@@ -8,61 +8,30 @@ moves again.
 
 from __future__ import annotations
 
-from math import inf
-
 from failstop.board.interface import BOARD
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
-from failstop.policy.capsules import Model, would_hit
+from failstop.board.servos import HIGHEST_POSITION
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
+from failstop.procs.gate.arm.space import Space
+from failstop.procs.gate.arm.stream import Stream
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 
 ENABLED = "wheels enabled"
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
-MOVES_APART_NS = MOST_MOVES * MOVE_NS
-"""Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
 TORQUE_APART_NS = 4_000_000
 """Between two frames that switch a torque on or off."""
 STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 1.0
 """Pulses from its end at which a journey is there."""
-LATE_S = 2.0
+LATE_NS = 2_000_000_000
 """A journey that is not there so long after its time has lost its way."""
-FIND_S = 4.0
-MOVES_NS = LONGEST_MOVE_MS * 1_000_000
-
-
-class Space:
-    """May the joints go on to where they are to be next, or would the arm hit something? What is looked at is where
-    each move ends, before it is sent: a servo that is sent no further move stands where the last one ended, which was
-    looked at before. A touch that is there already, by the model, may become less."""
-
-    def __init__(self, settings: Settings, joints: list[Joint]) -> None:
-        self._joints = joints
-        self._model = Model(settings) if settings.on("arm.collision") else None
-        """None: nothing is looked at."""
-        self._gap_m = inf
-
-    def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Whose place must be known before these move; silent ones count where they were last."""
-        return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
-
-    def hit(self, *, begins: bool = False) -> str:
-        """What the arm would hit where its joints are to be now; empty: nothing. Then they go on from there. `begins`:
-        they stand there, whatever they touch."""
-        if self._model is None:
-            return ""
-        gap_m, name, other = self._model.nearest({joint.name: joint.rad(joint.position) for joint in self._joints})
-        if gap_m < min(0.0, self._gap_m) and not begins:
-            return would_hit(name, other)
-        self._gap_m = gap_m
-        return ""
+FIND_NS = 4_000_000_000
 
 
 class ArmCore:
@@ -71,23 +40,20 @@ class ArmCore:
     def __init__(self, settings: Settings, gate: GateCore, now_ns: int) -> None:
         self._gate = gate
         self.joints = from_settings(settings)
-        self._period_ns = settings.ns("arm.period_s")
-        self._move_ms = round(settings["arm.period_s"] * 1000)
         self._timeout_ns = settings.ns("arm.goal_timeout_s")
         self._pose_speed = settings["arm.pose_speed"]
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = Reader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
+        self._stream = Stream(settings, self._space)
         self._journey: Journey | None = None
         self._goal: Goal | None = None
         """The newest of a stream."""
         self._ended: dict[int, int] = {}
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
-        self._schedule: list[tuple[int, list[Joint]]] = []
-        """When the joints of each frame are due, the next first; empty: no servo is on its way."""
-        self._torque_ns = self._apart_ns = 0
-        """When the servos' bus is free of the last torque; of the last move."""
+        self._torque_ns = 0
+        """When the servos' bus is free of the last torque."""
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
         self.letting_go: list[Joint] = []
@@ -97,8 +63,6 @@ class ArmCore:
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not taken."""
-        self._blocked: dict[Joint, str] = {}
-        """Why the joints of a frame, by its first, do not go on toward the goal of a stream."""
 
     @property
     def closed(self) -> str:
@@ -144,9 +108,8 @@ class ArmCore:
         if goal.mode == goals.FOLLOW:
             goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
         else:
-            goal.ends = {joint: rate * (joint.pulses(1.0) - joint.zero) for joint, rate in goal.ends.items()}
-        if self._goal is None:
-            self._reader.hurry(now_ns)
+            goal.ends = {joint: joint.turned(rate) for joint, rate in goal.ends.items()}
+        self._reader.hurry(now_ns)
         self._goal = goal
         self.active_ns, self.released = now_ns, False
 
@@ -191,7 +154,7 @@ class ArmCore:
         if way := self.way:
             way.finish(why, dropped=True)
         self._goal = None
-        self._end_stream()
+        self._stream.end()
         return was
 
     def stop(self, why: str) -> None:
@@ -210,11 +173,6 @@ class ArmCore:
         for joint in self.joints:
             joint.forget()
 
-    def _end_stream(self) -> None:
-        for joint in self._streamed():
-            joint.forget()
-        self._schedule = []
-
     def release(self, now_ns: int) -> None:
         """Let go: every torque is switched off, one after the other."""
         self.drop("released")
@@ -228,10 +186,7 @@ class ArmCore:
 
     def streaming(self) -> bool:
         """A servo may be on its way."""
-        return bool(self._schedule)
-
-    def _streamed(self) -> list[Joint]:
-        return [joint for _, group in self._schedule for joint in group]
+        return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
         """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
@@ -246,19 +201,18 @@ class ArmCore:
         hold = self._end_stale(now_ns)
         wanted = self._follow_journey(now_ns)
         joints = self._to_stream()
-        if joints and not self._schedule:
+        if joints and not self._stream.on:
             if unknown := self._unknown(joints):
                 wanted = wanted or unknown
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
             else:
                 self._begin(joints, now_ns)
-        elif not set(joints) <= set(self._streamed()):
-            self._end_stream()
+        elif not set(joints) <= set(self._stream.joints):
+            self._stream.end()
             return b"", True
-        if self._schedule:
-            frame = self._move(now_ns)
-            return frame or b"", hold or frame is None
+        if self._stream.on and (followed := self.followed):
+            return self._move(followed, now_ns, hold)
         wanted = wanted or [joint for joint in self.joints if not joint.known]
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
         return BOARD.servo_read(question[0].servo, question[1]) if question else b"", hold
@@ -281,8 +235,8 @@ class ArmCore:
         """When there is something to do next, by what the arm waits for now; in the past: at once."""
         if self.letting_go:
             return self._torque_ns
-        if self._schedule:
-            return max(self._schedule[0][0], self._apart_ns)
+        if self._stream.on:
+            return self._stream.due_ns
         joints = self._to_stream()
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
@@ -294,7 +248,7 @@ class ArmCore:
         if self.way:
             return False
         was = self.streaming()
-        self._end_stream()
+        self._stream.end()
         return was
 
     def _follow_journey(self, now_ns: int) -> list[Joint]:
@@ -308,7 +262,7 @@ class ArmCore:
         if silent and (asked or journey.phase != goals.FINDING):
             servos = _listed("servo", [str(joint.servo) for joint in silent])
             journey.finish(f"{_named(silent)}: no answer from {servos}")
-            self._end_stream()
+            self._stream.end()
             return []
         if journey.phase == goals.FINDING:
             if unknown := [joint for joint in journey.joints if not joint.known]:
@@ -321,6 +275,7 @@ class ArmCore:
             self._watch_end(journey, now_ns)
         elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
             journey.phase, journey.since_ns = goals.CHECKING, now_ns
+            self._reader.hurry(now_ns)
         if journey.phase == goals.CHECKING:
             return self._check_end(journey, now_ns)
         return []
@@ -329,11 +284,10 @@ class ArmCore:
         ends = journey.ends.items()
         there = all(abs(joint.position - end) <= NEAR and not round(joint.velocity) for joint, end in ends)
         if journey.left_s(now_ns) <= 0.0 and there:
-            self._end_stream()
+            self._stream.end()
             journey.phase, journey.since_ns = goals.SETTLING, now_ns
-            self._reader.hurry(now_ns)
-        elif now_ns - journey.begun_ns > (journey.length_s + LATE_S) * 1e9:
-            self._end_stream()
+        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LATE_NS:
+            self._stream.end()
             journey.finish("it did not get there in time")
 
     def _check_end(self, journey: Journey, now_ns: int) -> list[Joint]:
@@ -375,56 +329,28 @@ class ArmCore:
                 journey.finish(fault)
                 return
             journey.phase = goals.UNDER_WAY
-        self._space.hit(begins=True)
-        self._blocked.clear()
-        groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
-        step_ns = self._period_ns // len(groups)
-        self._schedule = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
-        for joint in joints:
-            joint.velocity, joint.stepped_ns = 0.0, 0
+        self._stream.begin(joints, now_ns)
 
-    def _move(self, now_ns: int) -> bytes | None:
-        """The moves that are due; None: the arm is to be held, since its journey would hit something."""
-        due_ns, group = self._schedule[0]
-        if now_ns < max(due_ns, self._apart_ns):
-            return b""
-        self._apart_ns = now_ns + MOVES_APART_NS
-        # From when it was due, so that a late wake-up shifts one frame and not all that follow.
-        again_ns = due_ns + self._period_ns
-        self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
-        before = [joint.position for joint in group]
-        self._advance(group, now_ns)
-        if hit := self._space.hit():
-            for joint, position in zip(group, before, strict=True):
-                joint.position, joint.velocity = position, 0.0
-            if journey := self.way:
-                journey.finish(hit)
-                self._end_stream()
-                return None
-        self._blocked[group[0]] = hit
+    def _move(self, followed: Journey | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
+        """The moves that are due, as step(). A journey that would hit something ends; a goal waits for a better one."""
+        if now_ns < self._stream.due_ns:
+            return b"", hold
+        frame, hit = self._stream.move(followed, now_ns)
+        if hit and isinstance(followed, Journey):
+            followed.finish(hit)
+            self._stream.end()
+            return b"", True
         self.active_ns = now_ns
         self._reader.moved(now_ns)
-        moves = [(joint.servo, round(joint.position)) for joint in group]
-        return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS)
-
-    def _advance(self, group: list[Joint], now_ns: int) -> None:
-        """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
-        followed = self.followed
-        targets = followed.targets(now_ns + self._period_ns) if followed else {}
-        for joint in group:
-            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
-            joint.stepped_ns = now_ns
-            if followed and followed.mode != goals.JOG and joint in targets:
-                joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
-            else:
-                joint.jog(targets.get(joint, 0.0), elapsed_ns * 1e-9)
+        return frame, hold
 
     # News.
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         """The board's answer to a question."""
-        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._schedule:
-            joint.position = float(joint.measured or 0)
+        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
+            # A servo turned beyond what a move can say is as near as one can.
+            joint.position = float(max(0, min(joint.measured or 0, HIGHEST_POSITION)))
             joint.known = True
 
     def pose_name(self) -> str:
@@ -444,12 +370,12 @@ class ArmCore:
 
     def why_not(self) -> str:
         """Why the last goal of a stream was not taken, or is not followed further."""
-        return self.refused or next(filter(None, self._blocked.values()), "")
+        return self.refused or self._stream.blocked
 
 
 def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """These must be read before the journey goes on, within FIND_S."""
-    if now_ns - journey.since_ns > FIND_S * 1e9:
+    """These must be read before the journey goes on, within FIND_NS."""
+    if now_ns - journey.since_ns > FIND_NS:
         journey.finish(f"{_named(joints)}: where it is can't be read")
     return joints
 

@@ -50,7 +50,11 @@ class Joint:
 
     def pulses(self, angle_rad: float) -> float:
         """An angle as pulses."""
-        return self.zero + self.sign * angle_rad * PULSES_PER_RAD
+        return self.zero + self.turned(angle_rad)
+
+    def turned(self, angle_rad: float) -> float:
+        """A change of the angle, or a rate of it, as one in pulses."""
+        return self.sign * angle_rad * PULSES_PER_RAD
 
     def rad(self, pulses: float) -> float:
         """Pulses as an angle."""
@@ -93,7 +97,9 @@ class Joint:
     def _step(self, wanted: float, elapsed_s: float) -> None:
         most = self.acceleration * elapsed_s
         self.velocity += max(-most, min(most, wanted - self.velocity))
-        self.position = max(self.low, min(self.high, self.position + self.velocity * elapsed_s))
+        # Turned by hand beyond its bounds it comes back at its speed, and not in one leap.
+        low, high = min(self.low, self.position), max(self.high, self.position)
+        self.position = max(low, min(high, self.position + self.velocity * elapsed_s))
 
 
 def from_settings(settings: Settings) -> list[Joint]:

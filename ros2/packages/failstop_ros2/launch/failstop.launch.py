@@ -39,7 +39,7 @@ def _placed(frame: str, prefix: str) -> Node:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """What `ros2 launch` runs."""
+    """The launch description that `ros2 launch` runs."""
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()

@@ -9,10 +9,15 @@ import socket
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from failstop.lab.machine.files import Fifo, Null
 from failstop.shm import durable
+
+from .simulated import content, open_fds, put
 
 NOBODY = 65534
 FLAGS = {
@@ -55,24 +60,25 @@ def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Pat
     assert victim.read_text() == "precious\n"
 
 
-def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(durable.os, "open", lambda path, *_: opened.append(path))  # type: ignore[attr-defined]
-    for path in ("/dev/zero", "/dev/ptmx"):
-        with pytest.raises(OSError, match="a device, not a regular file"):
-            durable.open_regular(path)
-    assert opened == []
+def test_a_device_is_not_even_opened(on: SimpleNamespace) -> None:
+    calls = []
+    on.machine.root.names["dev"].put("zero", Null())
+    on.machine.at_seam = lambda thread, call, about: calls.append(call)
+    with pytest.raises(OSError, match="a device, not a regular file"):
+        on.durable.open_regular("/dev/zero")
+    assert calls == ["stat"]
 
 
-def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "file"
-    os.mkfifo(path)
-    regular, look = os.stat(__file__), os.stat
-    monkeypatch.setattr(os, "stat", lambda at, **how: regular if at == str(path) else look(at, **how))
-    before = len(os.listdir("/proc/self/fd"))
+def test_what_is_planted_after_the_look_is_seen_all_the_same(on: SimpleNamespace) -> None:
+    def plant(thread: object, call: str, about: object) -> None:
+        if call == "open":
+            on.machine.root.names["tmp"].put("file", Fifo(0o666))
+
+    put(on, "/tmp/file")
+    before, on.machine.at_seam = open_fds(on), plant
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
-        durable.open_regular(str(path))
-    assert len(os.listdir("/proc/self/fd")) == before
+        on.durable.open_regular("/tmp/file")
+    assert open_fds(on) == before
 
 
 @pytest.mark.parametrize("how", FLAGS)
@@ -143,31 +149,28 @@ def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("told", ["whole path", "bare name"])
-def test_a_draft_and_then_its_folder_are_on_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: str
-) -> None:
-    """A power cut loses what was not synced: the content of the file, or its name."""
-    synced: list[str] = []
-    sync, before = os.fsync, len(os.listdir("/proc/self/fd"))
+@pytest.mark.parametrize("folder", ["/tmp", ""])
+def test_a_draft_and_then_its_folder_are_on_the_disk(on: SimpleNamespace, folder: str) -> None:
+    """A power cut loses what was not synced: the content of the file, or its name. A bare name is of the folder that
+    the process is in."""
+    synced = []
+    here = on.machine.root.names["tmp"] if folder else on.machine.root
 
-    def seen(fd: int) -> None:
-        synced.append(
-            f"{os.readlink(f'/proc/self/fd/{fd}')} {os.fstat(fd).st_size * stat.S_ISREG(os.fstat(fd).st_mode)}"
-        )
-        sync(fd)
+    def seen(thread: object, call: str, about: tuple[Any, ...]) -> None:
+        if call == "fsync":
+            node = on.own.files[about[0]].node
+            synced.append((node is here, node is here.names.get("draft"), node.size()))
 
-    monkeypatch.setattr(os, "fsync", seen)
-    if told == "bare name":
-        monkeypatch.chdir(tmp_path)
-    folder = "" if told == "bare name" else f"{tmp_path}/"
-    (tmp_path / "file").write_text("old")
-    durable.write_draft(f"{folder}draft", b"whole")
-    durable.publish(f"{folder}draft", f"{folder}file")
-    assert synced == [f"{tmp_path}/draft 5", f"{tmp_path} 0"]
-    assert os.listdir(tmp_path) == ["file"]
-    assert (tmp_path / "file").read_bytes() == b"whole"
-    assert len(os.listdir("/proc/self/fd")) == before
+    place = f"{folder}/" if folder else ""
+    put(on, f"{place}file", "old")
+    before, names = open_fds(on), len(here.names)
+    on.machine.at_seam = seen
+    on.durable.write_draft(f"{place}draft", b"whole")
+    on.durable.publish(f"{place}draft", f"{place}file")
+    assert synced == [(False, True, 5), (True, False, 0)]
+    assert len(here.names) == names
+    assert content(on, f"{place}file") == b"whole"
+    assert open_fds(on) == before
 
 
 def test_a_draft_that_can_not_get_its_name_is_not_left(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""Stream: the moves of the joints that are on their way, one of each joint every arm.period_s. Pure.
+
+A frame holds a few servos' moves, and the frames of one period are spread over it.
+"""
+
+from __future__ import annotations
+
+from failstop.board.interface import BOARD
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.policy.settings import Settings
+from failstop.procs.gate.arm import goals
+from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.space import Space
+
+MOVES_APART_NS = MOST_MOVES * MOVE_NS
+"""Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
+MOVES_NS = LONGEST_MOVE_MS * 1_000_000
+
+
+class Stream:
+    """Which joints are on their way, and when each is to be sent its next move."""
+
+    def __init__(self, settings: Settings, space: Space) -> None:
+        self._period_ns = settings.ns("arm.period_s")
+        self._move_ms = round(settings["arm.period_s"] * 1000)
+        self._space = space
+        self._schedule: list[tuple[int, list[Joint]]] = []
+        """When the joints of each frame are due, the next first; empty: no servo is on its way."""
+        self._apart_ns = 0
+        """When the servos' bus is free of the last move."""
+        self._blocked: dict[Joint, str] = {}
+        """Why the joints of a frame, by its first, do not go on toward the goal."""
+
+    @property
+    def on(self) -> bool:
+        """A servo may be on its way."""
+        return bool(self._schedule)
+
+    @property
+    def joints(self) -> list[Joint]:
+        """Those on their way."""
+        return [joint for _, group in self._schedule for joint in group]
+
+    @property
+    def blocked(self) -> str:
+        """Why a joint does not go on toward the goal; empty when all do."""
+        return next(filter(None, self._blocked.values()), "")
+
+    @property
+    def due_ns(self) -> int:
+        """When the next move is due, of a stream that is on."""
+        return max(self._schedule[0][0], self._apart_ns)
+
+    def begin(self, joints: list[Joint], now_ns: int) -> None:
+        """Each of these joints, where it stands now, is sent a move every period from here on."""
+        self._space.begin()
+        self._blocked.clear()
+        groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
+        step_ns = self._period_ns // len(groups)
+        self._schedule = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
+        for joint in joints:
+            joint.velocity, joint.stepped_ns = 0.0, 0
+
+    def end(self) -> None:
+        """No further move is sent: where these joints are must be read again."""
+        for joint in self.joints:
+            joint.forget()
+        self._schedule = []
+
+    def move(self, followed: Goal | Journey, now_ns: int) -> tuple[bytes, str]:
+        """The frame of the moves that are due, toward what is followed. Where the arm would hit something its joints
+        stay where they are, and the text says what."""
+        due_ns, group = self._schedule[0]
+        self._apart_ns = now_ns + MOVES_APART_NS
+        # From when it was due, so that a late wake-up shifts one frame and not all that follow.
+        again_ns = due_ns + self._period_ns
+        self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
+        before = [joint.position for joint in group]
+        self._advance(group, followed, now_ns)
+        if hit := self._space.hit():
+            for joint, position in zip(group, before, strict=True):
+                joint.position, joint.velocity = position, 0.0
+        if isinstance(followed, Goal):
+            self._blocked[group[0]] = hit
+        moves = [(joint.servo, round(joint.position)) for joint in group]
+        return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS), hit
+
+    def _advance(self, group: list[Joint], followed: Goal | Journey, now_ns: int) -> None:
+        """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
+        targets = followed.targets(now_ns + self._period_ns)
+        for joint in group:
+            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+            joint.stepped_ns = now_ns
+            if followed.mode != goals.JOG and joint in targets:
+                joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
+            else:
+                joint.jog(targets.get(joint, 0.0), elapsed_ns * 1e-9)

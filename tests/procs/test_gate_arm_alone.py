@@ -1,0 +1,166 @@
+"""What people are told of an arm that nobody moves: what is wrong with a servo, and that it tucks itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from failstop.shm import records
+from tests.support.arm_settings import SERVOS, TUCK
+from tests.support.gate_scene import Scene
+
+from .arm_notes import Make, notes
+
+
+@pytest.fixture
+def scene(arm_scene: Scene) -> Scene:
+    return arm_scene
+
+
+# What is wrong with a servo.
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        ({"silent": True}, "does not answer"),
+        ({"temperature_c": 70}, "is hot: 70 degrees or more; at 85 it lets go"),
+        ({"supply_mv": 5999}, "has less than 6000 mV; with little less it lets go"),
+    ],
+)
+def test_fault_of_a_servo_is_told_once_and_its_end(scene: Scene, fault: dict[str, Any], text: str) -> None:
+    news = notes(scene)
+    scene.run(20.0)
+    assert news() == []
+    scene.servos.change(2, scene.clock(), **fault)
+    scene.run(20.0)
+    assert news() == [("warning", f"joint shoulder (servo 2) {text}")]
+    assert scene.state()["wrong"] == [f"joint shoulder {text}"]
+    assert scene.state()["silent"] == ([2] if "silent" in fault else [])
+    scene.servos.change(2, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
+    scene.run(20.0)
+    assert news() == [("", "joint shoulder (servo 2) is well again")]
+    assert scene.state()["wrong"] == []
+
+
+# The tuck of an arm that is left alone.
+
+
+def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=10.0, arm__tuck_notice_s=4.0)
+    news = notes(scene)
+    assert scene.state()["auto_tuck_s"] is None
+    scene.travel({1: 0.5})
+    scene.finish()
+    assert scene.state()["auto_tuck_s"] == 10
+    assert not scene.state()["tucks"]
+    alone_ns = scene.clock()
+    scene.run(5.9)
+    assert news() == []
+    scene.run(0.2)
+    assert news() == [("", "the arm was left alone: it goes to its tuck pose in 4 s")]
+    assert scene.state()["tucks"]
+    assert scene.state()["auto_tuck_s"] == 4
+    count = len(scene.moves)
+    scene.run(6.0)
+    assert scene.state()["by"] == "auto-tuck"
+    assert scene.state()["auto_tuck_s"] is None
+    assert not scene.state()["tucks"]
+    began_s = (scene.moves[count][0] - alone_ns) * 1e-9
+    assert 9.9 < began_s < 10.3
+    scene.run(10.0)
+    assert [scene.at(servo) for servo in SERVOS] == pytest.approx(TUCK, abs=2)
+    assert scene.state()["pose"] == "tuck"
+    scene.run(60.0)
+    assert news() == []
+
+
+def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=10.0)
+    news = notes(scene)
+    scene.travel({1: 0.5})
+    scene.finish()
+    scene.run(7.0)
+    assert len(news()) == 1
+    scene.travel({1: 0.4})
+    scene.finish()
+    scene.run(4.5)
+    assert news() == []
+    scene.run(1.5)
+    assert len(news()) == 1
+    scene.ask_for(records.ENABLE)
+    assert scene.finish()[0] == records.DONE
+    scene.run(30.0)
+    assert news() == [], "wheels enabled: it must not"
+    assert scene.state()["auto_tuck_s"] in (None, 10)
+    scene.ask_for(records.DISABLE)
+    scene.run(9.0)
+    assert len(news()) == 1
+    scene.run(6.0)
+    assert scene.state()["pose"] == "tuck" or scene.state()["by"] == "auto-tuck"
+
+
+def test_arm_that_was_put_into_its_tuck_pose_announces_nothing(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=6.0)
+    news = notes(scene)
+    scene.ask_for(records.ARM_TUCK)
+    assert scene.finish(most_s=20.0) == (records.DONE, "arm is there")
+    assert scene.state()["auto_tuck_s"] is None
+    scene.run(15.0)
+    assert news() == []
+
+
+def test_arm_without_auto_tuck_stays_where_it_is(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck="off", arm__auto_tuck_s=1.0)
+    scene.travel({1: 0.5})
+    scene.finish()
+    scene.run(10.0)
+    assert scene.at(1) > 600
+
+
+def test_released_arm_does_not_tuck_itself(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
+    scene.travel({1: 0.2})
+    scene.finish()
+    scene.ask_for(records.ARM_RELEASE)
+    scene.run(10.0)
+    assert all(servo.limp() for servo in scene.servos.by_id.values())
+
+
+def test_tuck_that_fails_is_told(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
+    news = notes(scene)
+    scene.travel({1: 0.5})
+    scene.finish()
+    scene.servos.change(2, scene.clock(), blocked=True)
+    scene.run(15.0)
+    (_, announced), (level, failed), *_ = news()
+    assert announced.startswith("the arm was left alone")
+    assert level == "warning"
+    assert failed.startswith("the arm did not tuck itself: joint shoulder (servo 2) is 46")
+
+
+def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
+    scene.travel({1: 0.5})
+    scene.finish()
+    for servo in SERVOS:
+        scene.servos.change(servo, scene.clock(), silent=True)
+    news = notes(scene)
+    scene.run(20.0)
+    assert any("did not tuck itself" in text for _, text in news())
+    scene.run(20.0)
+    assert news() == []
+
+
+def test_tuck_that_somebody_ends_is_no_fault(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
+    news = notes(scene)
+    scene.travel({1: 0.5})
+    scene.finish()
+    scene.run(3.0)
+    assert scene.state()["by"] == "auto-tuck"
+    scene.ask_for(records.ARM_HOLD)
+    scene.run(0.2)
+    assert [level for level, _ in news()] == [""]

@@ -1,0 +1,367 @@
+"""The arm's decisions: the core alone with its servos, on a clock that the test moves from one due time to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from failstop.board import servos
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.procs.gate.arm import goals
+from failstop.procs.gate.arm.core import ENDED, FIND_NS, LATE_NS, SERVICE, TORQUE_APART_NS
+from failstop.procs.gate.arm.goals import Goal
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
+from failstop.procs.gate.arm.stream import MOVES_APART_NS
+from tests.support.arm_settings import SERVOS
+
+from .arm_bench import ANSWER_NS, ME, OTHER, ArmBench
+from .gate_bench import MS, T0, TICK
+
+PERIOD_NS = 40 * MS
+TIMEOUT_NS = 500 * MS
+
+
+@pytest.fixture
+def bench(arm_bench: ArmBench) -> ArmBench:
+    return arm_bench
+
+
+# Release.
+
+
+def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> None:
+    bench.travel((0.0, 510.0), joints=6)
+    bench.run(2.0)
+    assert all(joint.loaded for joint in bench.core.joints)
+    bench.frames.clear()
+    bench.core.release(bench.now)
+    begun_ns = bench.now
+    assert [joint.state()[5] for joint in bench.core.joints] == [False] * 6
+    assert (bench.core.active_ns, bench.core.released) == (0, True)
+    for _ in range(6):
+        bench.look()
+        due_ns = bench.core.due_ns
+        bench.now = due_ns - 1
+        bench.look()
+        bench.now = due_ns
+        bench.look()
+    assert bench.frames == [
+        (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
+        for number, servo in enumerate(SERVOS, 1)
+    ]
+    bench.now += ANSWER_NS
+    bench.travel((0.0, 500.0))
+    assert not bench.core.released
+    bench.until(lambda: bench.times(servos.TORQUE_ON))
+
+
+@pytest.mark.parametrize("ask", [ArmBench.goal, lambda bench: bench.travel((0.0, 510.0))])
+def test_whatever_moves_a_released_arm_uses_it_again(bench: ArmBench, ask: Callable[[ArmBench], object]) -> None:
+    bench.core.release(bench.now)
+    bench.run(0.1)
+    ask(bench)
+    assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
+
+
+# Torques, questions and moves.
+
+
+def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench: ArmBench) -> None:
+    bench.until(lambda: bench.core.due_ns > bench.now + 50 * MS)
+    bench.frames.clear()
+    asked_ns = bench.now
+    bench.travel((0.0, 600.0), joints=6)
+    bench.look()
+    bench.until(lambda: len(bench.times(servos.MOVE)) > 3)
+    on = bench.times(servos.TORQUE_ON)
+    assert on == [on[0] + number * TORQUE_APART_NS for number in range(6)]
+    assert on[0] - asked_ns <= APART_NS
+    moves = bench.times(servos.MOVE)
+    assert moves[0] == on[-1] + TORQUE_APART_NS
+    assert moves[3] == moves[0] + PERIOD_NS
+    groups = [data[3] for _, data in bench.frames if data[0] == servos.MOVE]
+    assert groups == [MOST_MOVES] * 4
+    assert moves[:3] == [moves[0] + number * (PERIOD_NS // 3) for number in range(3)]
+
+
+def test_nothing_is_asked_while_it_moves_and_right_after(bench: ArmBench) -> None:
+    journey = bench.travel((0.0, 600.0))
+    bench.until(lambda: journey.done)
+    moves, reads = bench.times(servos.MOVE), bench.times(*servos.READS)
+    assert min(t_ns for t_ns in reads if t_ns > moves[0]) >= moves[-1] + QUIET_NS
+    assert journey.outcome == ""
+    assert bench.now - moves[-1] <= QUIET_NS + PERIOD_NS + TICK
+
+
+def test_frame_that_comes_late_shifts_no_other(bench: ArmBench) -> None:
+    bench.travel((0.0, 900.0), joints=4)
+    bench.until_moves(2)
+    first, second = bench.times(servos.MOVE)
+    bench.now = first + PERIOD_NS + 15 * MS
+    bench.look()
+    assert bench.core.due_ns == max(second + PERIOD_NS, bench.now + MOVES_APART_NS)
+    bench.step()
+    bench.step()
+    assert bench.times(servos.MOVE)[4] == first + 2 * PERIOD_NS
+    bench.now += 10 * PERIOD_NS
+    bench.look()
+    late_ns = bench.now
+    assert bench.core.due_ns == late_ns + MOVES_APART_NS
+    due_ns = bench.core.due_ns
+    bench.now = due_ns - 1
+    bench.look()
+    bench.now = due_ns
+    bench.look()
+    assert bench.times(servos.MOVE)[-2:] == [late_ns, late_ns + MOVES_APART_NS]
+    bench.until(lambda: bench.times(servos.MOVE)[-1] > late_ns + MOVES_APART_NS)
+    assert bench.now == late_ns + PERIOD_NS
+
+
+@pytest.mark.parametrize(("late_ms", "step_ms"), [(0, 40), (10, 50), (30, LONGEST_MOVE_MS), (500, LONGEST_MOVE_MS)])
+def test_move_that_comes_late_makes_up_for_no_more_than_the_longest_move(late_ms: int, step_ms: int) -> None:
+    bench = ArmBench().known()
+    bench.goal(goals.JOG, rate=0.5)
+    bench.until_moves(12)
+    joint = bench.core.joints[0]
+    before = joint.position
+    bench.now = bench.core.due_ns + late_ms * MS
+    bench.goal(goals.JOG, rate=0.5)
+    bench.look()
+    assert joint.position - before == pytest.approx(0.5 * PULSES_PER_RAD * step_ms * 1e-3)
+
+
+@pytest.mark.parametrize(("sign", "rate"), [(1, 0.4), (-1, 0.4), (1, -0.02), (-1, -0.4)])
+def test_jog_turns_by_its_rate_in_the_direction_of_the_angle(sign: int, rate: float) -> None:
+    bench = ArmBench(joints__base__sign=sign).known()
+    joint = bench.core.joints[0]
+    bench.goal(goals.JOG, rate=rate)
+    bench.until_moves(6)
+    begin = joint.rad(joint.position)
+    for moves in range(12, 36, 6):
+        bench.goal(goals.JOG, rate=rate)
+        bench.until_moves(moves)
+    assert joint.rad(joint.position) - begin == pytest.approx(rate * 24 * PERIOD_NS * 1e-9)
+
+
+# Whose goal counts.
+
+
+def test_goal_counts_for_its_time_to_the_nanosecond(bench: ArmBench) -> None:
+    bench.goal()
+    assert bench.core.publisher(OTHER, bench.now) == "client 11"
+    assert bench.core.publisher(ME, bench.now) == ""
+    bench.now += TIMEOUT_NS
+    assert bench.core.publisher(OTHER, bench.now) == "client 11"
+    bench.look()
+    assert bench.core.moved_by(ME)
+    assert not bench.core.moved_by(OTHER)
+    bench.now += 1
+    assert bench.core.publisher(OTHER, bench.now) == ""
+    bench.look()
+    assert not bench.core.moved_by(ME)
+
+
+def test_goal_of_the_future_counts_from_now(bench: ArmBench) -> None:
+    bench.goal(age_ns=-10 * TIMEOUT_NS)
+    bench.now += TIMEOUT_NS + 1
+    assert bench.core.publisher(OTHER, bench.now) == ""
+
+
+def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
+    journey = bench.travel((5.0, 600.0))
+    assert bench.core.publisher(OTHER, bench.now) == "client 11"
+    assert bench.core.publisher(ME, bench.now) == ""
+    assert bench.core.moved_by(ME)
+    assert bench.core.followed is journey
+    bench.goal()
+    assert bench.core.followed is journey, "a journey before a stream"
+    bench.travel((5.0, 600.0), session=SERVICE)
+    assert (journey.done, journey.dropped, journey.outcome) == (True, True, "preempted")
+    assert bench.core.publisher(OTHER, bench.now) == ""
+    bench.goal(session=OTHER)
+    assert isinstance(bench.core.followed, Goal), "who streams goes before the service's journeys"
+
+
+def test_stale_goal_beside_a_journey_holds_nothing(bench: ArmBench) -> None:
+    bench.goal()
+    bench.run(0.2)
+    journey = bench.travel((2.0, 600.0))
+    bench.goal()
+    bench.holds.clear()
+    bench.until(lambda: journey.done)
+    assert bench.holds == []
+    assert journey.outcome == ""
+
+
+def test_goal_that_is_not_renewed_holds_the_arm_once(bench: ArmBench) -> None:
+    goal = bench.goal()
+    bench.run(0.3)
+    assert bench.core.streaming()
+    bench.holds.clear()
+    bench.run(1.0)
+    assert len(bench.holds) == 1
+    assert 0 < bench.holds[0] - goal.t_ns - TIMEOUT_NS <= TICK
+    assert not bench.core.streaming()
+
+
+def test_ended_stream_counts_again_after_its_timeout_or_its_pause(bench: ArmBench) -> None:
+    bench.goal()
+    bench.core.stop("stopped")
+    for _ in range(3):
+        bench.now += TIMEOUT_NS
+        bench.goal()
+        assert bench.core.why_not() == ENDED
+    bench.now += TIMEOUT_NS + 1
+    bench.goal()
+    assert bench.core.why_not() == ""
+    for but, why in ((ME, ""), (OTHER, ENDED), (None, ENDED)):
+        bench.core.end_streams(but)
+        bench.goal()
+        assert bench.core.why_not() == why
+        bench.core.pause(ME)
+        bench.goal()
+        assert bench.core.why_not() == ""
+
+
+def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> None:
+    bench.goal()
+    bench.run(0.2)
+    bench.holds.clear()
+    joints = bench.core.joints
+    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), bench.now)
+    bench.look()
+    assert bench.holds == [bench.now]
+    assert not bench.core.streaming()
+    bench.until(bench.core.streaming)
+    assert all(joint.known for joint in joints)
+
+
+# Journeys.
+
+
+def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBench) -> None:
+    journey = bench.travel((1.0, 550.0), (3.0, 550.0))
+    bench.until(bench.core.streaming)
+    began_ns = bench.now
+    bench.until(lambda: journey.phase != goals.UNDER_WAY)
+    assert 3000 * MS <= bench.now - began_ns <= 3000 * MS + 2 * PERIOD_NS
+    assert journey.phase == goals.SETTLING
+    assert bench.until(lambda: journey.done) < 0.2
+
+
+def test_joint_that_is_not_there_at_its_time_has_lost_its_way(bench: ArmBench) -> None:
+    """Its ramp is too slow for the rows."""
+    slow = ArmBench(joints__base__acceleration_radps2=0.05, joints__base__speed_radps=6.0).known()
+    journey = slow.travel((0.5, 800.0))
+    slow.until(slow.core.streaming)
+    began_ns = journey.begun_ns
+    slow.until(lambda: journey.done)
+    assert journey.outcome == "it did not get there in time"
+    assert 0 < slow.now - began_ns - (500 * MS + LATE_NS) <= PERIOD_NS
+    assert not slow.core.streaming()
+
+
+@pytest.mark.parametrize(
+    ("silent", "told"),
+    [
+        ((1,), "joint base: no answer from servo 1"),
+        ((1, 3), "joints base, elbow: no answer from servos 1, 3"),
+        (SERVOS, "joints base, shoulder, elbow, wrist, roll, gripper: no answer from servos 1, 2, 3, 4, 5, 10"),
+    ],
+)
+def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent: tuple[int, ...], told: str) -> None:
+    bench.core.forget()
+    for servo in silent:
+        bench.servos.change(servo, bench.now, silent=True)
+    journey = bench.travel((0.0, 600.0), joints=6)
+    bench.until(lambda: journey.done)
+    assert journey.outcome == told
+    bench.frames.clear()
+    assert not bench.core.streaming()
+
+
+def test_place_that_can_not_be_read_in_time_ends_a_journey(bench: ArmBench) -> None:
+    """Each reading differs from the one before."""
+    bench.core.forget()
+    journey = bench.travel((0.0, 600.0))
+    begun_ns = bench.now
+    while not journey.done:
+        bench.servos.change(1, bench.now, position=300.0 + 300 * (len(bench.frames) % 2))
+        bench.step()
+    assert journey.outcome == "joint base: where it is can't be read"
+    assert 0 < bench.now - begun_ns - FIND_NS <= 2 * APART_NS
+
+
+@pytest.mark.parametrize(("off", "told"), [(-26, ""), (26, ""), (33, "is 3"), (-33, "is 3")])
+def test_journey_is_there_when_its_joints_are_read_near_its_end(bench: ArmBench, off: int, told: str) -> None:
+    journey = bench.travel((1.0, 600.0))
+    bench.until(lambda: journey.phase == goals.SETTLING)
+    bench.servos.change(1, bench.now, position=600.0 + off)
+    bench.until(lambda: journey.done)
+    assert journey.outcome.startswith(told and f"joint base (servo 1) {told}")
+    assert bool(journey.outcome) == bool(told)
+
+
+def test_joint_is_off_beyond_the_tolerance_and_while_it_was_not_read(bench: ArmBench) -> None:
+    joint = bench.core.joints[0]
+    off = "is 31 pulses off"
+    for measured, told in ((530, ""), (470, ""), (531, off), (469, off), (None, "was not read")):
+        joint.measured = measured
+        assert bench.core.off({joint: 500.0}) == (f"joint base (servo 1) {told}" if told else "")
+
+
+@pytest.mark.parametrize(("position", "first"), [(-20.0, 0.0), (1020.0, 1000.0)])
+def test_servo_beyond_what_a_move_can_say_begins_at_its_nearest(position: float, first: float) -> None:
+    bench = ArmBench()
+    bench.servos.change(1, T0, position=position)
+    bench.known().goal(rate=0.0)
+    assert bench.core.joints[0].position == first
+    bench.until(lambda: bench.times(servos.MOVE))
+    assert abs(bench.core.joints[0].position - first) < 10
+
+
+def test_pose_is_named_when_all_that_is_judged_of_it_is_known_and_there(bench: ArmBench) -> None:
+    core = bench.core
+
+    def stand(values: dict[str, int]) -> None:
+        for joint in core.joints:
+            joint.measured = values.get(joint.name, joint.drive)
+
+    stand({})
+    assert core.pose_name() == "drive"
+    stand({"base": 1, "gripper": 1})
+    assert core.pose_name() == "drive", "neither is judged"
+    stand({"elbow": 90})
+    assert core.pose_name() == ""
+    assert core.off_pose("drive").startswith("joint elbow (servo 3) is 39")
+    stand({joint.name: joint.tuck for joint in core.joints})
+    assert core.pose_name() == "tuck"
+    core.joints[1].known = False
+    assert core.pose_name() == ""
+
+
+def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> None:
+    bench = ArmBench(arm__pose_speed=0.25, joints__elbow__drive=-1).known()
+    journey = bench.core.pose(goals.DRIVE, SERVICE, "me")
+    assert journey
+    assert [joint.name for joint in journey.joints] == ["shoulder", "wrist", "roll", "gripper"]
+    assert [journey.ends[joint] for joint in journey.joints] == [793, 160, 499, 499]
+    assert (journey.purpose, journey.who, journey.session) == ("drive", "me", SERVICE)
+    bench.core.travel(journey, bench.now)
+    bench.until(bench.core.streaming)
+    assert journey.length_s == pytest.approx(340 / (0.25 * PULSES_PER_RAD), abs=0.1)
+    bench.until(lambda: journey.done, most_s=20.0)
+    assert journey.outcome == ""
+    nowhere = {f"joints__{joint.name}__tuck": -1 for joint in bench.core.joints}
+    assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
+
+
+def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
+    assert bench.core.closed == ""
+    bench.gate.enable()
+    assert bench.core.closed == "wheels enabled"
+    bench.goal()
+    assert bench.core.why_not() == "wheels enabled"
+    assert bench.core.followed is None

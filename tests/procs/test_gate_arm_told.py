@@ -1,0 +1,270 @@
+"""What clients are told of the arm: replies to the letter, the gamepad's part, the state."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from failstop.policy import causes
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.procs.gate.arm.shell import LONGEST_S
+from failstop.shm import records
+from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
+from tests.support.gate_scene import SESSION, Scene
+from tests.support.stage import MS
+
+from .arm_notes import Make
+
+NO_JOINTS = "a trajectory for joints that the arm does not have"
+TIMES = f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
+ANGLE = "joint base to 3 rad: allowed is -2.094 to 2.094"
+
+
+@pytest.fixture
+def scene(arm_scene: Scene) -> Scene:
+    return arm_scene
+
+
+def path(scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float = 1.0) -> None:
+    packed = records.ARM_PATH.pack(SESSION, share, servos, rows)
+    scene.segment_of(0).latest_writer("arm_path").write(packed, scene.clock())
+    scene.ask_for(records.ARM_MOVE)
+
+
+# Trajectories.
+
+
+def test_move_without_a_trajectory_is_refused(scene: Scene) -> None:
+    scene.ask_for(records.ARM_MOVE)
+    assert scene.finish() == (records.REFUSED, "no trajectory came with the request")
+
+
+@pytest.mark.parametrize(
+    ("rows", "servos", "share", "told"),
+    [
+        ([(0.0, [0.1, 0.1])], [1, 7], 1.0, NO_JOINTS),
+        ([(0.0, [0.1, 0.1])], [1, 1], 1.0, NO_JOINTS),
+        ([(0.0, [0.1])], [1], 0.0, NO_JOINTS),
+        ([(0.0, [0.1])], [1], 1.01, NO_JOINTS),
+        ([(-0.1, [0.1])], [1], 1.0, TIMES),
+        ([(LONGEST_S + 0.1, [0.1])], [1], 1.0, TIMES),
+        ([(0.0, [0.1]), (1.0, [0.2])], [1], 1.0, TIMES),
+        ([(1.0, [0.1]), (1.0, [0.1])], [1], 1.0, "the times do not go up: 1 s, then 1 s"),
+        ([(1.0, [3.0])], [1], 1.0, ANGLE),
+        ([(1.0, [0.1]), (2.0, [3.0])], [1], 1.0, f"{ANGLE} (at 2 s)"),
+    ],
+)
+def test_trajectory_that_can_not_be_gone_is_refused(
+    scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float, told: str
+) -> None:
+    path(scene, rows, servos, share)
+    assert scene.finish() == (records.REFUSED, told)
+    assert scene.moves == []
+
+
+@pytest.mark.parametrize("rows", [[(LONGEST_S, [0.0])], [(0.5, [0.1]), (LONGEST_S, [0.0])]])
+def test_trajectory_may_take_the_longest_time(scene: Scene, rows: list[tuple[float, list[float]]]) -> None:
+    path(scene, rows, [1])
+    scene.run(0.5)
+    assert scene.answered()[1] == f"arm, move: on its way, {(LONGEST_S * 1e9 - 0.4e9) / 1e9:.1f} s left"
+
+
+@pytest.mark.parametrize(("share", "over_s"), [(1.0, 0.5), (0.25, 2.0)])
+def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene, share: float, over_s: float) -> None:
+    path(scene, [(0.0, [0.5, -0.1])], [1, 2], share)
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert scene.at(1) == pytest.approx(500 + 0.5 * PULSES_PER_RAD, abs=1)
+    assert scene.at(2) == pytest.approx(500 - 0.1 * PULSES_PER_RAD, abs=1)
+    assert (scene.moves[-1][0] - scene.moves[0][0]) * 1e-9 == pytest.approx(over_s, abs=share and 0.35)
+
+
+def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
+    reply = scene.own.latest_reader("reply.0")
+    path(scene, [(2.0, [0.5])], [1])
+    told: dict[int, int] = {}
+    while scene.answered()[0] == records.UNDER_WAY:
+        scene.turn()
+        if entry := reply.read():
+            told.setdefault(entry[0], scene.clock())
+    gaps = [after - before for before, after in pairwise(told.values())][1:-1]
+    assert len(gaps) > 8
+    assert 200 * MS <= min(gaps) <= max(gaps) <= 220 * MS
+
+
+# Who waits.
+
+
+def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
+    scene.ask_for(records.ENABLE)
+    scene.run(0.8)
+    assert scene.state()["moving"]
+    scene.segment_of(1).wipe()
+    scene.run(0.1)
+    assert scene.state()["moving"], "another one's leaving is nothing to it"
+    scene.segment_of(0).wipe()
+    scene.run(0.02)
+    stood = scene.at(2)
+    scene.run(3.0)
+    assert scene.at(2) == stood
+    assert not scene.gate.core.enabled
+
+
+def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
+    scene.travel({1: 0.2})
+    scene.run(0.2)
+    scene.segment_of(0).latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
+    scene.run(2.0)
+    assert scene.answered()[0] == records.UNDER_WAY
+
+
+@pytest.mark.parametrize(
+    ("verb", "done"),
+    [(records.ARM_HOLD, "arm held"), (records.ARM_RELEASE, "arm released: its torque is off")],
+)
+def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(scene: Scene, verb: int, done: str) -> None:
+    scene.travel({1: 1.0})
+    scene.run(0.5)
+    scene.ask_for(verb)
+    scene.run(0.02)
+    assert scene.answered() == (records.DONE, done)
+    assert not scene.state()["moving"]
+    assert scene.state()["released"] == (verb == records.ARM_RELEASE)
+
+
+def test_hold_of_another_client_names_it(scene: Scene) -> None:
+    scene.travel({1: 1.0})
+    scene.run(0.5)
+    scene.ask_for(records.ARM_HOLD, client=1)
+    scene.run(0.02)
+    assert scene.answered() == (records.REFUSED, "held by other (pid 0)")
+
+
+def test_hold_ends_a_release(scene: Scene) -> None:
+    scene.travel({1: 0.1})
+    scene.finish()
+    scene.ask_for(records.ARM_RELEASE)
+    scene.turn()
+    scene.ask_for(records.ARM_HOLD)
+    scene.run(0.5)
+    assert not scene.servos.by_id[1].limp()
+
+
+def test_newer_way_preempts_the_older(scene: Scene) -> None:
+    scene.travel({1: 1.0})
+    scene.run(0.5)
+    scene.travel({1: -0.2})
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert scene.at(1) == pytest.approx(500 - 0.2 * PULSES_PER_RAD, abs=3)
+
+
+def test_pose_that_the_settings_do_not_have_is_refused(arm_with: Make) -> None:
+    scene = arm_with(**{f"joints__{name}__tuck": -1 for name in JOINTS})
+    scene.ask_for(records.ARM_TUCK)
+    assert scene.finish() == (records.REFUSED, "the settings have no tuck pose")
+    scene.ask_for(records.ARM_DRIVE)
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert scene.state()["pose"] == "drive"
+
+
+def test_way_while_another_client_moves_it_is_refused_and_latches(scene: Scene) -> None:
+    scene.goal(records.ARM_FOLLOW, {1: 0.1})
+    scene.run(0.1)
+    scene.travel({1: 0.2}, client=1)
+    assert scene.finish(client=1)[1].startswith("a stop is latched")
+    assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)")
+
+
+def test_goal_for_joints_that_are_none_is_refused_by_name(scene: Scene) -> None:
+    for mode, servo in ((records.ARM_FOLLOW, 7), (9, 1)):
+        scene.goal(mode, {servo: 0.1})
+        scene.run(0.02)
+        assert scene.state()["refused"] == "a goal of test (pid 0) for joints that the arm does not have"
+        scene.goal(records.ARM_FOLLOW, {1: 0.0})
+        scene.run(0.02)
+        assert scene.state()["refused"] == ""
+
+
+def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with: Make) -> None:
+    scene = arm_with(joints__elbow__drive=0, joints__base__drive=-1)
+    for servo in set(SERVOS) - {1, 3}:
+        scene.servos.change(servo, scene.clock(), silent=True)
+    scene.ask_for(records.ENABLE)
+    done, text = scene.finish()
+    assert done == records.REFUSED
+    assert text.startswith("arm is not in the drive pose: joints shoulder")
+    assert "arm.absent" not in text
+    scene.servos.change(3, scene.clock(), silent=True)
+    scene.ask_for(records.ENABLE)
+    assert scene.finish()[1].endswith('; without the arm: arm.absent = "ignore"')
+
+
+# The gamepad.
+
+
+def test_gamepad_turns_by_its_share_of_the_joint_s_speed_and_no_joint_that_is_none(scene: Scene) -> None:
+    for _ in range(20):
+        scene.pad(len(JOINTS), 0.5)
+        scene.run(0.05)
+    assert scene.state()["mode"] == ""
+    for _ in range(10):
+        scene.pad(len(JOINTS) - 1, -0.5)
+        scene.run(0.05)
+    assert scene.state()["pad_joint"] == "gripper"
+    assert (scene.state()["mode"], scene.state()["by"]) == ("jog", "gamepad")
+    begun_ns, begin = scene.clock(), scene.at(10)
+    for _ in range(20):
+        scene.pad(len(JOINTS) - 1, -0.5)
+        scene.run(0.05)
+    speed = (scene.at(10) - begin) / (scene.clock() - begun_ns) * 1e9
+    assert speed == pytest.approx(-0.5 * PULSES_PER_RAD, rel=0.05)
+
+
+# The state.
+
+
+def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
+    assert {key: scene.state()[key] for key in ("mode", "phase", "moving", "by", "refused", "closed", "released")} == {
+        "mode": "",
+        "phase": "",
+        "moving": False,
+        "by": "",
+        "refused": "",
+        "closed": "",
+        "released": False,
+    }
+    joints = {row[0]: row for row in scene.state()["joints"]}
+    assert list(joints) == list(JOINTS)
+    assert joints["gripper"][1] == 10
+    scene.travel({1: 0.5})
+    phases: list[str] = []
+    while scene.answered()[0] == records.UNDER_WAY:
+        scene.turn()
+        if (state := scene.state())["phase"] not in phases[-1:]:
+            phases.append(state["phase"])
+    assert phases == ["switching its torque on", "on its way", "settling", "reading back where it is", ""]
+    scene.ask_for(records.ARM_DRIVE, client=1)
+    scene.run(0.6)
+    state = scene.state()
+    assert (state["mode"], state["moving"], state["by"]) == ("trajectory", True, "other (pid 0)")
+    assert scene.answered(client=1)[1].startswith("arm, drive: on its way, ")
+    assert scene.finish(client=1) == (records.DONE, "arm is there")
+    assert scene.state()["pose"] == "drive"
+    assert [scene.at(servo) for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=2)
+    scene.ask_for(records.ENABLE)
+    scene.finish()
+    scene.run(0.3)
+    assert scene.state()["closed"] == "wheels enabled"
+    scene.stop(causes.PIPED(""))
+    scene.run(0.1)
+    assert scene.state()["closed"] == "a stop is latched"
+
+
+def test_read_tells_where_each_joint_is(scene: Scene) -> None:
+    scene.servos.change(4, scene.clock(), position=320.0)
+    scene.ask_for(records.ARM_READ)
+    scene.run(0.02)
+    assert scene.answered()[1] == "arm, read: finding out where it is"
+    assert scene.finish() == (records.DONE, "arm is there")
+    wrist = next(row for row in scene.state()["joints"] if row[0] == "wrist")
+    assert wrist[3] == pytest.approx(320, abs=3)

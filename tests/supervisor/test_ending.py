@@ -1,0 +1,112 @@
+"""The end of the service: a stop that is heard, then every process ended, then another stop."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+from failstop.board.burst import BURST
+from failstop.lab.machine.kernel import LATE_NS
+from failstop.policy.processes import BY_NAME
+from failstop.shm import heartbeat, layout, records
+from failstop.supervisor import main
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene
+
+KILLED_NS = len(BY_NAME) * LATE_NS
+"""Until they are gone, one after the other."""
+STOPPING = ("stopping", "service is stopping; stop frame written by the port owner after 0 us")
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """Every process runs; the port owner has stopped already for the end that is to come."""
+    made = Scene(*BY_NAME)
+    made.pass_time()
+    made.keep_beating()
+    made.port_owner.word("written_ns").set(made.now_ns)
+    made.port_owner.word("stopped_epoch").set(2)
+    made.events()
+    return made
+
+
+def answer(scene: Scene, sent_ns: int) -> None:
+    """The board has answered a ping a millisecond after it was sent."""
+    scene.port_owner.word("ping_0").set(sent_ns)
+    scene.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+
+
+def end(scene: Scene) -> tuple[bool, list[tuple[str, str]]]:
+    """Told to end: (did it end well, what people were told)."""
+    scene.supervisor.end(signal.SIGTERM, None)
+    well = scene.supervisor.finish()
+    return well, [(event["kind"], event["text"]) for event in scene.events() if event["kind"] != "link"]
+
+
+def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_stop(scene: Scene) -> None:
+    scene.rung(layout.SUPERVISOR)
+    answer(scene, scene.now_ns)
+    began_ns = scene.now_ns
+    well, told = end(scene)
+    assert well
+    assert scene.rung(layout.SUPERVISOR), "it does not sleep over it"
+    assert scene.supervisor.ending
+    assert told == [
+        STOPPING,
+        ("stopped", "stopped; the stop was written twice, acknowledged by the board after 1.0 ms"),
+    ]
+    assert scene.wire.read() == BURST
+    assert scene.now_ns == began_ns + KILLED_NS, "it waits for nothing that is known"
+    assert [scene.state(name) for name in BY_NAME] == ["waiting"] * len(BY_NAME)
+    assert scene.word("beat_state").get() == heartbeat.STOPPING
+    assert sorted(process.name for process in scene.born) == sorted(BY_NAME), "an end in order is no incident"
+
+
+def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(scene: Scene) -> None:
+    began_ns = scene.now_ns
+    well, told = end(scene)
+    assert well
+    assert told[1][1].endswith("whether the board hears is not known (link unproven)")
+    assert scene.now_ns == began_ns + main.HEAR_NS + KILLED_NS
+    assert scene.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
+
+
+def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(scene: Scene) -> None:
+    answer(scene, scene.now_ns - 1)
+    well, told = end(scene)
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link alive); wheels that turn: POWER SWITCH")
+    assert scene.wire.read() == BURST
+
+
+def test_a_board_that_goes_deaf_at_the_end_is_told_of(scene: Scene) -> None:
+    deaf_ns = scene.settings.ns("link.deaf_s")
+    answer(scene, scene.now_ns - 2 * deaf_ns)
+    scene.pass_time()
+    scene.port_owner.word("ping_1").set(scene.now_ns - deaf_ns)
+    well, told = end(scene)
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH")
+
+
+@pytest.mark.parametrize("full", [True, False])
+def test_a_second_stop_that_the_kernel_does_not_take_or_keeps_is_a_failure(scene: Scene, full: bool) -> None:
+    """What it holds is dropped with the port."""
+    scene.wire.fill() if full else scene.wire.hold()
+    answer(scene, scene.now_ns)
+    well, told = end(scene)
+    assert not well
+    how = "could NOT be written, acknowledged" if full else "was handed over, NOT sent"
+    assert told[1][1].startswith(f"stopped; the second stop {how}")
+
+
+def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(scene: Scene) -> None:
+    scene.supervisor.processes[layout.PORT_OWNER].kill(20.0)
+    scene.port_owner.word("stopped_epoch").set(1)
+    began_ns = scene.now_ns
+    well, told = end(scene)
+    assert well
+    assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 0 us")
+    assert scene.wire.read() == 2 * BURST
+    assert scene.now_ns == began_ns + KILLED_NS - LATE_NS

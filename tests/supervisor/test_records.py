@@ -1,0 +1,111 @@
+"""What clients and the service manager are told of the service as a whole."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.policy.processes import BY_NAME
+from failstop.shm import layout
+from failstop.supervisor.main import ANSWER_NS
+from failstop.supervisor.status import TELL_EVERY_NS
+from tests.support.stage import MS
+from tests.support.supervisor_scene import NOT_STARVED, Scene
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene()
+
+
+def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open() -> None:
+    scene = Scene(*BY_NAME)
+    scene.has_port(layout.STOPPER)
+    scene.answers()
+    scene.turn()
+    assert scene.word("ready").get() == 1
+    scene.gate_stops()
+    scene.turn()
+    scene.turn(ANSWER_NS)
+    assert scene.waits_for() == "a stop being carried out", "answered for an older epoch only"
+    scene.answers()
+    scene.turn()
+    assert scene.waits_for() == ""
+    scene.wire.unplug()
+    scene.turn()
+    assert scene.waits_for() == "the port"
+
+
+def test_what_clients_are_told_of_the_settings(scene: Scene) -> None:
+    assert scene.table("settings") == scene.settings.flat()
+    namespace = scene.os.stat("/proc/self/ns/pid").st_ino
+    assert namespace > 0
+    rules = {"sources": ["cmd_vel"], "interlocks": [], "lease_ns": 60 * MS, "pid_namespace": namespace}
+    assert scene.table("rules") == rules
+
+
+def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None:
+    scene.dies(layout.PORT_OWNER)
+    scene.pass_time()
+    gate = scene.employ(layout.GATE)
+    scene.pass_time(MS)
+    number, again = scene.number("processes"), scene.supervisor.processes[layout.PORT_OWNER].pid
+    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None}
+    assert scene.table("processes") == {
+        "waiting_for": "port_owner, stopper, telemetry",
+        **NOT_STARVED,
+        "processes": {
+            "port_owner": {"pid": again, "state": "starting", "restarts": 1, "last_exit": "killed by SIGKILL"},
+            "stopper": never,
+            "gate": {**never, "pid": gate.pid, "state": "running"},
+            "telemetry": never,
+        },
+    }
+    scene.pass_time(MS)
+    assert scene.number("processes") == number
+
+
+def heard(scene: Scene) -> list[str]:
+    """What a service manager hears from now on."""
+    said: list[str] = []
+    notify = scene.load("failstop.supervisor.status").Notify("/nowhere")
+    notify.say = lambda message: not said.extend(message.split("\n"))
+    scene.supervisor.status.notify = notify
+    return said
+
+
+def test_what_the_service_manager_is_told(scene: Scene) -> None:
+    said = heard(scene)
+    scene.pass_time()
+    assert said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
+    for name in BY_NAME:
+        scene.employ(name)
+    scene.has_port(layout.STOPPER)
+    scene.answers()
+    scene.pass_time(TELL_EVERY_NS - MS)
+    assert scene.supervisor.status.ever
+    told = [(event["kind"], event["fields"].get("what")) for event in scene.events()]
+    assert told[:3] == [("ready", None), ("rights", "SCHED_FIFO"), ("rights", "robust futexes")]
+    assert len(said) == 1, "it is told ten times a second"
+    scene.pass_time(MS)
+    assert said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
+    scene.enabled(blocked="no scan", sources=[])
+    scene.pass_time(TELL_EVERY_NS)
+    assert said[3:] == ["STATUS=motion enabled; blocked: no scan"]
+    scene.gate_stops("bumper")
+    scene.pass_time(TELL_EVERY_NS)
+    scene.answers(written_ns=scene.now_ns)
+    scene.pass_time(TELL_EVERY_NS)
+    assert said[4:] == [
+        "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
+        "STATUS=stop latched: stop request: bumper",
+    ]
+
+
+def test_who_is_down_is_in_the_status(scene: Scene) -> None:
+    while scene.state(layout.TELEMETRY) != "down":
+        scene.dies(layout.TELEMETRY)
+        scene.pass_time()
+    said = heard(scene)
+    scene.pass_time(MS)
+    (line,) = said
+    assert line.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")

@@ -1,0 +1,58 @@
+"""Sentences of the code can be read alone: none begins with a pronoun or a conjunction."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+from failstop.policy.settings import DECLARED
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("board", "shm", "policy", "procs", "supervisor", "web", "fleet", "ros2", "failstop")
+ELSEWHERE = ("failstop/lab/", "ros2/packages/")
+LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)
+
+
+def paths() -> Iterator[Path]:
+    for room in ROOMS:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            if not str(path.relative_to(ROOT)).startswith(ELSEWHERE):
+                yield path
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Those of attributes too: every string that is a statement."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        for each in getattr(node, "body", []) if isinstance(getattr(node, "body", None), list) else []:
+            if (
+                isinstance(each, ast.Expr)
+                and isinstance(each.value, ast.Constant)
+                and isinstance(each.value.value, str)
+            ):
+                yield each.lineno, each.value.value.strip()
+
+
+def comments(path: Path) -> Iterator[tuple[int, str]]:
+    """The first line of each: a line that goes on with one is no begin."""
+    before = -1
+    with path.open("rb") as file:
+        for token in tokenize.tokenize(file.readline):
+            if token.type == tokenize.COMMENT:
+                if token.start[0] != before + 1 or token.line[: token.start[1]].strip():
+                    yield token.start[0], token.string.lstrip("#: ")
+                before = token.start[0]
+
+
+def test_no_docstring_or_comment_begins_with_a_word_that_leans_on_another_sentence() -> None:
+    found = [(path, line, text) for path in paths() for of in (docstrings, comments) for line, text in of(path)]
+    assert len(found) > 3000
+    assert [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in found if LEANS.match(text)] == []
+
+
+def test_no_setting_s_text_begins_with_a_word_that_leans_on_another_sentence() -> None:
+    texts = {setting.key: setting.doc for setting in DECLARED}
+    assert len(texts) > 50
+    assert {key: text for key, text in texts.items() if LEANS.match(text)} == {}
