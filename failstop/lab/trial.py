@@ -71,6 +71,10 @@ class Service:
         self.started_ns = 0
         self.process: subprocess.Popen[bytes] | None = None
 
+    def become(self, *command: str) -> None:
+        """Start it by this command from now on, which takes the service's own as its arguments."""
+        self._command = [*command, *self._command]
+
     def start(self) -> None:
         """Exec the service and wait until motion could be enabled. Raises TrialError with what it said."""
         self.exec()

@@ -28,7 +28,7 @@ def scene(arm_scene: Scene) -> Scene:
 
 def path(scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float = 1.0) -> None:
     packed = records.ARM_PATH.pack(SESSION, share, servos, rows)
-    scene.segment_of(0).latest_writer("arm_path").write(packed, scene.clock())
+    scene.clients[0].segment.latest_writer("arm_path").write(packed, scene.clock())
     scene.ask_for(records.ARM_MOVE)
 
 
@@ -99,10 +99,10 @@ def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
     scene.ask_for(records.ENABLE)
     scene.run(0.8)
     assert scene.state()["moving"]
-    scene.segment_of(1).wipe()
+    scene.clients[1].segment.wipe()
     scene.run(0.1)
     assert scene.state()["moving"], "another one's leaving is nothing to it"
-    scene.segment_of(0).wipe()
+    scene.clients[0].segment.wipe()
     scene.run(0.02)
     stood = scene.at(2)
     scene.run(3.0)
@@ -113,7 +113,7 @@ def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
 def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
     scene.travel({1: 0.2})
     scene.run(0.2)
-    scene.segment_of(0).latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
+    scene.clients[0].segment.latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
     scene.run(2.0)
     assert scene.answered()[0] == records.UNDER_WAY
 

@@ -13,7 +13,6 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
 from failstop.lab.machine.kernel import Thread
-from failstop.procs.world import World
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
 from tests.support.children import scheduled
@@ -126,7 +125,7 @@ def test_its_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) -> None:
     """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
     finder, bell = Watched(str(tmp_path / "board")), EventBell.create()
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it
-    opener = Opener(World(), finder, bell)
+    opener = Opener(finder, bell)
     try:
         with scheduled(policy, 3):
             opener.begin()

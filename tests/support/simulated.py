@@ -7,21 +7,35 @@ constants and pure functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import json
+import sys
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import pytest
-
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
+from failstop.lab.sim.servos import Leg
 from failstop.lab.stopped import Stopped, judge
+from failstop.shm import layout
 
 FORWARD = (0.2, 0.0, 0.0)
 LOOK_S = 0.001
 PATIENCE_S = 10.0
 AFTERMATH_S = 0.25
+
+
+_before = sys.unraisablehook
+
+
+def _collected(found: sys.UnraisableHookArgs) -> None:
+    """What is collected of a machine that is over can make no call any more, and that is nobody's error."""
+    if not isinstance(found.exc_value, Death):
+        _before(found)
+
+
+sys.unraisablehook = _collected
 
 
 class Board:
@@ -69,14 +83,38 @@ class Board:
     def pad_silent(self) -> None:
         self._model.pad_silent()
 
+    def joints(self) -> dict[int, float]:
+        """Where each of the arm's servos stands now, in pulses."""
+        now_ns = self._robot.machine.now_ns
+        return {servo: found.leg.at(now_ns) for servo, found in self._model.servos.by_id.items()}
+
+    def joint_track(self) -> list[Leg]:
+        """What the arm's servos did."""
+        return list(self._model.servos.track)
+
+    def servo(self, servo: int, **values: bool | float) -> None:
+        """Change a servo, as SimBoard.servo."""
+        self._model.servos.change(servo, self._robot.machine.now_ns, **values)
+
     def deaf(self, on: bool) -> None:
         self._model.deaf = on
+
+    def refuse_stop(self, on: bool) -> None:
+        """A wheel that is told to stop turns on."""
+        self._model.refuse_stop = on
+
+    def imu(self, on: bool) -> None:
+        self._model.imu_on = on
 
     def unplug(self) -> None:
         self._robot.unplug()
 
     def replug(self) -> None:
         self._robot.plug()
+
+
+class Mistake(Exception):
+    """An error that a test's own program is to end by."""
 
 
 class Simulated:
@@ -86,20 +124,27 @@ class Simulated:
     name = "failstop"
     link = DEVICE
 
-    def __init__(self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0) -> None:
+    def __init__(
+        self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0, *, deaf: bool = False
+    ) -> None:
+        """`deaf`: the board hears nothing, from the start."""
         self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}))
         self.failed: list[BaseException] = []
+        self._kept: list[object] = []
+        """What dead programs leave behind: collected while another one runs, it would close that one's descriptors."""
         self.lab.machine.told = self._told
         self.me = self.lab.join("test")
         self.pid = self.me.pid
         self.load, self.os, self.time = self.lab.loader.load, self.lab.loader.system["os"], self.lab.time
         self.failstop = self.load("failstop")
         self.board = Board(self.lab, self.wait_for)
+        self.board.deaf(deaf)
         self._robot: Any = None
         self.start()
 
-    def _told(self, kind: str, _: Process, what: object) -> None:
-        if kind == "failed" and isinstance(what, BaseException):
+    def _told(self, _kind: str, _process: Process, what: object) -> None:
+        self._kept.append(what)
+        if isinstance(what, BaseException) and not isinstance(what, Mistake):
             self.failed.append(what)
 
     # Time.
@@ -140,6 +185,14 @@ class Simulated:
     def pids(self) -> dict[str, int]:
         return {name: row.pid for name, row in self.robot.state.processes.items()}
 
+    def living(self) -> list[str]:
+        """The processes of the service that live."""
+        return [each.name for each in self.lab.machine.processes.values() if self._lives(each)]
+
+    @staticmethod
+    def _lives(process: Process) -> bool:
+        return process.name in layout.PROCESSES and process.code is None
+
     def _of(self, name: str) -> Process:
         found = self.lab.named(name)
         assert found, f"no process {name} lives"
@@ -173,7 +226,7 @@ class Simulated:
     def recover(self, name: str, pid: int) -> None:
         """Wait until the service is whole again, with another process of this name; a supervisor is started here."""
         if name == "supervisor":
-            self.wait_for("the last process to end", lambda: not any(map(self.lab.named, SERVICE)))
+            self.wait_for("the last process to end", lambda: not self.living())
             self.start()
         else:
             self.wait_for("another process", lambda: self.pids()[name] != pid)
@@ -203,6 +256,12 @@ class Simulated:
         code, out, err = self.command(*words)
         assert (code, err) == (0, "")
         return " ".join(out.split())
+
+    def json(self, *words: str, each: Callable[[], object] = lambda: None) -> Any:
+        """What a command prints with --json."""
+        code, out, err = self.command(*words, "--json", each=each)
+        assert (code, err) == (0, "")
+        return json.loads(out)
 
     def program(self, name: str, body: Callable[[Any], object]) -> Process:
         """Another program, which is called with its `failstop`."""
@@ -257,14 +316,3 @@ class Simulated:
 
     def moving(self) -> bool:
         return any(self.board.wheels())
-
-
-SERVICE = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
-
-
-@pytest.fixture
-def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
-    """A service with the settings of the test's module, SETTINGS; no program on its machine may fail."""
-    made = Simulated(getattr(request.module, "SETTINGS", None))
-    yield made
-    assert made.failed == []

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Null, Open
+from failstop.lab.machine.files import Null, Open
 from failstop.lab.machine.kernel import LATE_NS, Machine, Process
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
@@ -85,14 +85,11 @@ class Scene:
 
     def new_run(self, journal: Any = None) -> Any:
         """All of a run but its name, made as the supervisor makes it."""
-        world = self.load("failstop.procs.world").World()
-        return self.load("failstop.supervisor.run").Run(world, self.settings, "stage", RUNTIME_DIR, journal)
+        return self.load("failstop.supervisor.run").Run(self.settings, "stage", RUNTIME_DIR, journal)
 
     def plug(self) -> None:
         """A board is there, under the path of the settings."""
-        devices = self.machine.root.names["dev"]
-        assert isinstance(devices, Directory)
-        self.wire = Wire(self.machine, devices, 0)
+        self.wire = Wire(self.machine)
 
     @property
     def me(self) -> Process:

@@ -365,9 +365,6 @@ class Processes(Module):
     def _exit(self, code: int) -> None:
         self._machine.die(self._calls.process("exit"), code)
 
-    def get_terminal_size(self, fd: int = 1) -> NoReturn:
-        raise OSError(errno.ENOTTY, "not a terminal")
-
     def getpid(self) -> int:
         return self._machine.current.process.pid if self._machine.current else 0
 
