@@ -31,15 +31,16 @@ class Service:
         self.told: list[tuple[object, ...]] = []
 
     def join(
-        self,
-        index: int = 0,
-        session: int = 11,
-        *,
-        name: str = "test",
-        pid: int | None = None,
-        namespace: int | None = None,
+        self, index: int = 0, session: int = 11, *, name: str = "test", pid: int = -1, namespace: int | None = None
     ) -> Client:
-        return self.scene.join(index, session, name, self.pid if pid is None else pid, namespace)
+        """`pid`: -1 for this process's own."""
+        return self.scene.join(index, session, name, self.pid if pid < 0 else pid, namespace)
+
+    def known(self, index: int = 0, session: int = 11, **said: Any) -> Client:
+        """A client that the table has seen."""
+        made = self.join(index, session, **said)
+        self.look()
+        return made
 
     def client_command(self, command: Any, now_ns: int) -> None:
         self.told.append(("command", command.session, command.velocity[0]))
@@ -59,6 +60,18 @@ class Service:
         """Ring the bell; returns what the listener was told."""
         self.told.clear()
         self.table.rung(hints, NOW)
+        return list(self.told)
+
+    def tick(self) -> list[tuple[object, ...]]:
+        """The gate's tick; returns the same."""
+        self.told.clear()
+        self.table.look_at_active(NOW)
+        return list(self.told)
+
+    def ended(self, ready: dict[int, int]) -> list[tuple[object, ...]]:
+        """A wake-up by these descriptors; returns the same."""
+        self.told.clear()
+        self.table.lives_ended(ready, NOW)
         return list(self.told)
 
     def sessions(self) -> list[int]:

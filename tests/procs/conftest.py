@@ -35,7 +35,7 @@ def driving(gate: Gate) -> Gate:
 
 
 @pytest.fixture
-def gate_scene() -> Scene:
+def scene() -> Scene:
     """The process at work, not only its core."""
     return Scene()
 

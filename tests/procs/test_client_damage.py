@@ -35,8 +35,7 @@ def zero(found: bytes) -> bytes:
 def test_a_damaged_record_is_ignored_and_a_whole_one_counts_again(
     service: Service, record: str, change: Callable[[bytes], bytes]
 ) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.command()
     client.request()
     scribble(client, record, change)
@@ -49,8 +48,7 @@ def test_a_damaged_record_is_ignored_and_a_whole_one_counts_again(
 
 
 def test_a_damaged_hello_ends_the_session(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     scribble(client, "hello", flip_all)
     client.command()
     assert service.look() == [("gone", 11)]
@@ -65,8 +63,7 @@ def test_a_damaged_hello_ends_the_session(service: Service) -> None:
 @pytest.mark.parametrize("record", ["hello", "command", "request"])
 @pytest.mark.parametrize("payload", [b"", b"\0", bytes(7), b"\xff" * 60], ids=["empty", "1", "7", "60"])
 def test_whole_records_of_any_content_raise_nothing(service: Service, record: str, payload: bytes) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     cell, spec = service.scene.load("failstop.shm.cell"), client.segment.spec
     most = 100  # a client may write more than the record is declared to hold
     seed = cell.seed(f"{spec.name}.{record}", INCARNATION)
@@ -78,8 +75,7 @@ def test_whole_records_of_any_content_raise_nothing(service: Service, record: st
 
 
 def test_records_of_another_run_are_ignored(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     segment = service.scene.load("failstop.shm.segment").Segment
     old = segment(client.segment.spec, INCARNATION + 1, fd=client.segment.fileno())
     old.latest_writer("command").write(records.COMMAND.pack(11, 0.2, 0.0, 0.0, False, "cmd_vel"))
@@ -143,8 +139,7 @@ def test_a_successor_does_not_replay_what_it_finds(service: Service) -> None:
 
 
 def test_a_successor_does_not_act_on_what_its_predecessor_never_saw(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.command()
     client.request(records.ENABLE)
     service.start()

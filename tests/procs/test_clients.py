@@ -15,7 +15,7 @@ from .client_side import NOW, Service
 # New clients.
 
 
-def test_nobody_at_first(service: Service) -> None:
+def test_the_table_has_nobody_at_first(service: Service) -> None:
     assert service.look() == []
     assert service.sessions() == []
 
@@ -29,7 +29,7 @@ def test_a_client_with_claim_and_hello_is_there(service: Service) -> None:
     assert slot.who() == f"teleop (pid {service.pid})"
 
 
-def test_no_claim_no_client(service: Service) -> None:
+def test_a_slot_without_a_claim_has_no_client(service: Service) -> None:
     client = service.join()
     client.leave()
     assert service.look() == []
@@ -54,17 +54,15 @@ def test_what_lies_in_a_claimed_slot_without_a_hello_is_nobody_s(service: Servic
     assert not hasattr(service, "held")
 
 
-def test_eight_clients_at_once(service: Service) -> None:
+def test_the_table_holds_eight_clients_at_once(service: Service) -> None:
     for index in range(layout.CLIENT_SLOTS):
-        service.join(index, 100 + index)
-    service.look()
+        service.known(index, 100 + index)
     assert service.sessions() == list(range(100, 108))
 
 
 @pytest.mark.parametrize("pid", [0, 2**32 - 1, 2**22 + 5])
 def test_a_pid_that_is_a_lie_does_no_harm(service: Service, pid: int) -> None:
-    client = service.join(pid=pid)
-    service.look()
+    client = service.known(pid=pid)
     client.command()
     assert service.look() == [("command", 11, 0.1)]
     client.leave()
@@ -72,8 +70,7 @@ def test_a_pid_that_is_a_lie_does_no_harm(service: Service, pid: int) -> None:
 
 
 def test_names_are_made_printable(service: Service) -> None:
-    service.join(name="a\nb\x1b[31mc\0d")
-    service.look()
+    service.known(name="a\nb\x1b[31mc\0d")
     assert service.table.active[0].name == "a?b?[31mc?d"
 
 
@@ -135,8 +132,7 @@ def test_another_session_s_records_are_ignored(service: Service) -> None:
 
 
 def test_a_claim_that_has_gone_is_noticed_at_the_next_look(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.leave()
     assert service.look(b"\x00") == [("gone", 11)]
     assert service.sessions() == []
@@ -144,32 +140,27 @@ def test_a_claim_that_has_gone_is_noticed_at_the_next_look(service: Service) -> 
 
 
 def test_a_tick_notices_a_claim_that_has_gone(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.leave()
-    service.table.look_at_active(NOW)
-    assert service.told == [("gone", 11)]
+    assert service.tick() == [("gone", 11)]
 
 
 def test_a_tick_finds_news_whose_ring_was_lost(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.command()
-    service.table.look_at_active(NOW)
-    assert service.told == [("command", 11, 0.1)]
+    assert service.tick() == [("command", 11, 0.1)]
 
 
 def test_a_new_client_whose_ring_was_lost_is_found_now_and_then(service: Service) -> None:
     service.join(7)
-    service.table.look_at_active(NOW)
+    service.tick()
     assert service.sessions() == []
     service.table.look_at_all(NOW)
     assert service.sessions() == [11]
 
 
 def test_commands_written_before_the_death_do_not_count_after_it(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     client.command()
     client.leave()
     assert service.look() == [("gone", 11)]
@@ -178,8 +169,7 @@ def test_commands_written_before_the_death_do_not_count_after_it(service: Servic
 @pytest.mark.parametrize("seen_by", ["the claim", "the slot"])
 def test_a_goodbye_is_told_from_a_death(service: Service, seen_by: str) -> None:
     for parted in (True, False):
-        client = service.join(session=21 + parted)
-        service.look()
+        client = service.known(session=21 + parted)
         if parted:
             client.goodbye()
         if seen_by == "the claim":
@@ -209,8 +199,7 @@ def test_a_slot_is_used_again_by_another_session(service: Service) -> None:
 
 
 def test_a_new_hello_under_the_same_claim_is_a_new_client(service: Service) -> None:
-    client = service.join(session=31)
-    service.look()
+    client = service.known(session=31)
     client.hello(32, "again", service.pid)
     assert service.look() == [("gone", 31)]
     assert service.sessions() == [32]
@@ -218,7 +207,7 @@ def test_a_new_hello_under_the_same_claim_is_a_new_client(service: Service) -> N
     assert service.look() == []
 
 
-def test_one_leaving_leaves_the_others(service: Service) -> None:
+def test_a_client_that_leaves_takes_no_other_with_it(service: Service) -> None:
     first, second = service.join(0, 51), service.join(1, 52)
     service.look()
     first.leave()
@@ -229,17 +218,14 @@ def test_one_leaving_leaves_the_others(service: Service) -> None:
 
 def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> None:
     driver = Dummy(service.scene.machine, "driver")
-    client = service.join(pid=driver.pid)
-    service.look()
+    client = service.known(pid=driver.pid)
     life = service.table.active[0].life
     assert service.loop.wait(0) == {}
     client.leave()
     driver.kill()
     ready = service.loop.wait(0)
     assert list(ready) == [life.fd]
-    service.told.clear()
-    service.table.lives_ended(ready, NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended(ready) == [("gone", 11)]
     assert service.loop.wait(0) == {}, "its descriptor is no longer watched"
 
 
@@ -247,23 +233,20 @@ def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> 
 def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, namespace: int) -> None:
     """A client in a container: here another process has its number, and that one's end is none of its own."""
     other = Dummy(service.scene.machine, "other")
-    client = service.join(pid=other.pid, namespace=namespace)
-    service.look()
+    client = service.known(pid=other.pid, namespace=namespace)
     assert service.table.active[0].life.pid == 0
     other.kill()
     assert service.loop.wait(0) == {}
     client.command()
     assert service.look() == [("command", 11, 0.1)]
     client.leave()
-    service.table.look_at_active(NOW)
-    assert service.told[-1] == ("gone", 11), "its claim tells of its own end"
+    assert service.tick() == [("gone", 11)], "its claim tells of its own end"
 
 
 def test_where_the_own_namespace_is_not_known_nobody_is_watched(service: Service) -> None:
     service.scene.os.unlink(NAMESPACE)
     service.start()
-    service.join(namespace=0)
-    service.look()
+    service.known(namespace=0)
     assert service.sessions() == [11]
     assert service.table.active[0].life.pid == 0
 
@@ -290,21 +273,16 @@ def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, nam
     machine.wake(thread)
     service.scene.clock.now_ns += 1
     assert life.marked
-    service.told.clear()
-    service.table.lives_ended({service.early.bell.fd: 1}, NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended({service.early.bell.fd: 1}) == [("gone", 11)]
     word.close()
 
 
 def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: Service) -> None:
     """What a driver has forked inherits its claim; the driver has gone all the same."""
     driver = Dummy(service.scene.machine, "driver")
-    client = service.join(pid=driver.pid)
-    service.look()
+    client = service.known(pid=driver.pid)
     driver.kill()
-    service.told.clear()
-    service.table.lives_ended(service.loop.wait(0), NOW)
-    assert service.told == [("gone", 11)]
+    assert service.ended(service.loop.wait(0)) == [("gone", 11)]
     assert service.loop.wait(0) == {}
     client.command()
     client.request()
@@ -315,18 +293,15 @@ def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: 
 
 
 def test_descriptors_that_are_no_lifeline_are_ignored(service: Service) -> None:
-    service.join()
-    service.look()
-    service.table.lives_ended({service.claims_fd: 1}, NOW)
-    assert service.told == []
+    service.known()
+    assert service.ended({service.claims_fd: 1}) == []
     assert service.sessions() == [11]
 
 
-def test_coming_and_going_uses_nothing_up(service: Service) -> None:
+def test_clients_that_come_and_go_use_no_descriptors_up(service: Service) -> None:
     before = service.scene.open_fds()
     for session in range(1, 50):
-        client = service.join(4, session)
-        service.look()
+        client = service.known(4, session)
         client.leave()
         service.look()
     assert service.scene.open_fds() == before
@@ -357,8 +332,7 @@ def test_a_ring_that_was_taken_by_an_earlier_wake_up_is_nothing(service: Service
 
 
 def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     assert service.held == (None, None)
     client.segment.latest_writer("sensed").write(records.HELD.pack(11, []), 1234)
     client.segment.latest_writer("interlocks").write(records.HELD.pack(11, ["arm", "lid"]), 5678)

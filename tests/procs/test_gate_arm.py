@@ -33,6 +33,20 @@ def follow(scene: Scene, seconds: float, rate: float, servo: int = 1) -> None:
         scene.run(0.02)
 
 
+def renew(scene: Scene, times: int, mode: int, values: dict[int, float]) -> None:
+    """One goal again and again."""
+    for _ in range(times):
+        scene.goal(mode, values)
+        scene.run(0.02)
+
+
+def moves_in(scene: Scene, seconds: float) -> int:
+    """How many moves are sent in that time."""
+    before = len(scene.moves)
+    scene.run(seconds)
+    return len(scene.moves) - before
+
+
 def sent(scene: Scene, servo: int) -> list[tuple[int, int]]:
     """(when, where to) of each move of a servo."""
     found = []
@@ -61,7 +75,7 @@ def test_the_stream_is_regular_and_each_move_short(scene: Scene) -> None:
     assert all(unpack_from("<H", data, 1)[0] <= 44 for _, data in scene.moves)
 
 
-def test_all_six_go_two_a_frame_and_none_is_dropped(scene: Scene) -> None:
+def test_all_six_joints_go_two_a_frame_and_none_is_dropped(scene: Scene) -> None:
     scene.travel(dict.fromkeys(SERVOS, 0.3))
     assert scene.finish() == (records.DONE, "arm is there")
     assert {data[3] for _, data in scene.moves} == {2}
@@ -94,9 +108,7 @@ def test_what_it_is_to_do_is_in_the_black_box(scene: Scene) -> None:
 
 def test_no_joint_passes_its_speed_or_its_ramp(scene: Scene) -> None:
     scene.goal(FOLLOW, {1: 2.0})
-    for _ in range(60):
-        scene.goal(FOLLOW, {1: 2.0})
-        scene.run(0.02)
+    renew(scene, 60, FOLLOW, {1: 2.0})
     moves = sent(scene, 1)
     speeds = [(p1 - p0) / 0.04 / PULSES_PER_RAD for (_, p0), (_, p1) in pairwise(moves)]
     assert max(speeds) <= 1.0 + 1 / 0.04 / PULSES_PER_RAD
@@ -105,9 +117,7 @@ def test_no_joint_passes_its_speed_or_its_ramp(scene: Scene) -> None:
 
 
 def test_jog_stops_at_the_soft_limit(scene: Scene) -> None:
-    for _ in range(300):
-        scene.goal(JOG, {1: 1.0})
-        scene.run(0.02)
+    renew(scene, 300, JOG, {1: 1.0})
     assert scene.at(1) == 1000
     assert max(position for _, position in sent(scene, 1)) == 1000
 
@@ -123,16 +133,12 @@ def test_a_goal_that_is_not_renewed_holds_the_arm(scene: Scene) -> None:
     assert scene.state()["mode"] == ""
 
 
-def test_a_trajectory_before_a_stream_and_of_that_the_newest_goal(scene: Scene) -> None:
+def test_a_trajectory_goes_before_a_stream_and_the_newest_goal_before_older_ones(scene: Scene) -> None:
     scene.travel({1: 0.5}, 2.0)
-    for _ in range(40):
-        scene.goal(FOLLOW, {1: -0.5})
-        scene.run(0.02)
+    renew(scene, 40, FOLLOW, {1: -0.5})
     assert scene.state()["mode"] == "trajectory"
     assert scene.at(1) > 510
-    for _ in range(100):
-        scene.goal(FOLLOW, {1: 0.6})
-        scene.run(0.02)
+    renew(scene, 100, FOLLOW, {1: 0.6})
     assert scene.state()["mode"] == "follow"
     assert scene.at(1) == pytest.approx(500 + 0.6 * PULSES_PER_RAD, abs=8)
     scene.goal(JOG, {1: -0.5})
@@ -180,23 +186,19 @@ def test_a_second_publisher_latches_and_the_arm_is_held(scene: Scene, mode: str)
     scene.goal(FOLLOW, {2: 0.1}, client=1)
     scene.run(0.02)
     assert str(scene.latched()).startswith("multiple arm/goal publishers: test")
-    last = len(scene.moves)
-    scene.run(0.3)
-    assert len(scene.moves) == last
+    assert moves_in(scene, 0.3) == 0
 
 
 def test_a_client_that_goes_has_its_arm_held(scene: Scene) -> None:
     follow(scene, 0.5, 0.5)
     scene.clients[0].segment.wipe()
     scene.run(0.02)
-    last = len(scene.moves)
     stood = scene.at(1)
-    scene.run(0.3)
-    assert len(scene.moves) == last
+    assert moves_in(scene, 0.3) == 0
     assert scene.at(1) == pytest.approx(stood, abs=1)
 
 
-def test_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None:
+def test_an_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None:
     scene.ask_for(records.ENABLE)
     scene.run(0.3)
     assert scene.answered()[0] == records.UNDER_WAY
@@ -207,11 +209,10 @@ def test_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None:
     assert scene.said == questions, "no reads while motion is enabled"
     scene.travel({1: 0.1})
     assert scene.finish() == (records.REFUSED, "wheels enabled")
-    scene.ask_for(records.DISABLE)
-    assert scene.finish()[0] == records.DONE
+    assert scene.result(records.DISABLE)[0] == records.DONE
 
 
-def test_enable_takes_the_arm_from_whoever_moves_it(scene: Scene) -> None:
+def test_an_enable_takes_the_arm_from_whoever_moves_it(scene: Scene) -> None:
     scene.travel({1: 1.0}, client=1)
     scene.run(0.5)
     scene.ask_for(records.ENABLE)
@@ -252,9 +253,7 @@ def test_a_goal_right_after_a_stop_moves_nothing(scene: Scene) -> None:
     scene.goal(FOLLOW, {1: 0.3})
     at_the_next_tick(scene)
     assert scene.state()["mode"] == ""
-    before = len(scene.moves)
-    scene.run(1.0)
-    assert len(scene.moves) == before
+    assert moves_in(scene, 1.0) == 0
     assert scene.state()["refused"] == scene.state()["closed"] == "a stop is latched"
 
 
@@ -270,8 +269,7 @@ FAULTS = [
 @pytest.mark.parametrize(("fault", "why"), FAULTS)
 def test_what_keeps_the_arm_from_its_pose_keeps_the_wheels(scene: Scene, fault: dict[str, object], why: str) -> None:
     scene.servos.change(2, scene.clock(), **fault)
-    scene.ask_for(records.ENABLE)
-    done, text = scene.finish()
+    done, text = scene.result(records.ENABLE)
     assert done == records.REFUSED
     assert text.startswith(f"arm is not in the drive pose: {why}")
     assert not scene.gate.core.enabled
@@ -296,8 +294,7 @@ def test_a_stop_in_between_wins(scene: Scene) -> None:
     assert scene.answered() == (records.REFUSED, "a stop is latched (stop request)")
     scene.run(3.0)
     assert not scene.gate.core.enabled
-    scene.ask_for(records.ENABLE)
-    assert scene.finish() == (records.REFUSED, "a stop is latched (stop request)")
+    assert scene.result(records.ENABLE) == (records.REFUSED, "a stop is latched (stop request)")
 
 
 @pytest.mark.parametrize(("setting", "done"), [("refuse", records.REFUSED), ("ignore", records.DONE)])
@@ -305,8 +302,7 @@ def test_an_absent_arm_refuses_once_clearly_and_can_be_ignored_by_a_setting(sett
     scene = Scene(ARM | {"arm.absent": setting})
     for servo in SERVOS:
         scene.servos.change(servo, scene.clock(), silent=True)
-    scene.ask_for(records.ENABLE)
-    found, text = scene.finish()
+    found, text = scene.result(records.ENABLE)
     assert found == done
     assert (setting == "ignore") or 'arm.absent = "ignore"' in text
 
@@ -320,7 +316,7 @@ def test_the_late_answer_trap_never_passes_for_a_position(scene: Scene) -> None:
     assert 3 in scene.state()["silent"]
 
 
-def test_auto_tuck_after_it_was_left_alone_announced_before() -> None:
+def test_an_arm_that_is_left_alone_tucks_itself_and_announces_it() -> None:
     scene = Scene(ARM | {"arm.auto_tuck_s": 10.0})
     scene.run(30.0)
     assert scene.moves == [], "never used, never tucked"
@@ -328,17 +324,13 @@ def test_auto_tuck_after_it_was_left_alone_announced_before() -> None:
     assert scene.finish()[0] == records.DONE
     scene.run(6.0)
     assert scene.state()["tucks"]
-    count = len(scene.moves)
-    scene.run(3.0)
-    assert len(scene.moves) == count
+    assert moves_in(scene, 3.0) == 0
     scene.run(8.0)
     assert scene.state()["pose"] == "tuck"
-    count = len(scene.moves)
-    scene.run(30.0)
-    assert len(scene.moves) == count
+    assert moves_in(scene, 30.0) == 0
 
 
-def test_released_it_stays_limp_until_it_is_asked_to_move(scene: Scene) -> None:
+def test_a_released_arm_stays_limp_until_it_is_asked_to_move(scene: Scene) -> None:
     scene.travel({1: 0.2})
     assert scene.finish()[0] == records.DONE
     scene.ask_for(records.ARM_RELEASE)
@@ -363,12 +355,13 @@ def test_an_enable_right_behind_a_release_leaves_no_torque_on(no_pose: Scene) ->
     scene = no_pose
     scene.assert_lid()
     scene.ask_for(records.ARM_RELEASE)
-    scene.ask_for(records.ENABLE, client=1)
-    assert scene.finish(client=1) == (records.REFUSED, "the arm is being released: ask again in a moment")
+    assert scene.result(records.ENABLE, client=1) == (
+        records.REFUSED,
+        "the arm is being released: ask again in a moment",
+    )
     scene.run(0.1)
     assert all(servo.limp() for servo in scene.servos.by_id.values())
-    scene.ask_for(records.ENABLE, client=1)
-    assert scene.finish(client=1) == (records.DONE, "motion enabled")
+    assert scene.result(records.ENABLE, client=1) == (records.DONE, "motion enabled")
     scene.wake()
     assert scene.gate.loop.due_ns() > scene.clock()
 
@@ -380,8 +373,7 @@ def test_an_enable_takes_the_arm_from_who_moves_it_also_without_a_drive_pose(no_
     scene.run(2.0)
     assert scene.state()["moving"]
     scene.assert_lid()
-    scene.ask_for(records.ENABLE, client=1)
-    assert scene.finish(client=1) == (records.DONE, "motion enabled")
+    assert scene.result(records.ENABLE, client=1) == (records.DONE, "motion enabled")
     stood = scene.at(1)
     assert scene.answered() == (records.REFUSED, "wheels enabled")
     assert not scene.state()["moving"]
@@ -394,8 +386,7 @@ def test_what_was_moved_by_hand_while_motion_was_enabled_is_read_before_it_moves
     scene = no_pose
     scene.assert_lid()
     scene.run(0.1)
-    scene.ask_for(records.ENABLE)
-    assert scene.finish() == (records.DONE, "motion enabled")
+    assert scene.result(records.ENABLE) == (records.DONE, "motion enabled")
     scene.servos.change(1, scene.clock(), position=300.0)
     scene.ask_for(records.DISABLE, client=1)
     scene.run(0.02)
@@ -404,14 +395,13 @@ def test_what_was_moved_by_hand_while_motion_was_enabled_is_read_before_it_moves
     assert sent(scene, 1)[0][1] == pytest.approx(300, abs=10)
 
 
-def test_who_enables_goes_before_who_only_moves_the_arm_there_and_after_who_enables(scene: Scene) -> None:
+def test_an_enable_goes_before_a_mere_way_to_the_pose_and_after_another_enable(scene: Scene) -> None:
     scene.ask_for(records.ARM_DRIVE)
     scene.run(0.1)
     scene.ask_for(records.ENABLE, client=1)
     scene.run(0.1)
     assert scene.answered() == (records.REFUSED, "wheels enabled")
-    scene.ask_for(records.ENABLE)
-    assert scene.finish() == (records.REFUSED, "other (pid 0) is enabling motion")
+    assert scene.result(records.ENABLE) == (records.REFUSED, "other (pid 0) is enabling motion")
     assert scene.finish(client=1) == (records.DONE, "motion enabled")
 
 
@@ -523,7 +513,7 @@ def test_who_holds_the_arm_itself_may_go_on_at_once(scene: Scene) -> None:
     assert scene.at(1) < stood - 10
 
 
-def test_a_stick_that_is_held_through_a_stop_and_a_reset_turns_no_joint_until_it_was_let_go_of(
+def test_a_stick_held_through_a_stop_and_a_reset_turns_no_joint_until_let_go_of(
     scene: Scene,
 ) -> None:
     def hold(share: float) -> None:
@@ -551,8 +541,7 @@ def test_a_way_that_was_asked_for_before_a_stop_is_not_gone_after_it(scene: Scen
     asked_ns = scene.clock()
     scene.run(0.02)
     scene.stop(causes.PIPED(""))
-    scene.ask_for(records.RESET, client=1)
-    assert scene.finish(client=1)[0] == records.DONE
+    assert scene.result(records.RESET, client=1)[0] == records.DONE
     scene.ask_for(verb, asked_ns=asked_ns)
     assert "before the last stop" in scene.finish()[1]
     scene.run(1.0)
@@ -567,10 +556,8 @@ def test_a_way_that_was_asked_for_before_something_else_does_not_take_its_place(
     """Its client looked at all of the way first, or its thread came late."""
     asked_ns = scene.clock()
     scene.run(0.02)
-    scene.ask_for(later)
-    assert scene.finish()[0] == records.DONE
+    assert scene.result(later)[0] == records.DONE
     moves = len(scene.moves)
-    scene.ask_for(verb, asked_ns=asked_ns)
-    assert scene.finish() == (records.REFUSED, "a later request took its place: ask again")
+    assert scene.result(verb, asked_ns=asked_ns) == (records.REFUSED, "a later request took its place: ask again")
     scene.run(0.5)
     assert len(scene.moves) == moves

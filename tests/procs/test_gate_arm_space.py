@@ -57,7 +57,7 @@ def scene() -> Scene:
     return made
 
 
-def test_follow_ends_before_it_and_goes_back_from_there(scene: Scene) -> None:
+def test_follow_ends_before_the_floor_and_goes_back_from_there(scene: Scene) -> None:
     assert watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 1.5, 4: 0.2})) > -0.001
     assert gap_m(scene) < 0.02, "it went as far as it could"
     assert scene.state()["refused"] == f"the arm would hit something on its way: wrist and {FLOOR}"
@@ -67,12 +67,12 @@ def test_follow_ends_before_it_and_goes_back_from_there(scene: Scene) -> None:
     assert scene.state()["refused"] == ""
 
 
-def test_jog_ends_before_it(scene: Scene) -> None:
+def test_jog_ends_before_the_floor(scene: Scene) -> None:
     assert watch(scene, 2.5, lambda: scene.goal(records.ARM_JOG, {ELBOW: 0.8})) > -0.001
     assert FLOOR in scene.state()["refused"]
 
 
-def test_so_does_the_gamepad_s(scene: Scene) -> None:
+def test_the_gamepad_s_joint_ends_before_the_floor(scene: Scene) -> None:
     assert watch(scene, 2.5, lambda: scene.pad(JOINTS.index("elbow"), 0.8)) > -0.001
     assert gap_m(scene) < 0.02
 
@@ -84,11 +84,9 @@ def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene
     assert not scene.state()["moving"]
 
 
-def test_a_pose_and_the_way_to_enable_likewise(scene: Scene) -> None:
-    scene.ask_for(records.ARM_TUCK)
-    assert scene.finish()[1].startswith("the arm would hit something")
-    scene.ask_for(records.ENABLE)
-    done, text = scene.finish()
+def test_a_pose_and_the_way_to_enable_end_before_the_floor(scene: Scene) -> None:
+    assert scene.result(records.ARM_TUCK)[1].startswith("the arm would hit something")
+    done, text = scene.result(records.ENABLE)
     assert (done, text) == (
         records.REFUSED,
         f"arm is not in the drive pose: the arm would hit something on its way: wrist and {FLOOR}",
@@ -106,8 +104,7 @@ def test_an_arm_that_can_not_tuck_itself_says_so(scene: Scene) -> None:
 def test_what_touches_already_may_part(scene: Scene) -> None:
     """By hand, or since the model is not exact: what is there must not be kept there."""
     scene.servos.change(ELBOW, scene.clock(), position=LOW)
-    scene.ask_for(records.ARM_READ)
-    scene.finish()
+    scene.result(records.ARM_READ)
     touching_m = gap_m(scene)
     assert touching_m < 0
     scene.travel({ELBOW: 2.0})

@@ -26,18 +26,11 @@ def scene(arm_scene: Scene) -> Scene:
     return arm_scene
 
 
-def path(scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float = 1.0) -> None:
-    packed = records.ARM_PATH.pack(SESSION, share, servos, rows)
-    scene.clients[0].segment.latest_writer("arm_path").write(packed, scene.clock())
-    scene.ask_for(records.ARM_MOVE)
-
-
 # Trajectories.
 
 
 def test_move_without_a_trajectory_is_refused(scene: Scene) -> None:
-    scene.ask_for(records.ARM_MOVE)
-    assert scene.finish() == (records.REFUSED, "no trajectory came with the request")
+    assert scene.result(records.ARM_MOVE) == (records.REFUSED, "no trajectory came with the request")
 
 
 @pytest.mark.parametrize(
@@ -58,21 +51,21 @@ def test_move_without_a_trajectory_is_refused(scene: Scene) -> None:
 def test_trajectory_that_can_not_be_gone_is_refused(
     scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float, told: str
 ) -> None:
-    path(scene, rows, servos, share)
+    scene.go(share, servos, rows)
     assert scene.finish() == (records.REFUSED, told)
     assert scene.moves == []
 
 
 @pytest.mark.parametrize("rows", [[(LONGEST_S, [0.0])], [(0.5, [0.1]), (LONGEST_S, [0.0])]])
 def test_trajectory_may_take_the_longest_time(scene: Scene, rows: list[tuple[float, list[float]]]) -> None:
-    path(scene, rows, [1])
+    scene.go(1.0, [1], rows)
     scene.run(0.5)
     assert scene.answered()[1] == f"arm, move: on its way, {(LONGEST_S * 1e9 - 0.4e9) / 1e9:.1f} s left"
 
 
 @pytest.mark.parametrize(("share", "over_s"), [(1.0, 0.5), (0.25, 2.0)])
 def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene, share: float, over_s: float) -> None:
-    path(scene, [(0.0, [0.5, -0.1])], [1, 2], share)
+    scene.go(share, [1, 2], [(0.0, [0.5, -0.1])])
     assert scene.finish() == (records.DONE, "arm is there")
     assert scene.at(1) == pytest.approx(500 + 0.5 * PULSES_PER_RAD, abs=1)
     assert scene.at(2) == pytest.approx(500 - 0.1 * PULSES_PER_RAD, abs=1)
@@ -81,7 +74,7 @@ def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene, share: fl
 
 def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
     reply = scene.own.latest_reader("reply.0")
-    path(scene, [(2.0, [0.5])], [1])
+    scene.go(1.0, [1], [(2.0, [0.5])])
     told: dict[int, int] = {}
     while scene.answered()[0] == records.UNDER_WAY:
         scene.wake()
@@ -113,7 +106,7 @@ def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
 def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
     scene.travel({1: 0.2})
     scene.run(0.2)
-    scene.clients[0].segment.latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
+    scene.clients[0].hello(SESSION + 5, "heir")
     scene.run(2.0)
     assert scene.answered()[0] == records.UNDER_WAY
 
@@ -160,10 +153,8 @@ def test_newer_way_preempts_the_older(scene: Scene) -> None:
 
 def test_pose_that_the_settings_do_not_have_is_refused(arm_with: Make) -> None:
     scene = arm_with(**{f"joints__{name}__tuck": -1 for name in JOINTS})
-    scene.ask_for(records.ARM_TUCK)
-    assert scene.finish() == (records.REFUSED, "the settings have no tuck pose")
-    scene.ask_for(records.ARM_DRIVE)
-    assert scene.finish() == (records.DONE, "arm is there")
+    assert scene.result(records.ARM_TUCK) == (records.REFUSED, "the settings have no tuck pose")
+    assert scene.result(records.ARM_DRIVE) == (records.DONE, "arm is there")
     assert scene.state()["pose"] == "drive"
 
 
@@ -189,14 +180,12 @@ def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with:
     scene = arm_with(joints__elbow__drive=0, joints__base__drive=-1)
     for servo in set(SERVOS) - {1, 3}:
         scene.servos.change(servo, scene.clock(), silent=True)
-    scene.ask_for(records.ENABLE)
-    done, text = scene.finish()
+    done, text = scene.result(records.ENABLE)
     assert done == records.REFUSED
     assert text.startswith("arm is not in the drive pose: joints shoulder")
     assert "arm.absent" not in text
     scene.servos.change(3, scene.clock(), silent=True)
-    scene.ask_for(records.ENABLE)
-    assert scene.finish()[1].endswith('; without the arm: arm.absent = "ignore"')
+    assert scene.result(records.ENABLE)[1].endswith('; without the arm: arm.absent = "ignore"')
 
 
 # The gamepad.
@@ -251,8 +240,7 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
     assert scene.finish(client=1) == (records.DONE, "arm is there")
     assert scene.state()["pose"] == "drive"
     assert [scene.at(servo) for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=2)
-    scene.ask_for(records.ENABLE)
-    scene.finish()
+    scene.result(records.ENABLE)
     scene.run(0.3)
     assert scene.state()["closed"] == "wheels enabled"
     scene.stop(causes.PIPED(""))

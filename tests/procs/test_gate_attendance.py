@@ -15,9 +15,10 @@ LEASE = 1000 * MS
 
 
 def attended() -> Gate:
-    """A gate that needs an operator, and has one since now."""
+    """A gate that needs an operator, has one since now, and is enabled."""
     gate = Gate(attend__required="on")
     gate.core.attendance.hear(1, "Anna", gate.now, gate.now)
+    gate.enable()
     return gate
 
 
@@ -25,20 +26,19 @@ def gone(gate: Gate) -> causes.Cause | None:
     return gate.core.attendance.gone(gate.now)
 
 
-def test_it_is_off_by_default() -> None:
+def test_attendance_is_off_by_default() -> None:
     gate = Gate()
     gate.enable()
     assert gone(gate) is None
 
 
-def test_nobody_attends() -> None:
+def test_a_gate_that_nobody_attends_refuses_to_enable() -> None:
     gate = Gate(attend__required="on")
     assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
 
 
 def test_somebody_attends_until_the_lease_ends() -> None:
     gate = attended()
-    gate.enable()
     gate.now += LEASE
     assert gone(gate) is None
     gate.now += 1
@@ -50,7 +50,6 @@ def test_somebody_attends_until_the_lease_ends() -> None:
 
 def test_leaving_counts_at_once() -> None:
     gate = attended()
-    gate.enable()
     gate.core.attendance.leave(1)
     assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
 
@@ -58,7 +57,6 @@ def test_leaving_counts_at_once() -> None:
 def test_the_last_of_several_counts() -> None:
     gate = attended()
     gate.core.attendance.hear(2, "Bert", gate.now, gate.now)
-    gate.enable()
     gate.core.attendance.leave(1)
     assert gone(gate) is None
     gate.core.attendance.leave(2)
@@ -104,7 +102,6 @@ def test_an_old_proof_renews_nothing() -> None:
 def test_a_session_that_names_another_operator_says_that_the_one_before_has_left() -> None:
     """The page speaks for several, and names the one who was there last."""
     gate = attended()
-    gate.enable()
     gate.core.attendance.hear(1, "Bert", gate.now - 300 * MS, gate.now)
     assert gone(gate) is None, "Bert is there, and by his own moment"
     gate.now += LEASE - 300 * MS
@@ -115,13 +112,12 @@ def test_a_session_that_names_another_operator_says_that_the_one_before_has_left
 
 def test_a_session_that_names_one_who_sleeps_has_nobody() -> None:
     gate = attended()
-    gate.enable()
     for _ in range(3):  # the gate reads the same record at every tick
         gate.core.attendance.hear(1, "Bert", gate.now - LEASE - 1, gate.now)
         assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
 
 
-def test_a_stamp_from_the_future_is_none() -> None:
+def test_a_stamp_from_the_future_proves_nothing() -> None:
     gate = Gate(attend__required="on")
     gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS + 1, gate.now)
     assert gone(gate) is not None
@@ -133,7 +129,6 @@ def test_a_stamp_from_the_future_is_none() -> None:
 
 def test_the_gate_wakes_when_the_lease_ends() -> None:
     gate = attended()
-    gate.enable()
     gate.take((0.2, 0.0, 0.0))
     assert gate.core.due_ns(gate.now) == gate.now + 300 * MS + 1  # the command's end comes first
     gate.now += 900 * MS
@@ -141,9 +136,8 @@ def test_the_gate_wakes_when_the_lease_ends() -> None:
     assert gate.core.due_ns(gate.now) == T0 + LEASE + 1
 
 
-def test_when_the_last_operator_leaves_in_the_middle_of_a_turn_the_gate_looks_again_at_once() -> None:
+def test_the_gate_looks_again_at_once_when_the_last_operator_leaves() -> None:
     gate = attended()
-    gate.enable()
     gate.take((0.2, 0.0, 0.0))
     gate.core.attendance.leave(1)
     due_ns = gate.core.due_ns(gate.now)
@@ -152,7 +146,9 @@ def test_when_the_last_operator_leaves_in_the_middle_of_a_turn_the_gate_looks_ag
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(0, 3000), st.booleans()), max_size=60))
-def test_never_longer_than_the_lease_after_the_newest_proof(steps: list[tuple[int, int, int, bool]]) -> None:
+def test_attendance_lasts_no_longer_than_the_lease_after_the_newest_proof(
+    steps: list[tuple[int, int, int, bool]],
+) -> None:
     """Whatever comes, in whatever order and however late: it is attended exactly while some session that has not left
     has proven a moment no older than the lease."""
     attendance = Attendance(LEASE, on=True)

@@ -12,7 +12,7 @@ from .gate_machine import GateMachine
 test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 
 
-def test_disabled_at_start(gate: Gate) -> None:
+def test_a_gate_starts_disabled(gate: Gate) -> None:
     assert gate.blocked == "disabled"
     assert gate.core.latch is None
 
@@ -24,18 +24,18 @@ def test_commands_move_nothing_while_disabled(gate: Gate) -> None:
     assert stands(gate)
 
 
-def test_enable_takes_the_epoch(gate: Gate) -> None:
+def test_an_enable_takes_the_epoch(gate: Gate) -> None:
     gate.enable(epoch=7)
     assert gate.core.enabled
     assert gate.core.epoch == 7
 
 
-def test_enable_is_refused_while_something_is_missing(gate: Gate) -> None:
+def test_an_enable_is_refused_while_something_is_missing(gate: Gate) -> None:
     assert told(gate.core.enable(1, "the port", gate.now)) == (False, "not ready: the port")
     assert gate.blocked == "disabled"
 
 
-def test_enable_while_enabled_changes_nothing(driving: Gate) -> None:
+def test_an_enable_while_enabled_changes_nothing(driving: Gate) -> None:
     assert told(driving.core.enable(9, "", driving.now)) == (True, "motion enabled")
     assert driving.core.epoch == 1
     assert driving.core.velocity == (0.2, 0.0, 0.0)
@@ -49,7 +49,7 @@ def test_a_command_from_before_the_enable_does_not_move(gate: Gate) -> None:
     assert stands(gate)
 
 
-def test_disable_stands_at_once(driving: Gate) -> None:
+def test_a_disable_stops_the_wheels_at_once(driving: Gate) -> None:
     assert told(driving.core.disable()) == (True, "motion disabled")
     assert driving.blocked == "disabled"
     assert stands(driving)

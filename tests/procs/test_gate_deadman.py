@@ -66,7 +66,7 @@ def test_after_the_deadman_the_ramp_starts_from_zero(driving: Gate) -> None:
 
 
 @pytest.mark.parametrize("value", [0, -1, 0.049, 2.01, inf, nan, "off", "", False, None])
-def test_it_cannot_be_switched_off(value: object) -> None:
+def test_the_deadman_cannot_be_switched_off(value: object) -> None:
     """No value means never: from 0.05 to 2 s are allowed, and of each source's own timeout too."""
     for key in ("gate.command_timeout_s", "sources.cmd_vel.timeout_s", "sources.teleop.timeout_s"):
         with pytest.raises(SettingError, match=f"^{key} = .*0.05 to 2 s"):

@@ -23,7 +23,7 @@ def gate(driver_death: str, **changed: float | str) -> Gate:
 
 
 @pytest.mark.parametrize("silent_ns", [0, 299 * MS, 301 * MS, 3_600_000 * MS])
-def test_it_disables_motion_however_long_ago_it_commanded(silent_ns: int) -> None:
+def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns: int) -> None:
     """What starts a program again that hung and was killed for it must not drive on either."""
     dying = gate("disable")
     dying.step(silent_ns)
@@ -42,7 +42,7 @@ def test_it_disables_motion_however_long_ago_it_commanded(silent_ns: int) -> Non
 
 
 @pytest.mark.parametrize("dies", [1, 2])
-def test_one_that_waits_is_a_driver_as_well(dies: int) -> None:
+def test_a_client_that_waits_is_a_driver_as_well(dies: int) -> None:
     dying = Gate(sources__teleop__priority=10)
     dying.enable()
     dying.take(VELOCITY)
@@ -52,7 +52,7 @@ def test_one_that_waits_is_a_driver_as_well(dies: int) -> None:
     assert dying.blocked == "disabled"
 
 
-def test_one_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
+def test_a_client_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
     dying = Gate()
     dying.take(VELOCITY)
     dying.enable()
@@ -60,7 +60,7 @@ def test_one_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
     assert dying.blocked == "disabled"
 
 
-def test_one_that_has_commanded_nothing_is_none() -> None:
+def test_a_client_that_has_commanded_nothing_is_no_driver() -> None:
     dying = gate("disable")
     dying.gone(2)
     assert dying.blocked == ""
@@ -69,7 +69,7 @@ def test_one_that_has_commanded_nothing_is_none() -> None:
     assert dying.blocked == "", "its commands were of no source"
 
 
-def test_it_is_told_each_time_however_often() -> None:
+def test_a_death_is_told_of_each_time_however_often() -> None:
     dying = gate("disable")
     for _ in range(50):
         dying.gone(1)
@@ -78,13 +78,13 @@ def test_it_is_told_each_time_however_often() -> None:
     assert dying.told() == [TOLD] * 50
 
 
-def test_it_latches_where_the_settings_say_so() -> None:
+def test_a_death_latches_where_the_settings_say_so() -> None:
     dying = gate("latch")
     assert dying.gone(1) == causes.DRIVER_DIED("client 1")
     assert dying.gone(1) is None, "once"
 
 
-def test_it_stays_enabled_where_the_settings_say_so() -> None:
+def test_a_death_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("stay")
     assert dying.gone(1) is None
     assert dying.step(0) == STILL
@@ -102,7 +102,7 @@ def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
 
 
 @pytest.mark.parametrize("driver_death", ["disable", "latch"])
-def test_while_motion_is_disabled_it_is_no_news(driver_death: str) -> None:
+def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
     dying = gate(driver_death)
     dying.core.disable()
     dying.core.notes.clear()
@@ -114,8 +114,7 @@ def test_while_motion_is_disabled_it_is_no_news(driver_death: str) -> None:
 
 
 def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
-    first = service.join(session=21)
-    service.look()
+    first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
     first.leave()
@@ -128,8 +127,7 @@ def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Se
 
 
 def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> None:
-    first = service.join(session=21)
-    service.look()
+    first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
     first.leave()
@@ -144,17 +142,15 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
 
 def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
     """Its slot is another one, and its ring hints at that alone."""
-    dying = service.join(index=3, session=21)
-    service.look()
+    dying = service.known(index=3, session=21)
     dying.leave()
     again = service.join(index=1, session=22)
     again.command()
     assert service.look(bytes([1])) == [("gone", 21), ("command", 22, 0.1)]
 
 
-def test_a_goodbye_that_is_damaged_is_none(service: Service) -> None:
-    dying = service.join(session=21)
-    service.look()
+def test_a_goodbye_that_is_damaged_does_not_count(service: Service) -> None:
+    dying = service.known(session=21)
     dying.segment.latest_writer("left").write(b"21")
     dying.leave()
     assert service.look() == [("gone", 21)]

@@ -15,161 +15,148 @@ from tests.support.stage import MS
 from tests.support.why import why
 
 
-def test_the_first_cause_since_the_reset_is_latched(gate_scene: Scene) -> None:
-    assert gate_scene.tick() is None
-    gate_scene.stop("key1")
-    assert gate_scene.tick() == "key1"
-    gate_scene.stop("device lost")
-    assert gate_scene.tick() == "key1"
+def test_the_first_cause_since_the_reset_is_latched(scene: Scene) -> None:
+    assert scene.tick() is None
+    assert scene.stop_and_tick("key1") == "key1"
+    assert scene.stop_and_tick("device lost") == "key1"
 
 
-def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(gate_scene: Scene) -> None:
+def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(scene: Scene) -> None:
     """The gate looks at the latch for the reset before it has seen the epoch of a stop that came after it."""
-    gate_scene.stop("key1")
-    gate_scene.tick()
-    gate_scene.ask(records.RESET)
-    assert gate_scene.ask(records.ENABLE)[0]
-    gate_scene.latch.add([Stop(gate_scene.clock(), layout.SUPERVISOR, why("device lost"))], 3, gate_scene.clock())
-    gate_scene.ask(records.RESET, gate_scene.clock() - 1)
-    assert gate_scene.latched() == "device lost"
-    assert not gate_scene.gate.core.enabled
+    scene.stop_and_tick("key1")
+    scene.ask(records.RESET)
+    assert scene.ask(records.ENABLE)[0]
+    scene.latch.add([Stop(scene.clock(), layout.SUPERVISOR, why("device lost"))], 3, scene.clock())
+    scene.ask(records.RESET, scene.clock() - 1)
+    assert scene.latched() == "device lost"
+    assert not scene.gate.core.enabled
 
 
-def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(gate_scene: Scene) -> None:
+def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Scene) -> None:
     """Though it was asked for after that one."""
-    gate_scene.stop("key1")
-    gate_scene.tick()
-    gate_scene.saw(2)
-    gate_scene.stop("key2")
-    gate_scene.tick()
-    assert gate_scene.ask(records.RESET) == (False, UNSEEN)
-    assert gate_scene.latched() == "key1"
-    gate_scene.saw(3)
-    assert gate_scene.ask(records.RESET)[0]
-    assert gate_scene.latched() is None
+    scene.stop_and_tick("key1")
+    scene.saw(2)
+    scene.stop_and_tick("key2")
+    assert scene.ask(records.RESET) == (False, UNSEEN)
+    assert scene.latched() == "key1"
+    scene.saw(3)
+    assert scene.ask(records.RESET)[0]
+    assert scene.latched() is None
 
 
-def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(gate_scene: Scene) -> None:
-    gate_scene.stop("key1")
-    gate_scene.tick()
-    gate_scene.ask(records.DISABLE)
-    gate_scene.saw(2)
-    slot = gate_scene.gate.clients.slots[0]
-    gate_scene.stop("key2")
-    gate_scene.gate.requests.take(slot, 2, records.RESET, gate_scene.clock(), gate_scene.clock())
-    assert gate_scene.replied()[1:] == (False, UNSEEN)
-    assert gate_scene.tick() == "key1"
+def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Scene) -> None:
+    scene.stop_and_tick("key1")
+    scene.ask(records.DISABLE)
+    scene.saw(2)
+    slot = scene.gate.clients.slots[0]
+    scene.stop("key2")
+    scene.gate.requests.take(slot, 2, records.RESET, scene.clock(), scene.clock())
+    assert scene.replied()[1:] == (False, UNSEEN)
+    assert scene.tick() == "key1"
 
 
-def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(gate_scene: Scene) -> None:
-    gate_scene.stop("key1")
-    gate_scene.stop("key2")
-    gate_scene.tick()
-    gate_scene.saw(0)
-    assert gate_scene.ask(records.RESET)[0]
+def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(scene: Scene) -> None:
+    scene.stop("key1")
+    scene.stop_and_tick("key2")
+    scene.saw(0)
+    assert scene.ask(records.RESET)[0]
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 2)), max_size=12))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_reset_clears_a_stop_that_its_person_had_not_seen(
-    gate_scene: Scene, steps: list[tuple[bool, int, int]]
-) -> None:
-    epoch = gate_scene.gate.epoch
+def test_no_reset_clears_a_stop_that_its_person_had_not_seen(scene: Scene, steps: list[tuple[bool, int, int]]) -> None:
+    epoch = scene.gate.epoch
     for stops, behind, ago in steps:
-        gate_scene.clock.now_ns += MS
+        scene.clock.now_ns += MS
         if stops:
             epoch += 1
-            gate_scene.stop(f"key{1 + epoch % 2}")
-            gate_scene.tick()
+            scene.stop(f"key{1 + epoch % 2}")
+            scene.tick()
             continue
-        was, seen = gate_scene.latched(), max(0, epoch - behind)
-        gate_scene.saw(seen)
-        done, _ = gate_scene.ask(records.RESET, gate_scene.clock() - ago)
+        was, seen = scene.latched(), max(0, epoch - behind)
+        scene.saw(seen)
+        done, _ = scene.ask(records.RESET, scene.clock() - ago)
         if done and was:
             assert seen in (0, epoch)
-            assert gate_scene.latched() is None
+            assert scene.latched() is None
         elif seen not in (0, epoch):
             assert not done
-            assert gate_scene.latched() == was
+            assert scene.latched() == was
 
 
 @pytest.mark.parametrize("resets", [0, 1])
-def test_a_successor_finds_what_is_latched(gate_scene: Scene, resets: int) -> None:
-    gate_scene.stop("key1")
-    gate_scene.stop("gate died")
-    gate_scene.tick()
+def test_a_successor_finds_what_is_latched(scene: Scene, resets: int) -> None:
+    scene.stop("key1")
+    scene.stop_and_tick("gate died")
     for _ in range(resets):
-        gate_scene.ask(records.RESET)
-    gate_scene.start_gate()
-    assert gate_scene.latched() == (None if resets else "key1")
-    assert not gate_scene.gate.core.enabled
+        scene.ask(records.RESET)
+    scene.start_gate()
+    assert scene.latched() == (None if resets else "key1")
+    assert not scene.gate.core.enabled
 
 
-def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(gate_scene: Scene) -> None:
-    gate_scene.stop("key1")
-    gate_scene.tick()
-    gate_scene.gate.requests.take(gate_scene.gate.clients.slots[0], 1, records.RESET, gate_scene.clock(), 0)
-    gate_scene.start_gate()
-    gate_scene.decide()
-    assert gate_scene.tick() is None, "but it is one all the same"
-    assert gate_scene.replied() == (0, records.UNDER_WAY, "")
+def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> None:
+    scene.stop_and_tick("key1")
+    scene.gate.requests.take(scene.gate.clients.slots[0], 1, records.RESET, scene.clock(), 0)
+    scene.start_gate()
+    scene.decide()
+    assert scene.tick() is None, "but it is one all the same"
+    assert scene.replied() == (0, records.UNDER_WAY, "")
 
 
-def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
-    slot = gate_scene.gate.clients.slots[0]
-    gate_scene.stop("key1")
-    gate_scene.tick()
+def test_resets_are_decided_one_after_the_other(scene: Scene) -> None:
+    slot = scene.gate.clients.slots[0]
+    scene.stop_and_tick("key1")
     for number in (7, 8):
-        gate_scene.gate.requests.take(slot, number, records.RESET, gate_scene.clock(), gate_scene.clock())
-    assert gate_scene.own.word("resets_asked").get() == 1
-    gate_scene.decide()
-    assert gate_scene.own.word("resets_asked").get() == 2
-    assert gate_scene.replied() == (8, True, "no stop is latched")
+        scene.gate.requests.take(slot, number, records.RESET, scene.clock(), scene.clock())
+    assert scene.own.word("resets_asked").get() == 1
+    scene.decide()
+    assert scene.own.word("resets_asked").get() == 2
+    assert scene.replied() == (8, True, "no stop is latched")
 
 
-def test_who_asks_for_resets_without_end_is_in_the_line_once(gate_scene: Scene) -> None:
+def test_who_asks_for_resets_without_end_is_in_the_line_once(scene: Scene) -> None:
     """While the first one is being decided; nobody else has to wait behind the rest."""
-    mine, other = gate_scene.gate.clients.slots[:2]
-    gate_scene.stop("key1")
-    gate_scene.tick()
+    mine, other = scene.gate.clients.slots[:2]
+    scene.stop_and_tick("key1")
     for number in range(1000):
-        gate_scene.gate.requests.take(mine, number, records.RESET, gate_scene.clock(), gate_scene.clock())
-    gate_scene.gate.requests.take(other, 1, records.RESET, gate_scene.clock(), gate_scene.clock())
-    gate_scene.decide()
-    assert gate_scene.own.word("resets_asked").get() == 3
-    assert gate_scene.replied() == (999, True, "no stop is latched")
-    assert gate_scene.own.latest_reader("reply.1").read()
+        scene.gate.requests.take(mine, number, records.RESET, scene.clock(), scene.clock())
+    scene.gate.requests.take(other, 1, records.RESET, scene.clock(), scene.clock())
+    scene.decide()
+    assert scene.own.word("resets_asked").get() == 3
+    assert scene.replied() == (999, True, "no stop is latched")
+    assert scene.own.latest_reader("reply.1").read()
 
 
-def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
-    record = records.LATCH.pack(2, gate_scene.clock(), gate_scene.clock(), b"?")
-    gate_scene.views[layout.SUPERVISOR].latest_writer("latch").write(record, gate_scene.clock())
-    gate_scene.raise_epoch(2)
-    assert gate_scene.tick() == "stopped by the supervisor"
+def test_a_damaged_cause_latches_too(scene: Scene) -> None:
+    record = records.LATCH.pack(2, scene.clock(), scene.clock(), b"?")
+    scene.views[layout.SUPERVISOR].latest_writer("latch").write(record, scene.clock())
+    scene.raise_epoch(2)
+    assert scene.tick() == "stopped by the supervisor"
 
 
 @pytest.mark.parametrize("successor", [False, True])
 @pytest.mark.parametrize(("after_ns", "granted"), [(-MS, False), (MS, True)])
 def test_who_asked_before_the_stop_did_not_know_of_it(
-    gate_scene: Scene, successor: bool, after_ns: int, granted: bool
+    scene: Scene, successor: bool, after_ns: int, granted: bool
 ) -> None:
     """Of a gate that saw the stop, and of one that was started for it."""
-    gate_scene.stop("gate died")
-    stopped_ns = gate_scene.clock()
+    scene.stop("gate died")
+    stopped_ns = scene.clock()
     if successor:
-        gate_scene.start_gate()
-    assert gate_scene.tick() == "gate died"
-    gate_scene.ask_for(records.RESET, asked_ns=stopped_ns + after_ns)
+        scene.start_gate()
+    assert scene.tick() == "gate died"
+    scene.ask_for(records.RESET, asked_ns=stopped_ns + after_ns)
     for _ in range(main.LOOK_AT_ALL_EVERY):
-        latched = gate_scene.tick()
-    done, text = gate_scene.answered()
+        latched = scene.tick()
+    done, text = scene.answered()
     assert done == granted
     assert latched == (None if granted else "gate died")
     assert granted or text.startswith("asked before the last stop (gate died)")
 
 
-def test_nothing_was_stopped_yet_for_the_first_gate(gate_scene: Scene) -> None:
-    gate_scene.ask_for(records.RESET, asked_ns=1)
+def test_nothing_was_stopped_yet_for_the_first_gate(scene: Scene) -> None:
+    scene.ask_for(records.RESET, asked_ns=1)
     for _ in range(main.LOOK_AT_ALL_EVERY):
-        gate_scene.tick()
-    assert gate_scene.answered() == (True, "no stop is latched")
+        scene.tick()
+    assert scene.answered() == (True, "no stop is latched")

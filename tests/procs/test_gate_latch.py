@@ -10,7 +10,7 @@ from tests.support.why import said, told, why
 from .gate_bench import Gate, stands
 
 
-def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
+def test_a_trip_stops_disables_and_latches_at_once(driving: Gate) -> None:
     assert driving.core.stop(why("key1"), 3)
     assert stands(driving)
     assert not driving.core.enabled
@@ -41,7 +41,7 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
     assert gate.blocked == ""
 
 
-def test_enable_is_refused_while_latched(driving: Gate) -> None:
+def test_an_enable_is_refused_while_latched(driving: Gate) -> None:
     driving.core.stop(why("key1"), 3)
     assert told(driving.core.enable(4, "", driving.now)) == (False, "a stop is latched (key1)")
     assert not driving.core.enabled

@@ -29,7 +29,9 @@ WHO: dict[str, str | int] = {"who": "nav", "pid": 7}
         (99, False, False, None, "refused", "refused to 99, nav (pid 7): answer"),
     ],
 )
-def test_of_a_request(verb: int, done: bool, enabled: bool, was: Cause | None, kind: str, text: str) -> None:
+def test_a_request_is_told_of_when_it_changed_something_or_was_refused(
+    verb: int, done: bool, enabled: bool, was: Cause | None, kind: str, text: str
+) -> None:
     note = of_request(verb, "nav", 7, Reply(done, "answer", was), enabled=enabled)
     assert (note.kind if note else "", note.text if note else "") == (kind, text)
     assert note is None or WHO.items() <= note.fields.items()
@@ -92,7 +94,7 @@ def test_fields_that_just_fit_are_kept() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"gyro bias", b"\x90", b"\x94\xa1a\xa1b\xa1c\xa1d", b"\xc1", b"\x94\xa1a"])
-def test_what_is_no_note_is_refused(payload: bytes) -> None:
+def test_a_payload_that_is_no_note_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         Note.unpack(payload)
 

@@ -68,7 +68,7 @@ def test_a_higher_source_takes_over_at_once() -> None:
     ]
 
 
-def test_a_lower_source_gets_it_back_after_the_higher_s_silence_from_zero_along_the_ramp() -> None:
+def test_a_lower_source_begins_from_zero_after_the_higher_s_silence() -> None:
     gate = scanning(WITH_TELEOP)
     cruise(gate, -0.1, "teleop", session=2)
     for _ in range(9):
@@ -113,7 +113,7 @@ def test_the_pad_is_above_all() -> None:
     assert gate.core.sources.driving(gate.now).source == PAD  # type: ignore[union-attr]
 
 
-def test_no_client_is_the_pad() -> None:
+def test_no_client_can_command_as_the_pad() -> None:
     gate = scanning(WITH_TELEOP)
     scan(gate)
     assert gate.command(0.1, PAD, session=7, manual=True) == ""
@@ -154,7 +154,7 @@ def test_ever_new_unknown_sources_are_not_told_of_for_ever() -> None:
 # The scan gate.
 
 
-def test_nothing_for_half_a_second_blocks_with_no_scan_and_does_not_latch() -> None:
+def test_a_sensor_silent_for_half_a_second_blocks_and_does_not_latch() -> None:
     gate = scanning()
     cruise(gate, 0.1)
     seen_ns = gate.now - TICK
@@ -203,7 +203,7 @@ def test_a_sensor_whose_clock_is_ahead_has_not_delivered_yet() -> None:
     assert gate.told() == ["no scan yet: wheels stand"]
 
 
-def test_manual_commands_are_exempt() -> None:
+def test_manual_commands_need_no_scan() -> None:
     gate = scanning()
     gate.command(0.1, manual=True)
     assert gate.tick() == pytest.approx(0.01)
@@ -217,7 +217,7 @@ def test_the_command_timeout_comes_before_no_scan() -> None:
     assert gate.blocked == "cmd timeout"
 
 
-def test_switched_off_by_a_word() -> None:
+def test_a_word_switches_the_scan_gate_off() -> None:
     gate = scanning({"scan.gate": "off"})
     gate.command(0.1)
     assert gate.tick() == pytest.approx(0.01)
@@ -233,7 +233,7 @@ def test_enabling_needs_every_interlock() -> None:
     assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
 
 
-def test_losing_one_disables_and_does_not_latch() -> None:
+def test_an_interlock_that_is_lost_disables_and_does_not_latch() -> None:
     gate = Gate(scan__gate="on", **ARM)
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     gate.core.enable(1, "", gate.now)
@@ -291,7 +291,7 @@ def test_a_command_is_no_manual_one_unless_it_says_so() -> None:
     assert command.source == "cmd_vel"
 
 
-def test_the_pad_s_name_and_rank() -> None:
+def test_the_pad_has_a_name_and_a_rank_of_its_own() -> None:
     """The settings refuse both for a source of the user's."""
     assert (PAD, PAD_PRIORITY) == ("gamepad", 101)
 
@@ -329,7 +329,7 @@ def test_the_table_of_sources_says_the_priority() -> None:
     ]
 
 
-def test_the_worst_corner_of_each_layout() -> None:
+def test_the_worst_corner_of_each_layout_bounds_its_wheels() -> None:
     mecanum = kinematics.mecanum(0.08, 0.17706, 0.17165)
     corner = mecanum.wheels_rps(0.2, -0.3, -1.0)
     assert mecanum.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))

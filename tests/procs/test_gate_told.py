@@ -8,42 +8,41 @@ from failstop.shm import records
 from tests.support.gate_scene import Scene
 
 
-def test_who_enabled_and_who_disabled_is_told_by_name_when_it_changed_something(gate_scene: Scene) -> None:
+def test_who_enabled_and_who_disabled_is_told_by_name_when_it_changed_something(scene: Scene) -> None:
     for _ in range(2):
-        gate_scene.ask(records.ENABLE)
+        scene.ask(records.ENABLE)
     for _ in range(2):
-        gate_scene.ask(records.DISABLE)
-    assert gate_scene.told() == ["motion enabled by test", "motion disabled by test"]
+        scene.ask(records.DISABLE)
+    assert scene.told() == ["motion enabled by test", "motion disabled by test"]
 
 
 def test_who_enabled_by_way_of_the_drive_pose_is_told_by_name_once(arm_scene: Scene) -> None:
-    arm_scene.ask_for(records.ENABLE)
-    assert arm_scene.finish() == (records.DONE, "motion enabled")
+    assert arm_scene.result(records.ENABLE) == (records.DONE, "motion enabled")
     assert arm_scene.told() == ["motion enabled by test"]
 
 
-def test_who_cleared_a_stop_is_told_by_name(gate_scene: Scene) -> None:
-    gate_scene.stop("key1")
-    gate_scene.ask(records.RESET)
-    assert gate_scene.told() == ["test: latched stop cleared (was: key1); motion still disabled"]
+def test_who_cleared_a_stop_is_told_by_name(scene: Scene) -> None:
+    scene.stop("key1")
+    scene.ask(records.RESET)
+    assert scene.told() == ["test: latched stop cleared (was: key1); motion still disabled"]
 
 
-def test_a_stop_that_the_gamepad_cleared_is_no_process_s(gate_scene: Scene) -> None:
-    gate_scene.stop("key1")
-    gate_scene.pad_resets()
-    gate_scene.turn()
-    assert gate_scene.told() == ["gamepad: latched stop cleared (was: key1); motion still disabled"]
+def test_a_stop_that_the_gamepad_cleared_is_no_process_s(scene: Scene) -> None:
+    scene.stop("key1")
+    scene.pad_resets()
+    scene.turn()
+    assert scene.told() == ["gamepad: latched stop cleared (was: key1); motion still disabled"]
 
 
-def test_after_a_flood_of_refusals_how_many_were_left_out_is_told_once(gate_scene: Scene) -> None:
+def test_after_a_flood_of_refusals_how_many_were_left_out_is_told_once(scene: Scene) -> None:
     for number in range(MOST_AT_ONCE + 5):
         if number == MOST_RINGS - 1:
-            gate_scene.tick()  # or the gate would hear no more rings
-        gate_scene.ask(99)
+            scene.tick()  # or the gate would hear no more rings
+        scene.ask(99)
     refused = "refused to 99, test: unknown request 99"
-    assert gate_scene.told() == [refused] * MOST_AT_ONCE
+    assert scene.told() == [refused] * MOST_AT_ONCE
     left_out = "and 5 more requests, too many to tell of each"
     for expected in ([refused, left_out], [refused]):
-        gate_scene.turn(EVERY_NS)
-        gate_scene.ask(99)
-        assert gate_scene.told() == expected
+        scene.turn(EVERY_NS)
+        scene.ask(99)
+        assert scene.told() == expected

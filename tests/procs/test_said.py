@@ -12,7 +12,7 @@ from .client_side import Service
 S = 1_000_000_000
 
 
-def test_told_once_when_it_changes_and_when_its_client_goes() -> None:
+def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> None:
     said = Said(0)
     assert said.follow([], 0) is None
     news = said.follow([(11, 0, "nav (pid 7)", 5, "all well", "")], S)
@@ -50,16 +50,14 @@ def test_who_says_ever_new_things_is_told_of_now_and_then() -> None:
     ],
 )
 def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str, read: tuple[str, str]) -> None:
-    client = service.join()
-    service.look()
+    client = service.known()
     assert service.table.active[0].said() is None
     client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), 42)
     assert service.table.active[0].said() == (42, *read)
 
 
 @pytest.mark.parametrize("payload", [b"", b"short", records.SAID.pack(12, "of another session", "")])
-def test_words_that_are_none(service: Service, payload: bytes) -> None:
-    client = service.join()
-    service.look()
+def test_damaged_words_and_those_of_another_session_count_as_none(service: Service, payload: bytes) -> None:
+    client = service.known()
     client.segment.latest_writer("said").write(payload)
     assert service.table.active[0].said() is None

@@ -182,6 +182,11 @@ class Scene(Stage):
         self._turn()
         return self.latched()
 
+    def stop_and_tick(self, cause: str) -> str | None:
+        """The supervisor stops, and the gate follows it at a tick; returns the latched reason."""
+        self.stop(cause)
+        return self.tick()
+
     def run(self, seconds: float) -> None:
         """Let time pass, as the gate asks for it."""
         until_ns = self.clock() + round(seconds * 1e9)
@@ -263,6 +268,11 @@ class Scene(Stage):
             if (answer := self.answered(client))[0] != records.UNDER_WAY:
                 return answer
         raise AssertionError(f"no answer in {most_s:g} s, the last: {self.answered(client)}")
+
+    def result(self, verb: int, client: int = 0, asked_ns: int | None = None) -> tuple[int, str]:
+        """A client asks; returns what its request has come to."""
+        self.ask_for(verb, client, asked_ns)
+        return self.finish(client)
 
     def drive(self, vx_mps: float) -> list[int]:
         """A person's command; returns the kinds of the frames that it led to."""
