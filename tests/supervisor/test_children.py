@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,7 +49,7 @@ def child(
     row: Process = PROCESSES[0],
     lease_ns: int = LEASE_NS,
 ) -> Child:
-    made = Child(SimpleNamespace(), row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
+    made = Child(row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
     made.state = state
     return made
 

@@ -168,7 +168,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(scene: Scene, sign:
     else:
         scene.wire.unplug()
     turn(scene)
-    assert fd not in scene.open_fds()
+    assert fd not in scene.fds()
     assert scene.port.fd == -1
     assert scene.rung(layout.STOPPER)
 

@@ -38,12 +38,12 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(
     scene: Scene, processes: Any, gate: Any, call: str
 ) -> None:
     reason = "[Errno 24] Too many open files"
-    before = scene.open_fds()
+    before = scene.fds()
     scene.refuse(call, OSError(24, "Too many open files"))
     processes.start(gate)
     assert scene.born[-1].name == layout.GATE
     assert scene.born[-1].reaped
-    assert scene.open_fds() == before
+    assert scene.fds() == before
     assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
     assert gate.restart.ns == scene.now_ns + TRY_AGAIN_NS
     text = f"cannot start gate: {reason}; trying again"

@@ -15,7 +15,6 @@ import pytest
 from failstop.lab.machine.kernel import LATE_NS
 from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
-from failstop.procs.world import World
 from failstop.shm import layout
 from failstop.supervisor.run import LOOK_EVERY_NS, Run
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
@@ -148,7 +147,7 @@ def test_every_descriptor_that_a_process_is_to_get_is_there(scene: Scene, row: P
 
 def test_no_descriptor_is_inherited_unless_it_is_passed_on(tmp_path: Path) -> None:
     """Of the kernel's own."""
-    made = Run(World(), Settings(), f"r{os.getpid()}", str(tmp_path))
+    made = Run(Settings(), f"r{os.getpid()}", str(tmp_path))
     fds = {fd for row in PROCESSES for fd in made.descriptors(row.name, -1).values() if fd >= 0}
     inherited = [fd for fd in fds if os.get_inheritable(fd)]
     made.remove()

@@ -11,7 +11,6 @@ import pytest
 import failstop
 from failstop.lab.machine.kernel import Replaced
 from failstop.policy.settings import Settings
-from failstop.procs.world import spawn
 from failstop.supervisor import starter
 from tests.support.supervisor_scene import Scene
 
@@ -38,7 +37,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 def child(pipe: tuple[int, int]) -> Iterator[int]:
     """A started process, with something that waits in the place of the real program."""
     environ = {**starter.environment(Settings()), "OUT": str(pipe[1])}
-    pid = spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
+    pid = starter.spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -76,7 +75,7 @@ def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port() -> Non
     words = ["name=left", "dir=/run/x", f"lock={lock}", f"port={port}", "again=failstop run --name left"]
     assert arguments[4:] == ["supervisor", *words]
     assert scene.me.environ == {**expected, "NOTIFY_SOCKET": "/run/notify"}
-    assert scene.open_fds() == {0, 1, 2, lock, port}
+    assert scene.fds() == {0, 1, 2, lock, port}
 
 
 def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere() -> None:

@@ -122,7 +122,7 @@ def test_one_that_has_ended_is_not_told_to_hang() -> None:
     scene = unheeded(ends)
     for _ in range(2):
         stop_unheeded(scene)
-        follow(scene, MS)
+        follow(scene, 100 * MS)
         pid = scene.born[-1].pid
         text = f"still.command (pid {pid}) ended with code 0"
         assert commands(scene)[1:] == [("warning", text, {"state": "ended", "pid": pid, "code": 0})]

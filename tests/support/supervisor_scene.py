@@ -9,9 +9,9 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Null, Open
-from failstop.lab.machine.kernel import LATE_NS, Machine, Process
-from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.files import Null, Open
+from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.policy import causes
 from failstop.policy.reply import unpack
@@ -19,7 +19,7 @@ from failstop.shm import layout, records
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
-from tests.support.stage import MOST_LATE, MS, Clock, Wire
+from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
 
 DEVICE = "/dev/ttyACM0"
@@ -28,7 +28,7 @@ NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
 """What is told of a machine that runs everybody."""
 
 
-class Scene:
+class Scene(PortMachine):
     """A supervisor whose processes are programs that only wait; the test beats and writes for them. `own` are their
     segments, `born` all that it has started: when, and with which arguments."""
 
@@ -41,27 +41,22 @@ class Scene:
         patches: Patches = (),
     ) -> None:
         """`running`: whom it has started already; `granted`: its rights, as bits of the heartbeat."""
-        self.machine = Machine(step_ns=0, look_ns=0)
+        super().__init__(layout.SUPERVISOR, {"HOME": "/root"}, patches)
         self.machine.refused = EVERY_RIGHT & ~granted
-        me = self.machine.join(layout.SUPERVISOR, {"HOME": "/root"})
-        loader = Loader(self.machine, patches)
-        self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
         for path in ("/dev/shm", "/sys/dev/char", "/root", RUNTIME_DIR):
-            self.os.makedirs(path)
+            self.machine.root.folder(path)
         self.write("/proc/self/ns/pid", "")
         self.stderr = Null()
         for _ in range(3):
-            me.descriptor(Open(self.stderr), 0)
-        self.clock = Clock(self.machine)
+            self.me.descriptor(Open(self.stderr), 0)
         self.born: list[Process] = []
         self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
         self.machine.programs["child.py"] = self.wait
-        self.plug()
         self.late = 0
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.run = self.new_run(journal)
-        self.port = self.load("failstop.supervisor.port").OwnPort(self.os.open(DEVICE, os.O_RDWR | os.O_NONBLOCK))
+        self.port = self.load("failstop.supervisor.port").OwnPort(self.open(self.wire))
         notify = self.load("failstop.supervisor.status").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()
@@ -85,20 +80,11 @@ class Scene:
 
     def new_run(self, journal: Any = None) -> Any:
         """All of a run but its name, made as the supervisor makes it."""
-        world = self.load("failstop.procs.world").World()
-        return self.load("failstop.supervisor.run").Run(world, self.settings, "stage", RUNTIME_DIR, journal)
+        return self.load("failstop.supervisor.run").Run(self.settings, "stage", RUNTIME_DIR, journal)
 
     def plug(self) -> None:
-        """A board is there, under the path of the settings."""
-        devices = self.machine.root.names["dev"]
-        assert isinstance(devices, Directory)
-        self.wire = Wire(self.machine, devices, 0)
-
-    @property
-    def me(self) -> Process:
-        """The supervisor's own process, in which the test is."""
-        assert self.machine.inline
-        return self.machine.inline.process
+        """A board is there again, under the same path."""
+        self.wire = Wire(self.machine)
 
     def write(self, path: str, text: str) -> None:
         """Make a file."""
@@ -324,7 +310,7 @@ class Scene:
         bell.clear()
         return found
 
-    def open_fds(self) -> set[int]:
+    def fds(self) -> set[int]:
         """The descriptors that the supervisor has."""
         return set(self.me.files)
 
