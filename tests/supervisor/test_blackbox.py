@@ -120,7 +120,7 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     assert set(saver.files) == {0, 1, 2, int(given["hurry"]), *scene.run.readable.values()}
 
 
-def test_no_more_than_a_few_at_one_time(scene: Scene) -> None:
+def test_the_black_box_starts_few_savers_at_one_time(scene: Scene) -> None:
     latched(scene, 7)
     follow(scene, T0 + START_NS)
     for epoch in range(8, 18):
@@ -135,7 +135,7 @@ def test_no_more_than_a_few_at_one_time(scene: Scene) -> None:
     assert savers(scene)[-1]["epoch"] == "30"
 
 
-def test_nothing_is_saved_where_that_is_off() -> None:
+def test_the_black_box_saves_nothing_where_that_is_off() -> None:
     scene = Scene(settings={"incidents.save": "off"})
     latched(scene, 7)
     left_behind(scene, len(layout.PROCESSES))
@@ -168,7 +168,7 @@ def lost(why: str) -> tuple[str, str, str, dict[str, Any]]:
         (b"", -9, [lost("the saver was killed by signal 9")]),
     ],
 )
-def test_what_is_told_of_its_end(scene: Scene, said: object, code: int, told: list[Any]) -> None:
+def test_people_are_told_how_a_saver_ended(scene: Scene, said: object, code: int, told: list[Any]) -> None:
     latched(scene, 7)
     follow(scene, T0 + START_NS)
     ends(scene, scene.born[0], said if isinstance(said, bytes) else msgpack.packb(said), code)
@@ -184,7 +184,7 @@ def test_a_saver_that_can_not_be_started_leaves_nothing_open(scene: Scene) -> No
     assert scene.said() == [lost("cannot start the saver: [Errno 11] Resource temporarily unavailable")]
 
 
-def test_what_a_saver_had_is_closed_after_its_end_and_nobody_waits_for_its_word(scene: Scene) -> None:
+def test_the_supervisor_closes_what_a_saver_had_and_does_not_wait_for_its_word(scene: Scene) -> None:
     before = scene.fds()
     latched(scene, 7)
     follow(scene, T0 + START_NS)
@@ -223,7 +223,7 @@ def test_a_dead_run_s_saver_copies_and_takes_processor_time_when_this_run_is_rea
     assert not hastened(live)
 
 
-def test_a_dead_run_s_saver_that_is_killed_before_this_run_is_ready_costs_nothing_but_the_incident(
+def test_a_dead_run_s_saver_that_is_killed_costs_nothing_but_the_incident(
     scene: Scene,
 ) -> None:
     """As the one process that the kernel takes when memory is short."""
@@ -236,14 +236,14 @@ def test_a_dead_run_s_saver_that_is_killed_before_this_run_is_ready_costs_nothin
     assert scene.said() == [lost("the saver was killed by signal 9")]
 
 
-def test_of_a_dead_run_that_is_not_whole_nothing_is_saved(scene: Scene) -> None:
+def test_a_dead_run_that_is_not_whole_is_not_saved(scene: Scene) -> None:
     fds = left_behind(scene, len(layout.PROCESSES) - 1)
     scene.supervisor.blackbox.begin()
     assert scene.born == []
     assert not scene.fds() & set(fds)
 
 
-def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> None:
+def test_the_end_of_the_service_saves_at_once_what_waits(scene: Scene) -> None:
     def saves(process: Process, argv: list[str]) -> int:
         fd = int(words(process)["hurry"])
         scene.system["select"].select([fd], [], [])
@@ -259,7 +259,7 @@ def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> 
     assert scene.now_ns < T0 + 100 * MS, "nothing else is waited for"
 
 
-def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(scene: Scene) -> None:
+def test_the_end_hastens_each_saver_without_a_descriptor_to_wait_with(scene: Scene) -> None:
     for epoch in (7, 8):
         latched(scene, epoch)
         follow(scene, T0 + START_NS)

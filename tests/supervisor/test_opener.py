@@ -57,7 +57,7 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(scene: Scene, opener: An
     assert opener.take()[1] == 0
 
 
-def test_the_number_that_it_keeps_is_there_when_no_other_is(scene: Scene, opener: Any) -> None:
+def test_the_opener_has_a_number_when_no_other_is_free(scene: Scene, opener: Any) -> None:
     scene.wire.unplug()
     opener.attempt()  # so that it keeps the lowest
     scene.plug()
@@ -73,9 +73,7 @@ def test_the_number_that_it_keeps_is_there_when_no_other_is(scene: Scene, opener
         assert len(before - scene.fds()) == 1, "who has no number to give back closes no other's"
 
 
-def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_long_holds_nobody_up(
-    scene: Scene, opener: Any
-) -> None:
+def test_the_opener_s_thread_opens_each_lost_port_and_holds_nobody_up(scene: Scene, opener: Any) -> None:
     slept: list[int] = []
     took_ns = 3_000 * MS
 
@@ -121,7 +119,7 @@ class Watched(Finder):
         sys.exit()
 
 
-def test_its_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) -> None:
+def test_the_opener_s_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) -> None:
     """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
     finder, bell = Watched(str(tmp_path / "board")), EventBell.create()
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it

@@ -27,7 +27,7 @@ def test_the_first_bytes_of_a_run_are_a_burst() -> None:
         own.close()
 
 
-def test_before_its_first_burst_it_has_not_stopped() -> None:
+def test_a_port_has_not_stopped_before_its_first_burst() -> None:
     assert not OwnPort(-1).stopped
 
 
@@ -62,7 +62,7 @@ def given_to(group: int, mode: int) -> Iterator[tuple[Pty, int, int]]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a device away as udev does: only root")
-def test_at_boot_a_device_that_udev_is_still_to_give_away_is_waited_for() -> None:
+def test_a_run_waits_for_a_device_that_udev_is_still_to_give_away() -> None:
     with given_to(0, 0o600) as (pty, reader, tried):
         udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666))
         udev.start()
@@ -108,7 +108,7 @@ def open_and_stop(scene: Scene, told: list[int]) -> str:
         ("io", errno.EIO, (0, 0, 0o600), 0.0),
     ],
 )
-def test_how_long_a_port_that_is_refused_is_tried_again(
+def test_a_refused_port_is_tried_again_for_a_while(
     scene: Scene, kind: str, number: int, device: tuple[int, int, int] | None, waited_s: float
 ) -> None:
     """A device is new as long as it is as the kernel made it: owner, group and mode."""
@@ -150,7 +150,7 @@ def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held() -> None:
     assert scene.port.holds()
 
 
-def test_of_a_port_that_can_not_say_what_it_holds_nobody_says_that_it_takes_nothing() -> None:
+def test_a_port_that_can_not_say_what_it_holds_is_not_said_to_take_nothing() -> None:
     scene = Scene()
     scene.wire.hold()
     scene.refuse("ioctl", OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))
