@@ -14,11 +14,6 @@ from tests.support.supervisor_scene import Scene
 S = 10**9
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
 def flush(scene: Scene, *, end: bool = False) -> list[str]:
     """A turn's end; returns the lines that it brought."""
     scene.run.events.flush(0 if end else scene.now_ns)

@@ -153,8 +153,7 @@ def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> N
     assert refusal(file, f"{longest}x = 1\n") == told
 
 
-def test_a_mistake_without_words_is_told_by_its_name() -> None:
-    scene = Scene()
+def test_a_mistake_without_words_is_told_by_its_name(scene: Scene) -> None:
     loaded = scene.load("failstop.config")
     scene.refuse("open", MemoryError())
     with pytest.raises(loaded.SettingError, match="is not TOML: MemoryError;"):

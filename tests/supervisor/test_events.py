@@ -7,7 +7,6 @@ import os
 import select
 import socket
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgpack
@@ -17,14 +16,6 @@ from failstop.supervisor import kinds
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Outbox, journal_entry, pack, say
 from tests.supervisor.streams import stderr_is
 from tests.support.supervisor_scene import Scene
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,6 @@ from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture
 def here(scene: Scene) -> Any:
     """The module, as a service on the machine has it."""
     return scene.load("failstop.supervisor.grant")

@@ -52,8 +52,7 @@ def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     sender.close()
 
 
-def test_a_stderr_that_is_the_journal_s_alone_means_the_journal() -> None:
-    scene = Scene()
+def test_a_stderr_that_is_the_journal_s_alone_means_the_journal(scene: Scene) -> None:
     is_its = scene.load("failstop.supervisor.events").is_journal
     found = scene.os.fstat(2)
     assert is_its(f"{found.st_dev}:{found.st_ino}")

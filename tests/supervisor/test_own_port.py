@@ -78,16 +78,9 @@ def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() ->
         assert os.read(reader, 100) == b"."
 
 
-@pytest.fixture
-def scene() -> Scene:
-    """Its own port is closed, and can be opened anew."""
-    made = Scene()
-    made.port.close()
-    return made
-
-
 def open_and_stop(scene: Scene, told: list[int]) -> str:
-    """How it ends; who holds the port is looked at at the times that are `told`."""
+    """Open the port that the supervisor has let go, and return how that ends. `told`: when its holder was looked at."""
+    scene.port.close()
     module = scene.load("failstop.board.port")
     try:
         scene.load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
@@ -134,8 +127,7 @@ def test_a_refused_port_is_tried_again_for_a_while(
     assert told == (tried[:-1] if kind == "busy" else []), "who holds it is looked at each time"
 
 
-def test_each_port_of_a_run_has_a_number() -> None:
-    scene = Scene()
+def test_each_port_of_a_run_has_a_number(scene: Scene) -> None:
     numbers = [scene.port.number]
     for fd in (-1, scene.os.dup(0), scene.os.dup(0)):
         scene.port.adopt(fd)
@@ -143,15 +135,13 @@ def test_each_port_of_a_run_has_a_number() -> None:
     assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
 
 
-def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held() -> None:
-    scene = Scene()
+def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held(scene: Scene) -> None:
     assert not scene.port.holds()
     scene.wire.hold()
     assert scene.port.holds()
 
 
-def test_a_port_that_can_not_say_what_it_holds_is_not_said_to_take_nothing() -> None:
-    scene = Scene()
+def test_a_port_that_can_not_say_what_it_holds_is_not_said_to_take_nothing(scene: Scene) -> None:
     scene.wire.hold()
     scene.refuse("ioctl", OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))
     assert not scene.port.holds()

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-
 from failstop.policy.processes import BY_NAME
 from failstop.shm import layout
 from failstop.supervisor.main import ANSWER_NS
 from failstop.supervisor.status import TELL_EVERY_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
-
-
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
 
 
 def test_the_service_is_not_ready_before_its_stop_is_answered_and_its_port_open() -> None:

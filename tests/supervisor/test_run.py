@@ -24,11 +24,6 @@ NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture
 def ended(scene: Scene) -> Scene:
     """A run has ended in order."""
     scene.run.remove()

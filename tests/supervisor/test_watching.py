@@ -22,12 +22,6 @@ S = 1_000_000_000
 
 
 @pytest.fixture
-def scene() -> Scene:
-    """Nobody runs yet."""
-    return Scene()
-
-
-@pytest.fixture
 def whole() -> Scene:
     """Every process runs, and the service was ready once."""
     made = Scene(*BY_NAME)
