@@ -156,7 +156,8 @@ class Container:
         does. Raises ContainerMissing."""
         self._process: subprocess.Popen[bytes] | None = None
         self._directory = tempfile.TemporaryDirectory(prefix=f"{DIRECTORY}{os.getpid()}-")
-        self._base = Path(self._directory.name)
+        self.base = Path(self._directory.name)
+        """Its files, out here."""
         self.pid = 0
         """Of its systemd, out here."""
         self.boot_s = 0.0
@@ -187,28 +188,28 @@ class Container:
     def _lay_out(self, units: Mapping[str, str], binds: Sequence[Bind], setup: str) -> None:
         """Everything that the boot script finds in its directory."""
         for name in ("changes", "root", "units", "vendor"):
-            (self._base / name).mkdir()
+            (self.base / name).mkdir()
         for name in BASE:
             if (found := Path(VENDOR, name)).exists():
-                shutil.copy(found, self._base / "vendor" / name)
+                shutil.copy(found, self.base / "vendor" / name)
         for target, wanted in WANTED.items():
-            wants = self._base / "vendor" / f"{target}.wants"
+            wants = self.base / "vendor" / f"{target}.wants"
             wants.mkdir()
             for name in wanted:
                 (wants / name).symlink_to(f"../{name}")
         for name, text in units.items():
             self.unit(name, text)
-        (self._base / "setup").write_text(setup)
-        every = [*binds, Bind(str(self._base / "setup"), "/run/setup")]
-        (self._base / "binds").write_text("".join(f"{bind.source} {bind.target} {bind.mode}\n" for bind in every))
+        (self.base / "setup").write_text(setup)
+        every = [*binds, Bind(str(self.base / "setup"), "/run/setup")]
+        (self.base / "binds").write_text("".join(f"{bind.source} {bind.target} {bind.mode}\n" for bind in every))
 
     def _boot(self) -> None:
         """Start systemd in its control group, tied to this thread, and wait until the boot is through."""
         start_s = time.monotonic()
         enter = 'echo $$ > "$0/cgroup.procs"; exec "$@"'
         boot = ["unshare", *NAMESPACES, "--fork", "--kill-child=KILL", "sh", "-c", BOOT, "boot"]
-        words = [*boot, str(self._base), VENDOR, SYSTEMD]
-        with open(self._base / "log", "wb") as out:
+        words = [*boot, str(self.base), VENDOR, SYSTEMD]
+        with open(self.base / "log", "wb") as out:
             self._process = subprocess.Popen(
                 ["setpriv", "--pdeathsig", "KILL", "sh", "-c", enter, str(self._group), *words],
                 stdin=subprocess.DEVNULL,
@@ -232,7 +233,7 @@ class Container:
     def said(self) -> str:
         """What the boot and systemd itself have written outside the journal."""
         with contextlib.suppress(OSError):
-            return (self._base / "log").read_text(errors="replace").strip()
+            return (self.base / "log").read_text(errors="replace").strip()
         return ""
 
     def close(self) -> None:
@@ -320,7 +321,7 @@ class Container:
 
     def unit(self, name: str, text: str) -> None:
         """Write a unit or a drop-in below /etc/systemd/system; `ctl("daemon-reload")` has it read."""
-        path = self._base / "units" / name
+        path = self.base / "units" / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
 
@@ -352,9 +353,10 @@ def _pid_inside(pid: int) -> str:
 
 def _new_group(name: str) -> Path:
     """Make a control group. Raises ContainerMissing, for anything else that is needed too."""
-    hierarchy = _hierarchy()
-    _tidy(hierarchy)
-    group = hierarchy / name
+    check(os.geteuid())
+    tree = hierarchy()
+    _tidy(tree)
+    group = tree / name
     try:
         group.mkdir()
     except OSError as error:
@@ -362,9 +364,9 @@ def _new_group(name: str) -> Path:
     return group
 
 
-def _tidy(hierarchy: Path) -> None:
+def _tidy(tree: Path) -> None:
     """Remove what runs that were killed have left; their containers ended with them."""
-    for group in hierarchy.glob("failstop-*-*"):
+    for group in tree.glob("failstop-*-*"):
         if not os.path.exists(f"/proc/{group.name.split('-')[1]}"):
             _remove_group(group)
     for directory in Path(tempfile.gettempdir()).glob(f"{DIRECTORY}*-*"):
@@ -380,11 +382,16 @@ def _remove_group(group: Path) -> bool:
     return not group.exists()
 
 
-def _hierarchy() -> Path:
-    if os.geteuid():
+def check(uid: int, tools: Sequence[str] = TOOLS) -> None:
+    """Raise ContainerMissing when this user can't have one, or a tool is not there."""
+    if uid:
         raise ContainerMissing("a systemd in a container needs root")
-    if absent := [tool for tool in TOOLS if not shutil.which(tool)]:
+    if absent := [tool for tool in tools if not shutil.which(tool)]:
         raise ContainerMissing(f"not installed: {', '.join(absent)}")
+
+
+def hierarchy() -> Path:
+    """Where the control groups are. Raises ContainerMissing."""
     with open("/proc/self/mounts", encoding="utf-8") as file:
         for line in file:
             _, where, kind, *_ = line.split()

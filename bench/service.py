@@ -10,7 +10,7 @@ import argparse
 import random
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from bench import report, stats
@@ -73,7 +73,7 @@ def measure(kills: int, seed: int, progress: Callable[[str], None]) -> list[stat
         boots = [_boot(progress) for _ in range(max(3, kills // 3))]
     except ContainerMissing as missing:
         return [stats.Row("the unit on a real systemd", f"skipped: {missing}", "-", None, {"skipped": str(missing)})]
-    return _rows(found, boots)
+    return rows_of(found, boots)
 
 
 def _sample(scene: Scene, fault: Fault, samples: Samples, drive_s: float) -> None:
@@ -99,7 +99,8 @@ def _boot(progress: Callable[[str], None]) -> int:
     return (int(ready) - int(began)) * 1000
 
 
-def _rows(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
+def rows_of(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
+    """What was seen of each fault, and the ns of each boot, as rows."""
     rows = []
     for fault, samples in found.items():
         times = [stopped.stop_ns for stopped in samples.stops if stopped.stop_ns is not None]
@@ -116,13 +117,13 @@ def _rows(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
     return rows
 
 
-def main() -> int:
-    """Measure alone and print the rows; exit code 1 when a bar is missed."""
+def main(words: Sequence[str] | None = None) -> int:
+    """Measure alone and print the rows; exit code 1 when a bar is missed. `words`: others than the command line's."""
     parser = argparse.ArgumentParser(prog="python -m bench.service", description=__doc__)
     parser.add_argument("--kills", type=int, default=30, help="of each kind (default: 30)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--json", metavar="FILE", help="write the rows there too")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     rows = measure(arguments.kills, arguments.seed, report.progress)
     return report.end(rows, arguments.json)
 

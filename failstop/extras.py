@@ -18,9 +18,9 @@ PACKAGES = {
 """By the extra of pyproject.toml that names them."""
 
 
-def missing(what: str, extra: str) -> str:
-    """The message for something that needs an extra which is not there."""
+def missing(what: str, extra: str, *, pip: bool | None = None) -> str:
+    """The message for something that needs an extra which is not there. `pip`: there is one here; None: look."""
     packages = " ".join(PACKAGES[extra])
-    if importlib.util.find_spec("pip") is None:
+    if not (importlib.util.find_spec("pip") if pip is None else pip):
         return f"{what}, and there is no pip in {sys.prefix}: do it on a machine with failstop's source and {packages}"
     return f"{what}: {shlex.quote(sys.executable)} -m pip install {packages}"

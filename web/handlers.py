@@ -180,9 +180,7 @@ class Pair(Guarded):
         except (devices.NotPaired, FailstopError) as error:
             self.refuse(403, str(error))
             return
-        self.page.pair_limit.give_back(
-            address
-        )  # one address may be a room of phones that have the code
+        self.page.pair_limit.give_back(address)  # one address may be a room of phones that have the code
         secure = self.scheme == "https"
         self.set_cookie(
             self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"

@@ -125,7 +125,7 @@ class Guest:
             # It ends with the thread that started it, however that ends.
             words = ["setpriv", "--pdeathsig", "KILL", *words]
             self._process = subprocess.Popen(words, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
-        self._agent = self.dial("agent")
+        self.agent = self.dial("agent")
         self._qmp = self.dial("qmp").makefile("rw")
         self._qmp.readline()
         self.qmp("qmp_capabilities")
@@ -152,7 +152,7 @@ class Guest:
         """What a command prints, line by line, then its exit code."""
         self._number += 1
         message = {"id": self._number, "run": words, "timeout_s": timeout_s}
-        self._agent.sendall(json.dumps(message).encode() + b"\n")
+        self.agent.sendall(json.dumps(message).encode() + b"\n")
         patience = self.patience(wait_s)
         while True:
             answer = self._receive(patience)
@@ -178,9 +178,9 @@ class Guest:
             left_s = patience.left_s()
             if left_s <= 0:
                 raise GuestError(f"the guest says nothing any more: {patience.why()}; see {self.logs / CONSOLE}")
-            self._agent.settimeout(left_s)
+            self.agent.settimeout(left_s)
             with contextlib.suppress(TimeoutError):
-                data = self._agent.recv(65536)
+                data = self.agent.recv(65536)
                 if not data:
                     raise GuestError(f"the guest has ended: see {self.logs / QEMU} and {self.logs / CONSOLE}")
                 self._waiting += data

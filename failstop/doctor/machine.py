@@ -44,7 +44,7 @@ def _grant(look: Look) -> tuple[str, str]:
     if look.unit.get("MainPID") == look.pid:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {unit_of(look.name)}", lines
-    return "", grant.advice(realtime=False, managed=False)
+    return "", f"give it real-time rights: {grant.CONTAINER if look.system.contained() else grant.SHELL}"
 
 
 def early_news(look: Look) -> list[Finding]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 
-from failstop import discovery
 from failstop.discovery import BOARD_USB, LINK
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 
@@ -23,7 +22,7 @@ def present(look: Look) -> list[Finding]:
     if node is None and os.path.exists(device):
         return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
     if node is None:
-        candidates = [(path, what) for path, what in discovery.candidates() if what != UNKNOWN]
+        candidates = [(path, what) for path, what in look.system.ports() if what != UNKNOWN]
         there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
         text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
         if board := next((path for path, what in candidates if BOARD_USB in what), None):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 
-from failstop import instances
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.doctor.system import SHM
@@ -56,7 +55,7 @@ def running(look: Look) -> list[Finding]:
 
 def _not_running(look: Look) -> list[Finding]:
     text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
-    if others := instances.listening():
+    if others := look.system.services():
         text += f" (there is {', '.join(others)})"
     if look.node is None:
         return warn(text, "", "first see to the port")

@@ -19,9 +19,11 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from failstop import discovery, instances
 from failstop.policy.processes import BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
+from failstop.supervisor import grant
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
@@ -71,6 +73,12 @@ class System:
 
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
+    services = staticmethod(instances.listening)
+    """The names of the services that take stop requests."""
+    ports = staticmethod(discovery.candidates)
+    """(path, description) of each serial device."""
+    contained = staticmethod(grant.in_container)
+    """This process runs in a container."""
 
     def __init__(self, root: str = "/") -> None:
         self.root = root

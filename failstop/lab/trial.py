@@ -6,7 +6,6 @@ The board is the judge: every time is taken on its side of the wire, and whether
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 import shutil
@@ -21,7 +20,9 @@ from typing import TYPE_CHECKING
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
-from failstop.lab.sim.client import Event, SimBoard
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.stopped import Stopped as Stopped
+from failstop.lab.stopped import judge as judge
 from failstop.shm import instance, layout, segment
 
 if TYPE_CHECKING:
@@ -69,6 +70,10 @@ class Service:
         self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
         self.started_ns = 0
         self.process: subprocess.Popen[bytes] | None = None
+
+    def become(self, *command: str) -> None:
+        """Start it by this command from now on, which takes the service's own as its arguments."""
+        self._command = [*command, *self._command]
 
     def start(self) -> None:
         """Exec the service and wait until motion could be enabled. Raises TrialError with what it said."""
@@ -142,39 +147,6 @@ class Service:
                 segment.unlink_all(run)
             for path in instance.places(self.name):
                 shutil.rmtree(path, ignore_errors=True)
-
-
-@dataclasses.dataclass(frozen=True)
-class Stopped:
-    """What the board saw after a fault. Times in ns from the fault; None: it never came."""
-
-    fault_ns: int
-    stop_ns: int | None
-    """To the arrival of the last byte of the first stop frame that the board executed."""
-    executed_ns: int | None
-    """To its execution: the arrival and the wire's time."""
-    still_ns: int | None
-    """To the last wheel at zero."""
-    motion_after: int
-    """Motor frames executed after that stop that moved a wheel."""
-    was_moving: bool
-
-
-def judge(events: list[Event], fault_ns: int, was_moving: bool) -> Stopped:
-    """What the board's events say of a fault at `fault_ns`."""
-    after = [event for event in events if event.is_motor and event.arrival_ns >= fault_ns]
-    stop = next((event for event in after if event.is_stop), None)
-    if stop is None:
-        return Stopped(fault_ns, None, None, None, sum(event.is_motion for event in after), was_moving)
-    still = next((event for event in after if not any(event.speeds)), None)
-    return Stopped(
-        fault_ns,
-        stop.arrival_ns - fault_ns,
-        stop.executed_ns - fault_ns,
-        None if still is None else still.executed_ns - fault_ns,
-        sum(event.is_motion for event in after if event.index > stop.index),
-        was_moving,
-    )
 
 
 class Trial:

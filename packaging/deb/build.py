@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import completion
@@ -51,12 +51,12 @@ COMPLETIONS = {
 """Where each shell looks by itself."""
 
 
-def main() -> int:
-    """Build them, print their paths, and what to type next."""
+def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree.PYTHON}") -> int:
+    """Build them, print their paths, and what to type next. `words`: others than the command line's; `interpreter`: the
+    system's."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
-    out = parser.parse_args().out
-    interpreter = f"/usr/bin/{tree.PYTHON}"
+    out = parser.parse_args(words).out
     try:
         if not os.access(interpreter, os.X_OK):
             advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"

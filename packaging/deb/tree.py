@@ -14,7 +14,7 @@ import py_compile
 import re
 import sys
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from importlib.metadata import Distribution
 from pathlib import Path
 
@@ -28,6 +28,7 @@ SITE = f"lib/{PYTHON}/site-packages"
 LEFT_OUT = frozenset({"__pycache__", "tests", "distutils", "f2py"})
 """Folders of the packages that a service has no use for: numpy's tests are a fifth of its size, and what builds
 extensions a quarter of its modules."""
+Find = Callable[[str], Distribution]
 EXTRA = re.compile(r"extra == [\"'](\w+)")
 """In a requirement's condition: of which extra it is."""
 
@@ -62,9 +63,9 @@ class Entry:
     executable: bool = False
 
 
-def running(extras: Collection[str] = ()) -> list[Entry]:
+def running(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Entry]:
     """The running environment, for the system's interpreter of this version, with what these extras of failstop's need.
-    Raises BuildError when it is not whole."""
+    `find`: an installed package by its name. Raises BuildError when it is not whole."""
     entries = [
         Entry("pyvenv.cfg", CFG.format(version=PYTHON.removeprefix("python"))),
         Entry("bin/python3", target=f"/usr/bin/{PYTHON}"),
@@ -72,7 +73,7 @@ def running(extras: Collection[str] = ()) -> list[Entry]:
         Entry("bin/failstop", COMMAND, executable=True),
         *_own(),
     ]
-    for distribution in needed(extras):
+    for distribution in needed(extras, find):
         entries += _files(distribution)
     return list({entry.path: entry for entry in entries}.values())
 
@@ -94,14 +95,14 @@ def write(entries: Collection[Entry], directory: Path) -> None:
                 py_compile.compile(str(path), dfile=f"{PREFIX}/{entry.path}", doraise=True)
 
 
-def needed(extras: Collection[str] = ()) -> list[Distribution]:
+def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Distribution]:
     """What failstop needs with these extras, directly or not, as far as it is needed on this Python. Raises
     BuildError."""
     found: dict[str, Distribution] = {}
     waiting = ["failstop"]
     while waiting:
         whose = waiting.pop()
-        for requirement in _distribution(whose).requires or ():
+        for requirement in _distribution(whose, find).requires or ():
             words, _, marker = requirement.partition(";")
             name = re.split(r"[^A-Za-z0-9._-]", words, maxsplit=1)[0]
             extra = EXTRA.search(marker)
@@ -109,7 +110,7 @@ def needed(extras: Collection[str] = ()) -> list[Distribution]:
             if name in found or not wanted:
                 continue
             try:
-                found[name] = _distribution(name)
+                found[name] = _distribution(name, find)
             except BuildError:
                 # One with a condition is not needed everywhere.
                 if extra or not marker:
@@ -149,9 +150,9 @@ def _copied(inside: str, source: str) -> Entry:
     return Entry(f"{SITE}/{inside}", source=source, executable=os.access(source, os.X_OK))
 
 
-def _distribution(name: str) -> Distribution:
+def _distribution(name: str, find: Find) -> Distribution:
     try:
-        return importlib.metadata.distribution(name)
+        return find(name)
     except importlib.metadata.PackageNotFoundError:
         raise BuildError(
             f"the Python package {name} is not in the environment that is to be packed ({sys.prefix}): "

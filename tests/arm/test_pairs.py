@@ -101,8 +101,8 @@ def test_the_supervisor_stores_cause_and_ready_before_the_epoch(supervisor: Supe
 def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene) -> None:
     gate.turn()
     trace = Trace(gate)
-    gate.stop(2, "key1")
-    gate.request(records.ENABLE)
+    gate.stop("key1")
+    gate.ask_for(records.ENABLE)
     trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     gate.tick()
     assert trace.done[:3] == ["load epoch", "barrier", "load cause"]
@@ -112,7 +112,7 @@ def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene)
 
 
 def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene) -> None:
-    gate.stop(2, "key1")
+    gate.stop("key1")
     gate.start_gate()
     trace = Trace(gate)
     trace.watch(cause="supervisor.latch")
@@ -144,7 +144,7 @@ def test_the_supervisor_loads_a_reset_s_number_before_its_time(
 
 
 def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene) -> None:
-    gate.stop(2, "key1")
+    gate.stop("key1")
     gate.tick()
     gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
     trace = Trace(gate)

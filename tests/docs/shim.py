@@ -5,6 +5,8 @@ python shim.py NAME WORD ...
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
 
 from failstop.cli import main as cli
@@ -14,15 +16,11 @@ def words_for(name: str, words: list[str]) -> list[str]:
     """The words, with --name where the command takes it and it is not given."""
     if not words or words[0] not in cli.COMMANDS or "--name" in words or "--help" in words:
         return words
+    named = [*words, "--name", name]
     parser, _ = cli.load(words[0])
-    found = parser
-    for action in parser._actions:
-        for word in words[1:]:
-            if action.nargs == "A..." and word in (action.choices or ()):
-                found = action.choices[word]  # type: ignore[index, call-overload]
-                break
-    takes = any("--name" in action.option_strings for action in found._actions)
-    return [*words, "--name", name] if takes else words
+    with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
+        return words if "--name" in parser.parse_known_args(named[1:])[1] else named
+    return words
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import pytest
 
 from failstop import config
 from failstop.cli import main as cli
+from tests.support.deb import completion
 from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 
 from .session import Session, differs
@@ -56,20 +57,11 @@ def test_the_commands_in_the_text_exist_with_their_options(page: Path) -> None:
             continue
         assert words[1] in cli.COMMANDS, command
         parser, _ = cli.load(words[1])
-        known = _options(parser)
+        arguments = (argument for each in completion.walk(parser) for argument in completion.arguments(each))
+        known = {"--help", *(option for argument in arguments for option in argument.option_strings)}
         for word in words[2:]:
             if word.startswith("--"):
                 assert word.partition("=")[0] in known, command
-
-
-def _options(parser: object) -> set[str]:
-    found = set()
-    for action in parser._actions:  # type: ignore[attr-defined]
-        found.update(action.option_strings)
-        if action.nargs == "A...":
-            for below in action.choices.values():
-                found |= _options(below)
-    return found
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -39,6 +39,9 @@ KERNEL: dict[str, Any] = {
     "room": 1 << 30,
     "early_news": True,
     "ticks": TICKS,
+    "services": [],
+    "ports": [],
+    "contained": False,
 }
 """What the functions of System say, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}

@@ -6,15 +6,13 @@ from typing import Any
 
 import pytest
 
-from failstop import discovery, instances
 from failstop.api.snapshot import Client, Starved
 from failstop.doctor import port, stop_path
-from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look, ok
+from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
 from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
 from failstop.policy.settings import Settings
-from failstop.supervisor import grant
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, UNIT, but, look, on, serving
 from tests.support.states import arm, stop
@@ -148,9 +146,8 @@ def test_a_service_of_another_version_is_told_from_this_command() -> None:
     assert text.startswith(f"'failstop' runs (pid 100, user failstop, failstop 0.0.9, this command is {VERSION}), ")
 
 
-def test_other_services_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(instances, "listening", lambda: ["left", "right"])
-    [(text, *_)] = said(look(service=NOBODY), "service")
+def test_other_services_are_named() -> None:
+    [(text, *_)] = said(look(service=NOBODY, services=["left", "right"]), "service")
     assert text.endswith(" (there is left, right)")
 
 
@@ -216,9 +213,10 @@ def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fi
     "changed",
     [{}, {"node": but(NODE, pseudo=True), "usb_id": ""}, {"usb_id": "", "device_path": "/dev/x"}],
 )
-def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
-    monkeypatch.setattr(stop_path, "by_hand", lambda path, _: ok(path))
-    assert [text for text, *_ in said(look(service=NOBODY, **changed), "stop path")] == [NODE.path]
+def test_where_it_is_tried(changed: dict[str, Any]) -> None:
+    [(text, *_)] = said(look(service=NOBODY, device=("/nowhere", ""), **changed), "stop path")
+    assert text.startswith("no stop was written: ")
+    assert "/nowhere" in text
 
 
 @pytest.mark.parametrize(
@@ -228,9 +226,8 @@ def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, A
         ([("/dev/ttyS0", "n/a")], "no USB serial device at all"),
     ],
 )
-def test_a_device_that_is_not_there(monkeypatch: pytest.MonkeyPatch, devices: list[tuple[str, str]], says: str) -> None:
-    monkeypatch.setattr(discovery, "candidates", lambda: devices)
-    [finding] = [finding for name, finding in examine(look(node=None)) if name == "port"]
+def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -> None:
+    [finding] = [finding for name, finding in examine(look(node=None, ports=devices)) if name == "port"]
     assert finding.level == FAIL
     assert "no device /dev/ttyACM0 (the default of device.path); " in finding.text
     assert says in finding.text
@@ -306,9 +303,13 @@ def test_ticks_in_numbers() -> None:
     assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
-def test_rights_are_granted_by_who_starts_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
-    for container, remedy in ((False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")):
-        monkeypatch.setattr(grant, "in_container", lambda container=container: container)
-        for given in (look(service=NOBODY, realtime=False), look(service=serving(processes=UNRIGHTED), unit={})):
-            (found,) = [finding for name, finding in examine(given) if name == "rights"]
-            assert remedy in found.advice
+@pytest.mark.parametrize(
+    ("contained", "remedy"), [(False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")]
+)
+@pytest.mark.parametrize(
+    "changed", [{"service": NOBODY, "realtime": False}, {"service": serving(processes=UNRIGHTED), "unit": {}}]
+)
+def test_rights_are_granted_by_who_starts_the_service(changed: dict[str, Any], contained: bool, remedy: str) -> None:
+    [(_, _, advice)] = said(look(**changed, contained=contained), "rights")
+    assert advice.startswith("give it real-time rights: ")
+    assert remedy in advice

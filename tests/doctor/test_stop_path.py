@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import os
 
-import pytest
-
-from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_path
 from failstop.doctor.look import FAIL
 from tests.support.ptys import new_pty, open_fds
 
 
-def test_a_burst_that_is_not_written_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burst_that_is_not_written_is_told() -> None:
     with new_pty() as pty:
+        pty.fill()
         before = open_fds()
-        monkeypatch.setattr(StopPort, "burst", lambda _: False)
         [found] = stop_path.by_hand(os.ttyname(pty.slave), "failstop doctor")
         assert open_fds() == before
     assert (found.level, found.fix) == (FAIL, "failstop doctor")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import Trial
+from tests.support.simulated import Simulated
 
 _numbers = itertools.count()
 
@@ -27,6 +28,14 @@ def trial(name: str) -> Iterator[Trial]:
     """Board, service and client with the default settings; the service must end well."""
     with Trial(name) as running:
         yield running
+
+
+@pytest.fixture
+def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
+    """The service on a simulated machine, with the SETTINGS of the test's module; no program there may fail."""
+    made = Simulated(getattr(request.module, "SETTINGS", None))
+    yield made
+    assert made.failed == []
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from failstop import FailstopError
 from failstop.lab.sim.client import Event
+from failstop.lab.sim.model import Frame
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
 
@@ -64,7 +65,7 @@ def hostile(trial: Trial, program: str, *words: object) -> Iterator[Hostile]:
             process.kill()
 
 
-def within_limits(event: Event) -> bool:
+def within_limits(event: Event | Frame) -> bool:
     """No wheel faster than it may be, nothing written past the motor table."""
     return not event.wild and all(abs(speed) <= MAX_RPS for speed in event.speeds)
 

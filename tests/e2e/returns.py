@@ -1,26 +1,11 @@
-"""A board that is unplugged while the wheels turn, and comes back; a process whose restart is waited for."""
+"""A board that is unplugged while the wheels turn, and comes back."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Trial, wait_for
-
-
-@contextmanager
-def restarted_late(name: str, folder: Path, process: str) -> Iterator[Trial]:
-    """A trial in which this process, when it dies, is restarted after two seconds."""
-    config = folder / "late.toml"
-    config.write_text("[restart]\nbackoff_s = 2\n")
-    with Trial(name, ("--config", str(config))) as trial:
-        pid = trial.service.pids()[process]
-        trial.kill(process, 0.05)
-        trial.recover(process, pid)  # the first is restarted at once
-        yield trial
 
 
 def lose_while_driving(trial: Trial) -> None:

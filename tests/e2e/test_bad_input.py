@@ -15,8 +15,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop import FailstopError, NoService, Robot
-from failstop.api.client import Client, run
+from failstop import FailstopError
+from failstop.api.client import run
 from failstop.board.burst import BURST
 from failstop.cli.main import main
 from failstop.lab.trial import Trial, wait_for
@@ -25,6 +25,7 @@ from failstop.shm import cell, instance, layout, segment
 from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.ptys import Pty
+from tests.support.simulated import Simulated
 
 
 def _one_line(result: subprocess.CompletedProcess[str]) -> str:
@@ -176,13 +177,13 @@ def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
         segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
-        assert trial.robot._current().supervisor.incarnation != incarnation
+        assert run(name)[0] != segment.memory(name, incarnation)
         trial.enable()
         trial.drive(0.1)
         assert trial.moving()
 
 
-def test_name_already_running_in_another_runtime_directory(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_name_already_running_in_another_runtime_directory(trial: Trial) -> None:
     Path(instance.lock_path(instance.find(trial.name))).unlink()
     result = failstop("run", "--name", trial.name, "--device", trial.link)
     assert result.returncode == 1
@@ -192,14 +193,14 @@ def test_name_already_running_in_another_runtime_directory(trial: Trial, monkeyp
     assert trial.moving()
 
 
-def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
-    trial.leave()
-    slot_file = Path(segment.path_of(run(trial.name)[0], "client.0"))
-    os.truncate(slot_file, 10)
-    trial.enable()
-    trial.drive(0.1)
-    assert trial.moving()
-    assert trial.robot.state.clients[0].slot == 1
+def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
+    memory, _ = simulated.load("failstop.api.client").run(simulated.name)
+    fd = simulated.os.open(segment.path_of(memory, "client.0"), os.O_RDWR)
+    simulated.os.pwrite(fd, bytes(layout.HEADER_BYTES), 0)
+    simulated.enable()
+    simulated.drive(0.2)
+    assert simulated.moving()
+    assert simulated.robot.state.clients[0].slot == 1
 
 
 def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
@@ -208,12 +209,6 @@ def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
         assert trial.service.end() == 0
         assert not [found for found in os.listdir("/dev/shm") if name in found]
         assert {found.name for found in runtime.iterdir()} == {"lock", "last"}
-
-
-def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segment, "LAYOUT_HASH", 12345)
-    with pytest.raises(FailstopError, match=r"is of failstop .*, this program is .* with another layout: use the serv"):
-        _ = Robot(trial.name).state
 
 
 def test_header_of_another_version_and_exit_code(name: str) -> None:
@@ -235,27 +230,28 @@ def test_header_of_another_version_and_exit_code(name: str) -> None:
         trial.enable()
 
 
-def test_full_client_table(trial: Trial) -> None:
-    trial.leave()
-    clients = [Client(trial.name, f"filler {i}") for i in range(layout.CLIENT_SLOTS)]
-    result = failstop("enable", "--name", trial.name)
-    assert result.returncode == 1
-    assert "client slots" in _one_line(result)
-    assert "close a client" in result.stderr
-    stop = failstop("estop", "even", "so", "--name", trial.name)
-    assert stop.returncode == 0, stop.stderr
+def test_full_client_table(simulated: Simulated) -> None:
+    made = simulated.load("failstop.api.client").Client
+    clients = [made(simulated.name, f"filler {number}") for number in range(layout.CLIENT_SLOTS)]
+    code, _, err = simulated.command("enable")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "client slots" in err
+    assert "close a client" in err
+    assert simulated.command("estop", "even", "so")[0::2] == (0, "")
     for client in clients:
         client.close()
-    assert failstop("reset", "--name", trial.name).returncode == 0
+    assert simulated.command("reset")[0] == 0
 
 
-def test_no_service(name: str) -> None:
-    for words in (["status"], ["enable"], ["disable"], ["reset"], ["drive", "0", "0", "0"]):
-        result = failstop(*words, "--name", name)
-        assert result.returncode == 3
-        assert "start it with `failstop run" in _one_line(result)
-    with pytest.raises(NoService):
-        Robot(name)
+def test_no_service(simulated: Simulated) -> None:
+    simulated.leave()
+    simulated.end()
+    for words in ("status", "enable", "disable", "reset", "drive 0 0 0"):
+        code, _, err = simulated.command(*words.split())
+        assert (code, err.count("\n")) == (3, 1), words
+        assert "start it with `failstop run" in err
+    with pytest.raises(simulated.failstop.NoService):
+        simulated.failstop.Robot()
 
 
 def test_bad_names_settings_and_files(name: str, tmp_path: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import pty
 import resource
-import signal
 import tty
 from pathlib import Path
 
@@ -15,8 +13,9 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.cli.main import COMMANDS, HIDDEN, main
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial
 from tests.support.commands import failstop
+from tests.support.simulated import Simulated
 
 
 def test_a_session(trial: Trial) -> None:
@@ -43,35 +42,12 @@ def test_a_session(trial: Trial) -> None:
     assert failstop("disable", *at).stdout == "motion disabled\n"
 
 
-def test_a_speed_limit_holds_for_every_driver_until_it_is_lifted(trial: Trial) -> None:
-    at = ("--name", trial.name)
-    assert "limit  " not in failstop("status", *at).stdout
-    assert failstop("limit", "50", *at).stdout == "speed limited to 50 % of the settings'\n"
-    assert "limit     speed limited to 50 %" in failstop("status", *at).stdout
-    trial.enable()
-    driven = failstop("drive", "0.2", "0", "0", "--for", "0.5", *at).stdout
-    assert "no faster than 0.10 m/s forward" in driven
-    refused = failstop("limit", "2", *at)
-    assert (refused.returncode, refused.stderr) == (2, "failstop: refused: a speed limit of 2 %: must be 5 to 100\n")
-    for code, *words in ((2, "limit", "0"), (1, "drive", "nan", "0", "0")):
-        wrong = failstop(*words, *at)
-        assert (wrong.returncode, wrong.stderr.count("\n")) == (code, 1), wrong.stderr
-    os.kill(trial.robot.state.processes["gate"].pid, signal.SIGKILL)
-    wait_for("the next gate", lambda: trial.robot.state.processes["gate"].restarts == 1)
-    wait_for("its word", lambda: not trial.robot.state.waiting_for)
-    assert "limit     speed limited to 50 %" in failstop("status", *at).stdout, "a death lifts nothing"
-    assert failstop("limit", "100", *at).stdout == "speed limit lifted\n"
-    told = failstop("events", "--kind", "limit", *at).stdout
-    assert "speed limited to 50 % of the settings' by failstop limit (pid" in told
-
-
-def test_status_json_has_what_is_promised(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.1)
-    trial.board.events()
-    trial.robot.estop("for the record")
-    trial.board.wait_for(lambda event: event.is_stop, 2.0)
-    state = json.loads(failstop("status", "--json", "--name", trial.name).stdout)
+def test_status_json_has_what_is_promised(simulated: Simulated) -> None:
+    simulated.set_off()
+    simulated.robot.estop("for the record")
+    simulated.board.wait_for(lambda event: event.is_stop)
+    simulated.wait(0.1)
+    state = simulated.json("status")
     promised = {
         "name",
         "enabled",
@@ -147,15 +123,13 @@ def test_config_lists_every_setting() -> None:
         assert setting.key in text
 
 
-def test_a_differential_base_says_that_it_cannot_move_sideways(name: str, tmp_path: Path) -> None:
-    config = tmp_path / "failstop.toml"
-    config.write_text('[wheels]\nlayout = "differential"\n')
-    with Trial(name, ("--config", str(config))) as trial:
-        trial.enable()
-        sideways = failstop("drive", "0", "0.1", "0", "--name", trial.name)
-        assert sideways.returncode == 2
-        assert "a differential base can't move sideways" in sideways.stderr
-        assert failstop("drive", "0.1", "0", "0.1", "--for", "0.2", "--name", trial.name).returncode == 0
+def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
+    simulated = Simulated({"wheels.layout": "differential"})
+    simulated.enable()
+    code, _, err = simulated.command("drive", "0", "0.1", "0")
+    assert code == 2
+    assert "a differential base can't move sideways" in err
+    assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0
 
 
 def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:

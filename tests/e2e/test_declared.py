@@ -3,30 +3,20 @@ another name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
-from failstop import FailstopError, Robot, Undeclared
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.machine.robot import SETTINGS as FILE
+from failstop.lab.trial import Trial
 from tests.support.commands import failstop
+from tests.support.simulated import Simulated
 
-CONFIG = """
-[sources.teleop]
-priority = 10
-[interlocks.doors]
-timeout_s = 0.5
-[interlocks.arm]
-"""
+SETTINGS = {"sources.teleop.priority": 10, "interlocks.doors.timeout_s": 0.5, "interlocks.arm": {}}
 
 
-@pytest.fixture
-def rules(name: str, tmp_path: Path) -> Iterator[Trial]:
-    config = tmp_path / "rules.toml"
-    config.write_text(CONFIG)
-    with Trial(name, ("--config", str(config))) as running:
-        yield running
+def enable(simulated: Simulated) -> None:
+    simulated.robot.hold("doors", "arm")
+    simulated.wait(0.001)
+    simulated.robot.enable()
 
 
 @pytest.mark.parametrize(
@@ -40,28 +30,21 @@ def rules(name: str, tmp_path: Path) -> Iterator[Trial]:
         ("cmd_vel\0", r"no source 'cmd_vel\\x00' in"),
     ],
 )
-def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(rules: Trial, source: str, said: str) -> None:
-    with Robot(rules.name) as robot:
-        robot.hold("doors", "arm")
-        wait_for("motion to be enabled", lambda: _enabled(robot))
-        with pytest.raises(Undeclared, match=said) as caught:
-            robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
-        assert isinstance(caught.value, ValueError)
-        assert caught.value.exit_code == 1
-        assert len(str(caught.value)) < 250
-        assert "\n" not in str(caught.value)
-        for declared in ("teleop", "cmd_vel"):
-            robot.drive(0.0, 0.0, 0.0, source=declared)
-    assert "ignored" not in rules.service.said()
-
-
-def _enabled(robot: Robot) -> bool:
-    robot.hold("doors", "arm")
-    try:
-        robot.enable()
-    except FailstopError:
-        return False
-    return True
+def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(
+    simulated: Simulated, source: str, said: str
+) -> None:
+    enable(simulated)
+    with pytest.raises(simulated.failstop.Undeclared, match=said) as caught:
+        simulated.robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
+    assert isinstance(caught.value, ValueError)
+    assert caught.value.exit_code == 1
+    assert len(str(caught.value)) < 250
+    assert "\n" not in str(caught.value)
+    for declared in ("teleop", "cmd_vel"):
+        simulated.robot.drive(0.0, 0.0, 0.0, source=declared)
+    simulated.wait(0.1)
+    assert not simulated.moving()
+    assert "ignored" not in simulated.said
 
 
 @pytest.mark.parametrize(
@@ -73,32 +56,31 @@ def _enabled(robot: Robot) -> bool:
     ],
 )
 def test_an_interlock_that_is_not_declared_is_an_error_and_none_is_asserted(
-    rules: Trial, held: tuple[str, ...], said: str
+    simulated: Simulated, held: tuple[str, ...], said: str
 ) -> None:
-    with Robot(rules.name) as robot:
-        with pytest.raises(Undeclared, match=said):
-            robot.hold(*held)
-        robot.hold()
-        with pytest.raises(FailstopError, match="is not satisfied"):
-            robot.enable()
-        wait_for("motion to be enabled", lambda: _enabled(robot))
+    with pytest.raises(simulated.failstop.Undeclared, match=said):
+        simulated.robot.hold(*held)
+    simulated.robot.hold()
+    with pytest.raises(simulated.failstop.FailstopError, match="is not satisfied"):
+        simulated.robot.enable()
+    enable(simulated)
 
 
-def test_where_none_is_declared_that_is_said(trial: Trial) -> None:
-    with pytest.raises(Undeclared, match=r"which declare: none; add \[interlocks.NAME\] and restart the service"):
-        trial.robot.hold("arm")
+def test_where_none_is_declared_that_is_said() -> None:
+    simulated = Simulated()
+    nothing = r"which declare: none; add \[interlocks.NAME\] and restart the service"
+    with pytest.raises(simulated.failstop.Undeclared, match=nothing):
+        simulated.robot.hold("arm")
 
 
-def test_a_restart_with_other_settings_is_followed(name: str, tmp_path: Path) -> None:
-    config = tmp_path / "changing.toml"
-    config.write_text(CONFIG)
-    with Trial(name, ("--config", str(config))) as trial, Robot(name) as robot:
+def test_a_restart_with_other_settings_is_followed(simulated: Simulated) -> None:
+    with simulated.failstop.Robot() as robot:
         robot.drive(0.0, 0.0, 0.0, source="teleop")
-        trial.service.end()
-        config.write_text("[sources.nav]\npriority = 3\n")
-        trial.service.start()
+        simulated.end()
+        simulated.lab.write(FILE, "[sources.nav]\npriority = 3\n")
+        simulated.start()
         robot.drive(0.0, 0.0, 0.0, source="nav")
-        with pytest.raises(Undeclared):
+        with pytest.raises(simulated.failstop.Undeclared):
             robot.drive(0.0, 0.0, 0.0, source="teleop")
 
 

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from failstop import Robot
 from failstop.api.events import Event, EventLog
+from failstop.lab.machine.kernel import Process
 from failstop.lab.trial import Trial, judge, wait_for, write_settings
 from tests.support.amounts import amount
 from tests.support.commands import failstop
+from tests.support.simulated import MS, Mistake, Simulated
 
-DEATHS = amount(6, 200)
+DEATHS = amount(3, 200)
 PROGRAM = """
 import signal, sys, time
 from failstop import Robot
@@ -104,65 +108,137 @@ def test_nothing_drives_before_an_enable_and_people_are_told_whose_death_it_was(
         trial.board.wait_wheels(moving=False, timeout_s=1.0)
 
 
-def test_a_program_that_is_started_again_does_not_drive_on(trial: Trial) -> None:
-    trial.enable()
-    trial.leave()
-    driver = program(trial)
-    fault_ns = end(trial, driver, signal.SIGKILL)
-    with program(trial) as again, Robot(trial.name) as robot:
-        wait_for("it to command", lambda: any(f"pid {again.pid})" in source.who for source in robot.state.sources))
-        time.sleep(AFTER_S)
-        assert judge(trial.board.events(), fault_ns, was_moving=True).motion_after == 0
-        again.kill()
-        wait_for("its death to be known", lambda: all(client.pid != again.pid for client in robot.state.clients))
+SIMULATED_WAYS: dict[str, Callable[[Simulated, Process], object]] = {
+    "kill -9": lambda it, driver: it.lab.machine.kill(driver, signal.SIGKILL),
+    "SIGHUP": lambda it, driver: it.lab.machine.kill(driver, signal.SIGHUP),
+    "an exception": lambda it, driver: it.lab.machine.kill(driver, signal.SIGUSR1),
+}
 
 
-def test_an_orderly_end_leaves_motion_enabled_for_others(trial: Trial) -> None:
+def simulated_program(simulated: Simulated, *words: str) -> Process:
+    """PROGRAM, on the simulated machine."""
+
+    def fail(*_: object) -> None:
+        raise Mistake
+
+    def body(failstop: Any) -> None:
+        handlers = simulated.lab.loader.system["signal"]
+        handlers.signal(signal.SIGUSR1, fail)
+        robot = failstop.Robot(client="nav")
+        with robot if "with" in words else contextlib.nullcontext():
+            if "enables" in words:
+                robot.enable()
+            while True:
+                robot.drive(0.1, 0, 0, manual=True)
+                simulated.wait(0.02)
+
+    return simulated.program("nav.py", body)
+
+
+def fault(simulated: Simulated, way: str, *words: str) -> tuple[Process, int]:
+    """A program that drives ends this way; who it was, and when."""
+    if "enables" not in words:
+        simulated.enable()
+        simulated.leave()
+    driver = simulated_program(simulated, *words)
+    simulated.board.wait_wheels(moving=True)
+    simulated.wait(0.1)
+    simulated.board.events()
+    fault_ns = simulated.now_ns()
+    SIMULATED_WAYS[way](simulated, driver)
+    return driver, fault_ns
+
+
+def goes_on(simulated: Simulated) -> Any:
+    """A program that commands at once, as one does that is started again; it has moved nothing."""
+    again = simulated.failstop.Robot(client="again", disable_on_exit=False)
+    for _ in range(15):
+        again.drive(0.1, 0.0, 0.0, manual=True)
+        simulated.wait(0.01)
+    assert not simulated.moving()
+    return again
+
+
+@pytest.mark.parametrize("words", [(), ("with",), ("enables",), ("with", "enables")], ids=" ".join)
+@pytest.mark.parametrize("way", SIMULATED_WAYS)
+def test_however_a_driver_dies_nothing_drives_before_an_enable(
+    simulated: Simulated, way: str, words: tuple[str, ...]
+) -> None:
+    driver, fault_ns = fault(simulated, way, *words)
+    again = goes_on(simulated)
+    stopped = judge(simulated.board.events(), fault_ns, was_moving=True)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns <= 21 * MS
+    assert stopped.motion_after == 0
+    assert (again.state.enabled, again.state.cause) == (False, None)
+    whose = f"motion disabled: nav (pid {driver.pid}), which had driven, has died"
+    for told in (str(again.why()), simulated.printed("status"), simulated.printed("why"), simulated.printed("events")):
+        assert whose in " ".join(told.split())
+    again.enable()
+    again.drive(0.1, 0.0, 0.0, manual=True)
+    simulated.board.wait_wheels(moving=True)
+
+
+def test_a_program_that_is_started_again_does_not_drive_on(simulated: Simulated) -> None:
+    _, fault_ns = fault(simulated, "kill -9")
+    again = simulated_program(simulated)
+    simulated.wait(0.2)
+    assert [source.who for source in simulated.robot.state.sources] == [f"nav (pid {again.pid})"]
+    assert judge(simulated.board.events(), fault_ns, was_moving=True).motion_after == 0
+    simulated.lab.machine.die(again, -9)
+    simulated.wait(0.2)
+    assert again.pid not in [client.pid for client in simulated.robot.state.clients]
+
+
+def test_an_orderly_end_leaves_motion_enabled_for_others(simulated: Simulated) -> None:
     """One after the other, faster than the gate looks at who has gone."""
-    trial.enable()
-    trial.leave()
+    simulated.enable()
+    simulated.leave()
     for _ in range(amount(20, 2000)):
-        with Robot(trial.name, client="short", disable_on_exit=False) as robot:
+        with simulated.failstop.Robot(client="short", disable_on_exit=False) as robot:
             assert robot.drive(0.1, 0.0, 0.0, manual=True, wait_s=0.5)
-    driver = program(trial, "with")
-    end(trial, driver, signal.SIGUSR2)
-    trial.board.wait_wheels(moving=False, timeout_s=1.0)
-    assert trial.robot.state.enabled
+    simulated.board.wait_wheels(moving=False)
+    assert simulated.robot.state.enabled
 
 
-def test_the_command_line_s_drive_is_a_driver_as_any_other(trial: Trial) -> None:
-    trial.enable()
-    trial.leave()
-    command = [sys.executable, "-m", "failstop", "drive", "0.1", "0", "0", "--for", "30", "--name", trial.name]
-    driver = subprocess.Popen(command)
-    end(trial, driver, signal.SIGKILL)
-    wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
-    assert f"failstop drive (pid {driver.pid}), which had driven, has died" in str(trial.robot.why())
+def test_the_command_line_s_drive_is_a_driver_as_any_other(simulated: Simulated) -> None:
+    simulated.enable()
+    simulated.leave()
+    killed: list[Process] = []
+
+    def kill() -> None:
+        if simulated.moving() and not killed:
+            killed.append(simulated.lab.kill("drive") or pytest.fail("no command runs"))
+
+    assert simulated.command("drive", "0.1", "0", "0", "--for", "30", each=kill)[0] == -9
+    simulated.board.wait_wheels(moving=False)
+    simulated.wait(0.1)
+    assert not simulated.robot.state.enabled
+    assert f"failstop drive (pid {killed[0].pid}), which had driven, has died" in str(simulated.robot.why())
 
 
-@pytest.fixture
-def latching(name: str, tmp_path: Path) -> Iterator[Trial]:
+@pytest.mark.parametrize("way", SIMULATED_WAYS)
+def test_it_latches_where_the_settings_say_so(way: str) -> None:
+    simulated = Simulated({"gate.driver_death": "latch"})
+    driver, fault_ns = fault(simulated, way, "with", "enables")
+    again = goes_on(simulated)
+    assert str(again.state.cause) == f"driver died: nav (pid {driver.pid})"
+    assert judge(simulated.board.events(), fault_ns, was_moving=True).motion_after == 0
+    assert f"the program nav (pid {driver.pid}), which had driven, ended without a word" in str(again.why())
+
+
+def test_the_incident_of_a_latched_death_says_whose_it_was(name: str, tmp_path: Path) -> None:
     path = tmp_path / "latch.toml"
     write_settings(str(path), {"gate.driver_death": "latch"})
-    with Trial(name, ("--config", str(path))) as running:
-        yield running
+    with Trial(name, ("--config", str(path))) as trial:
+        driver = program(trial, "with", "enables")
+        end(trial, driver, signal.SIGKILL)
+        saved = EventLog(name, past=True)
+        told: list[Event] = []
 
+        def incidents() -> list[Event]:
+            told.extend(saved.read())
+            return [event for event in told if event.kind == "incident"]
 
-@pytest.mark.parametrize("way", WAYS)
-def test_it_latches_where_the_settings_say_so_and_the_incident_says_whose_it_was(latching: Trial, way: str) -> None:
-    driver = program(latching, "with", "enables")
-    fault_ns = end(latching, driver, WAYS[way])
-    again = drive_on(latching)
-    assert str(again.state.cause) == f"driver died: nav (pid {driver.pid})"
-    assert judge(latching.board.events(), fault_ns, was_moving=True).motion_after == 0
-    assert f"the program nav (pid {driver.pid}), which had driven, ended without a word" in str(again.why())
-    again.close()
-    saved = EventLog(latching.name, past=True)
-    told: list[Event] = []
-
-    def incidents() -> list[Event]:
-        told.extend(saved.read())
-        return [event for event in told if event.kind == "incident"]
-
-    wait_for("the incident", incidents)
-    assert [event.fields["reason"] for event in incidents()] == [f"driver died: nav (pid {driver.pid})"]
+        wait_for("the incident", incidents)
+        assert [event.fields["reason"] for event in incidents()] == [f"driver died: nav (pid {driver.pid})"]

@@ -17,6 +17,7 @@ from failstop import FailstopError, Robot
 from failstop.api.client import Client, run
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import claim, instance, layout, segment
+from tests.support.simulated import MS, Simulated
 
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
 
@@ -66,25 +67,24 @@ def test_clients_killed_at_random_points_of_any_call(trial: Trial) -> None:
     drives_again(trial)
 
 
-def test_a_client_that_hangs_while_driving(trial: Trial) -> None:
-    trial.enable()
-    with hostile(trial, "drive", "cmd_vel", 0.2) as client:
-        client.says()
-        trial.board.wait_wheels(moving=True, timeout_s=5.0)
-        os.kill(client.pid, signal.SIGSTOP)
-        hung_ns = time.monotonic_ns()
-        event = trial.board.wait_for(
-            lambda one: one.is_motor and not any(one.speeds) and one.arrival_ns > hung_ns, timeout_s=2.0
-        )
-        assert 0.2 < (event.arrival_ns - hung_ns) / 1e9 < 1.0
-        wait_for("the block reason", lambda: trial.robot.state.blocked == "cmd timeout")
-        trial.drive(0.2)
-        assert trial.moving(), "others may drive"
-        assert trial.robot.state.estop is None
-        os.kill(client.pid, signal.SIGCONT)
-        trial.drive(0.2)
-        assert latched(trial).startswith("multiple cmd_vel publishers: "), "two at once may not"
-        assert not trial.moving()
+def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
+    simulated.enable()
+    simulated.leave()
+    client = simulated.driver("hangs", manual=True)
+    simulated.board.wait_wheels(moving=True)
+    simulated.lab.machine.kill(client, signal.SIGSTOP)
+    hung_ns = simulated.now_ns()
+    event = simulated.board.wait_for(lambda one: one.is_motor and not any(one.speeds) and one.arrival_ns > hung_ns)
+    assert 280 * MS <= event.arrival_ns - hung_ns <= 301 * MS
+    simulated.wait(0.1)
+    assert simulated.robot.state.blocked == "cmd timeout"
+    simulated.drive(0.2)
+    assert simulated.moving(), "others may drive"
+    assert simulated.robot.state.estop is None
+    simulated.lab.machine.kill(client, signal.SIGCONT)
+    simulated.drive(0.2)
+    assert simulated.robot.state.estop.startswith("multiple cmd_vel publishers: "), "two at once may not"
+    assert not simulated.moving()
 
 
 # Wrong values.
@@ -92,33 +92,35 @@ def test_a_client_that_hangs_while_driving(trial: Trial) -> None:
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
-def test_what_is_no_number_latches(trial: Trial, axis: int, value: float) -> None:
-    trial.enable()
-    trial.drive(0.1)
+def test_what_is_no_number_latches(simulated: Simulated, axis: int, value: float) -> None:
+    """Past the client's own check, as a program in another language might."""
+    client = simulated.load("failstop.api.client").Client(simulated.name, "foreign")
+    simulated.enable()
+    client.command(0.1, 0.1, 0.1, manual=True, source="cmd_vel")
+    simulated.board.wait_wheels(moving=True)
     velocity = [0.1, 0.1, 0.1]
     velocity[axis] = value
-    trial.board.events()
-    x, y, z = velocity
-    trial.robot._client().command(x, y, z, manual=True, source="cmd_vel")
-    assert "is not finite" in latched(trial)
-    trial.board.wait_wheels(moving=False, timeout_s=2.0)
-    assert all(within_limits(event) for event in trial.board.events() if event.is_motor)
+    client.command(*velocity, manual=True, source="cmd_vel")
+    simulated.robot.wait_for("latched", 1.0)
+    assert "is not finite" in simulated.robot.state.estop
+    assert not simulated.moving()
+    assert all(within_limits(event) for event in simulated.board.events() if event.is_motor)
 
 
 @pytest.mark.parametrize("value", [1.7e308, -1e9])
-def test_what_is_out_of_range_is_clamped(trial: Trial, value: float) -> None:
-    trial.enable()
-    trial.board.events()
-    trial.drive(0.6, (value, 0.0, 0.0))
-    alone = trial.board.events()
-    assert trial.board.wheels()[0] == pytest.approx(MAX_RPS if value > 0 else -MAX_RPS, rel=0.01)
+def test_what_is_out_of_range_is_clamped(simulated: Simulated, value: float) -> None:
+    simulated.enable()
+    simulated.board.events()
+    simulated.drive(0.6, (value, 0.0, 0.0))
+    alone = simulated.board.events()
+    assert simulated.board.wheels()[0] == pytest.approx(MAX_RPS if value > 0 else -MAX_RPS, rel=0.01)
     assert all(within_limits(event) for event in alone if event.is_motor)
-    trial.drive(0.6, (value, value, value))
+    simulated.drive(0.6, (value, value, value))
     # All three add up on one wheel: 0.2 + 0.2 m/s and 1 rad/s at 0.174 m.
     most = (0.4 + 0.1744) / 0.2 * MAX_RPS
-    events = [event for event in trial.board.events() if event.is_motor]
+    events = [event for event in simulated.board.events() if event.is_motor]
     assert all(abs(speed) <= most and not event.wild for event in events for speed in event.speeds)
-    assert trial.robot.state.estop is None
+    assert simulated.robot.state.estop is None
 
 
 def test_records_of_another_run(trial: Trial) -> None:

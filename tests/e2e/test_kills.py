@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import random
-import signal
-from pathlib import Path
 
 import pytest
 
-from failstop.api.errors import Refused
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial
 from failstop.shm import layout
-from failstop.shm.layout import PORT_OWNER, STOPPER, TELEMETRY
-from tests.support.commands import failstop
+from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
+from tests.support.simulated import MS, Simulated
 
-KILLS = 8
+KILLS = 3
+"""Of real processes; `failstop simulate` and `make chaos` try every moment."""
 LATEST_MS = 100
 """A generous absolute limit for shared and busy machines; the bars are in the bench, beside their floor."""
 
@@ -38,74 +35,73 @@ def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
         assert not trial.moving(), "a restarted process must not enable motion"
 
 
-@pytest.mark.parametrize("process", [p for p in layout.PROCESSES if p != layout.SUPERVISOR])
-def test_latched_with_who_died(trial: Trial, process: str) -> None:
-    trial.enable()
-    pid = trial.service.pids()[process]
-    trial.kill(process)
-    trial.recover(process, pid)
-    state = trial.robot.state
-    assert state.estop == f"{process} died"
-    assert state.processes[process].last_exit == "killed by SIGKILL"
-    assert state.blocked == f"estop: {state.estop}"
-    assert not state.enabled
-    assert state.last_stop is not None
-    assert state.last_stop.reason == state.estop
-    assert state.last_stop.written_s is not None
-    with pytest.raises(Refused, match=r"a stop is latched \(.* died\)"):
-        trial.robot.enable()
-    trial.robot.reset()
-    assert trial.robot.state.blocked == "disabled"
-    trial.drive(0.1)
-    assert not trial.moving(), "a reset must not enable motion"
-    trial.robot.enable()
-    trial.drive(0.1)
-    assert trial.moving()
+@pytest.mark.parametrize("process", layout.PROCESSES)
+def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
+    simulated = Simulated({"restart.deaths": 100_000, "restart.backoff_s": 0.001})
+    for number in range(8):
+        simulated.set_off()
+        pid = simulated.pids()[process]
+        stopped = simulated.kill(process, 0.1 + number * 0.0027)
+        assert stopped.was_moving
+        assert stopped.stop_ns is not None
+        assert stopped.stop_ns <= 8 * MS
+        assert stopped.still_ns is not None
+        assert stopped.motion_after == 0
+        simulated.recover(process, pid)
+        simulated.drive(0.05)
+        assert not simulated.moving(), "a restarted process must not enable motion"
 
 
-def test_first_cause_is_kept_over_a_gate_restart(trial: Trial) -> None:
-    trial.enable()
-    trial.board.events()
-    trial.robot.estop("the first")
-    trial.board.wait_for(lambda event: event.is_stop, 2.0)
-    pid = trial.service.pids()["gate"]
-    trial.kill("gate")
-    trial.recover("gate", pid)
-    assert (trial.robot.state.estop or "").startswith("stop request: the first")
-
-
-def test_after_too_many_deaths_it_stays_down_and_stopped(trial: Trial) -> None:
+def test_after_too_many_deaths_it_stays_down_and_stopped(simulated: Simulated) -> None:
     pids = []
     for _ in range(5):
-        pid = trial.service.pids()["telemetry"]
+        pid = simulated.pids()[TELEMETRY]
         pids.append(pid)
-        trial.kill("telemetry", 0.0)
+        simulated.kill(TELEMETRY, 0.0)
         if len(pids) < 5:
-            trial.recover("telemetry", pid)
+            simulated.recover(TELEMETRY, pid)
     assert len(set(pids)) == 5
-    state = trial.robot.state
-    assert state.processes["telemetry"].state == "down"
-    assert state.waiting_for == "telemetry"
-    trial.robot.reset()
-    with pytest.raises(Refused, match="not ready"):
-        trial.robot.enable()
-    assert "died too often" in trial.service.said()
+    state = simulated.robot.state
+    assert state.processes[TELEMETRY].state == "down"
+    assert state.waiting_for == TELEMETRY
+    with pytest.raises(simulated.failstop.Refused, match="a stop is latched"):
+        simulated.robot.enable()
+    assert "died too often" in simulated.said
 
 
 @pytest.mark.parametrize("process", [TELEMETRY, STOPPER, PORT_OWNER])
-def test_one_that_died_too_often_is_started_anew_by_a_reset(name: str, tmp_path: Path, process: str) -> None:
-    config = tmp_path / "one-death.toml"
-    config.write_text("[restart]\ndeaths = 1\n")
-    with Trial(name, ("--config", str(config))) as trial:
-        os.kill(trial.service.pids()[process], signal.SIGKILL)
-        wait_for("the end of it", lambda: trial.robot.state.processes[process].state == "down")
-        wait_for("the gate's latch", lambda: trial.robot.state.estop is not None)
-        assert f"{process} died too often and is down" in trial.service.said()
-        shown = failstop("status", "--name", name).stdout
-        assert "next      `failstop reset" in shown
-        assert f"{process} died too often and is down until a reset" in shown
-        assert failstop("reset", "--name", name).returncode == 0
-        wait_for("the service to be ready", trial.service.ready)
-        trial.enable()
-        trial.drive(0.3)
-        assert trial.moving()
+def test_one_that_died_too_often_is_started_anew_by_a_reset(process: str) -> None:
+    simulated = Simulated({"restart.deaths": 1})
+    robot = simulated.robot
+    simulated.die(process)
+    simulated.wait_for("the end of it", lambda: robot.state.processes[process].state == "down")
+    robot.wait_for("latched", 1.0)
+    assert f"{process} died too often and is down" in simulated.said
+    shown = simulated.command("status")[1]
+    assert "next      `failstop reset" in shown
+    assert f"{process} died too often and is down until a reset" in shown
+    assert simulated.command("reset")[0] == 0
+    simulated.wait_for("a whole service", lambda: robot.state.waiting_for is None)
+    simulated.enable()
+    simulated.drive(0.3)
+    assert simulated.moving()
+
+
+def test_a_speed_limit_outlives_the_gate(simulated: Simulated) -> None:
+    assert "limit  " not in simulated.command("status")[1]
+    assert simulated.command("limit", "50") == (0, "speed limited to 50 % of the settings'\n", "")
+    assert "limit     speed limited to 50 %" in simulated.command("status")[1]
+    simulated.enable()
+    assert "no faster than 0.10 m/s forward" in simulated.printed("drive", "0.2", "0", "0", "--for", "0.5")
+    refusal = "failstop: refused: a speed limit of 2 %: must be 5 to 100\n"
+    assert simulated.command("limit", "2") == (2, "", refusal)
+    for wrong, *words in ((2, "limit", "0"), (1, "drive", "nan", "0", "0")):
+        code, _, err = simulated.command(*map(str, words))
+        assert (code, err.count("\n")) == (wrong, 1), err
+    pid = simulated.pids()[GATE]
+    simulated.die(GATE)
+    simulated.recover(GATE, pid)
+    assert "limit     speed limited to 50 %" in simulated.command("status")[1], "a death lifts nothing"
+    assert simulated.command("limit", "100") == (0, "speed limit lifted\n", "")
+    told = simulated.printed("events", "--kind", "limit")
+    assert "speed limited to 50 % of the settings' by failstop limit (pid" in told

@@ -7,22 +7,22 @@ import os
 import re
 import time
 
-from failstop.api.client import run
 from failstop.lab.trial import Trial, judge, wait_for
-from failstop.shm import instance, segment
+from failstop.shm import segment
+from tests.support.simulated import Simulated
 
 
-def test_a_client_slot_that_is_gone_costs_that_slot_alone(trial: Trial) -> None:
-    os.unlink(segment.path_of(run(trial.name)[0], "client.5"))
-    wait_for("the word on it", lambda: "client.5 was removed" in trial.service.said())
-    trial.enable()
-    pid = trial.service.pids()["gate"]
-    trial.kill("gate")
-    trial.recover("gate", pid)
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
-    assert trial.service.said().count("client.5 was removed") == 1
+def test_a_client_slot_that_is_gone_costs_that_slot_alone(simulated: Simulated) -> None:
+    simulated.os.unlink(segment.path_of(simulated.load("failstop.api.client").run(simulated.name)[0], "client.5"))
+    simulated.wait_for("the word on it", lambda: "client.5 was removed" in simulated.said)
+    simulated.enable()
+    pid = simulated.pids()["gate"]
+    simulated.kill("gate")
+    simulated.recover("gate", pid)
+    simulated.enable()
+    simulated.drive(0.2)
+    assert simulated.moving()
+    assert simulated.said.count("client.5 was removed") == 1
 
 
 def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial) -> None:
@@ -54,10 +54,11 @@ def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial)
     assert trial.moving()
 
 
-def test_without_its_stop_pipe_it_ends(trial: Trial) -> None:
+def test_without_its_stop_pipe_it_ends(simulated: Simulated) -> None:
     """Nobody could ask for a stop any more."""
-    os.unlink(instance.stop_path(instance.find(trial.name)))
-    process = trial.service.process
-    assert process
-    assert process.wait(10) == 1
-    assert "the stop pipe was removed" in trial.service.said()
+    supervisor = simulated.lab.named("supervisor")
+    assert supervisor
+    simulated.os.unlink(f"/run/failstop/{simulated.name}/stop")
+    simulated.wait_for("its end", lambda: supervisor.code is not None, 2.0)
+    assert supervisor.code == 1
+    assert "the stop pipe was removed" in simulated.said

@@ -7,43 +7,69 @@ import os
 import resource
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
+from tests.support.simulated import MS, Simulated
 
-from .returns import drives_only_when_enabled, lose_while_driving, restarted_late, stop_at_return
+from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
 
 LATEST_S = 0.9
 """Generous; 5 ms are usual."""
 
 
-def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -> None:
-    with restarted_late(name, tmp_path, "port_owner") as trial:
-        lose_while_driving(trial)
-        os.kill(trial.service.pids()["port_owner"], signal.SIGKILL)
-        wait_for("its death", lambda: trial.robot.state.processes["port_owner"].state == "waiting")
-        event, late_s = stop_at_return(trial)
-        assert event.is_stop
-        assert late_s < LATEST_S
-        wait_for("the stop to be known", lambda: (stop := trial.robot.state.last_stop) and stop.written_s is not None)
-        drives_only_when_enabled(trial)
+def lost(simulated: Simulated) -> None:
+    """Drive, and pull the plug."""
+    simulated.set_off()
+    simulated.board.unplug()
+    simulated.wait_for("the loss to be seen", lambda: simulated.robot.state.device.state == "lost")
 
 
-def test_while_the_port_owner_hangs(trial: Trial) -> None:
-    """It is not needed for the stop."""
-    lose_while_driving(trial)
-    pid = trial.service.pids()["port_owner"]
-    os.kill(pid, signal.SIGSTOP)
-    silent_s = time.monotonic()
-    wait_for("a silence that began before the return", lambda: time.monotonic() - silent_s > 0.05)
-    event, late_s = stop_at_return(trial)
+def stopped_at_return(simulated: Simulated) -> None:
+    """The first motor frame after the plug is in again is a stop, at once; then nothing moves before an enable."""
+    simulated.board.events()
+    back_ns = simulated.now_ns()
+    simulated.board.replug()
+    event = simulated.board.wait_for(lambda event: event.is_motor)
     assert event.is_stop
-    assert late_s < LATEST_S
-    wait_for("a new port owner", lambda: trial.service.pids()["port_owner"] != pid)
-    drives_only_when_enabled(trial)
+    assert event.arrival_ns - back_ns <= 5 * MS
+    simulated.wait_for("a whole service", lambda: simulated.robot.state.waiting_for is None)
+    simulated.drive(0.1)
+    assert not simulated.moving()
+    simulated.enable()
+    simulated.drive(0.2)
+    assert simulated.moving()
+
+
+def test_while_the_port_owner_waits_for_its_restart() -> None:
+    simulated = Simulated({"restart.backoff_s": 2.0})
+    pid = simulated.pids()["port_owner"]
+    simulated.die("port_owner")
+    simulated.recover("port_owner", pid)  # the first is restarted at once
+    lost(simulated)
+    simulated.die("port_owner")
+    simulated.wait_for("its death", lambda: simulated.robot.state.processes["port_owner"].state == "waiting")
+    stopped_at_return(simulated)
+    assert simulated.robot.state.last_stop.written_s is not None
+
+
+def test_while_the_port_owner_hangs(simulated: Simulated) -> None:
+    """It is not needed for the stop."""
+    lost(simulated)
+    pid = simulated.pids()["port_owner"]
+    simulated.suspend("port_owner")
+    simulated.wait(0.05)
+    stopped_at_return(simulated)
+    assert simulated.pids()["port_owner"] != pid
+
+
+def test_while_nobody_hangs(simulated: Simulated) -> None:
+    lost(simulated)
+    stopped_at_return(simulated)
+    # The duplicates of the new port are good for a stop too.
+    assert simulated.kill("port_owner").motion_after == 0
 
 
 class NoNumbers:

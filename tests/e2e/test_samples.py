@@ -2,79 +2,68 @@
 
 from __future__ import annotations
 
-import itertools
-import os
+from typing import Any
 
 import pytest
 
-from failstop import Robot
-from failstop.api.client import attach
-from failstop.api.snapshot import Imu, Odometry, Pad, Sample
-from failstop.lab.trial import Trial, wait_for
 from failstop.shm import box, layout
+from tests.support.simulated import MS, Simulated
+
+SETTINGS = {"limits.vx_mps": 0.35, "sources.teleop.priority": 10}
 
 
-def read_until(robot: Robot, wanted: type, count: int) -> list[Sample]:
-    found: list[Sample] = []
+def read_until(simulated: Simulated, robot: Any, wanted: str, count: int) -> list[Any]:
+    """Samples of one kind, at least so many."""
+    found: list[Any] = []
 
     def enough() -> bool:
-        found.extend(robot.samples())
-        return sum(isinstance(sample, wanted) for sample in found) >= count
+        found.extend(sample for sample in robot.samples() if type(sample).__name__ == wanted)
+        return len(found) >= count
 
-    wait_for(f"{count} of {wanted.__name__}", enough)
+    simulated.wait_for(f"{count} of {wanted}", enough)
     return found
 
 
-def test_every_imu_sample_comes_once_and_in_order(trial: Trial) -> None:
-    robot = trial.robot
-    ring = attach(trial.name, layout.TELEMETRY).ring_reader("box")
-    robot.samples()  # the first call begins
-    times = [sample.t_ns for sample in read_until(robot, Imu, 100) if isinstance(sample, Imu)]
+def test_every_imu_sample_comes_once_and_in_order(simulated: Simulated) -> None:
+    attach = simulated.load("failstop.api.client").attach
+    ring = attach(simulated.name, layout.TELEMETRY).ring_reader("box")
+    simulated.robot.samples()  # the first call begins
+    times = [sample.t_ns for sample in read_until(simulated, simulated.robot, "Imu", 100)]
     written = [entry[1] for entry in iter(ring.next, None) if box.unpack_board(entry[2])[0] == box.IMU]
     assert times == sorted(times)
-    # What came in one read has one time, so the times alone do not tell a sample that is given twice.
+    assert len(times) == len(set(times)) == 100
     assert any(written[start : start + len(times)] == times for start in range(len(written)))
-    assert len(times) >= 100
 
 
-def test_values_are_those_of_the_state(trial: Trial) -> None:
-    found = read_until(trial.robot, Imu, 1)
-    imu = next(sample for sample in found if isinstance(sample, Imu))
+def test_values_are_those_of_the_state(simulated: Simulated) -> None:
+    (imu, *_) = read_until(simulated, simulated.robot, "Imu", 1)
     assert imu.acceleration_mps2[2] == pytest.approx(9.8, abs=0.8)
 
 
-def test_odometry_comes_at_50_hz(trial: Trial) -> None:
-    found = read_until(trial.robot, Odometry, 101)
-    times = [sample.t_ns for sample in found if isinstance(sample, Odometry)]
-    middle_ns = sorted(later - sooner for sooner, later in itertools.pairwise(times))
-    assert (times[-1] - times[0]) / (len(times) - 1) == pytest.approx(20e6, rel=0.1), middle_ns
+def test_odometry_comes_at_50_hz() -> None:
+    simulated = Simulated(imu_hz=110.0)
+    times = [sample.t_ns for sample in read_until(simulated, simulated.robot, "Odometry", 101)]
+    assert (times[-1] - times[0]) / (len(times) - 1) == pytest.approx(20 * MS, rel=0.01)
 
 
-def test_gamepad_frames(trial: Trial) -> None:
-    trial.robot.samples()
-    trial.board.pad(0x0100, hold=False)
-    pad = next(sample for sample in read_until(trial.robot, Pad, 1) if isinstance(sample, Pad))
-    assert pad.buttons == 0x0100
-    assert len(pad.axes) == 4
-    assert pad.mode == "locked"
+def test_gamepad_frames(simulated: Simulated) -> None:
+    simulated.robot.samples()
+    simulated.board.pad(0x0100)
+    (pad,) = read_until(simulated, simulated.robot, "Pad", 1)
+    assert (pad.buttons, len(pad.axes), pad.mode) == (0x0100, 4, "locked")
 
 
-def test_a_service_that_was_started_anew_is_read_anew(trial: Trial) -> None:
-    with Robot(trial.name) as robot:
-        read_until(robot, Imu, 1)
-        trial.leave()
-        trial.service.kill()
-        trial.service.start()
-        read_until(robot, Imu, 5)
+def test_a_service_that_was_started_anew_is_read_anew(simulated: Simulated) -> None:
+    with simulated.failstop.Robot() as robot:
+        read_until(simulated, robot, "Imu", 1)
+        simulated.die(layout.SUPERVISOR)
+        simulated.recover(layout.SUPERVISOR, 0)
+        read_until(simulated, robot, "Imu", 5)
 
 
-def test_settings_are_those_of_this_run(name: str, tmp_path: os.PathLike[str]) -> None:
-    path = os.path.join(tmp_path, "robot.toml")
-    with open(path, "w") as file:
-        file.write("[limits]\nvx_mps = 0.35\n[sources.teleop]\npriority = 10\n")
-    with Trial(name, ("--config", path)) as trial:
-        settings = trial.robot.settings
-        assert settings["limits.vx_mps"] == 0.35
-        assert settings["device.path"] == trial.link
-        assert settings["scan.gate"] == "on"
-        assert settings["sources.teleop.timeout_s"] == 0.3
+def test_settings_are_those_of_this_run(simulated: Simulated) -> None:
+    settings = simulated.robot.settings
+    assert settings["limits.vx_mps"] == 0.35
+    assert settings["device.path"] == simulated.link
+    assert settings["scan.gate"] == "on"
+    assert settings["sources.teleop.timeout_s"] == 0.3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import signal
@@ -11,10 +10,10 @@ import time
 import psutil
 import pytest
 
-from failstop.api.client import attach
 from failstop.board.burst import BURST
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.shm import layout
+from tests.support.simulated import MS, Simulated
 
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
 
@@ -48,46 +47,38 @@ def test_ends_with_the_stop_written_twice(trial: Trial, number: signal.Signals) 
     wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids))
 
 
-def test_the_end_says_that_the_board_has_acknowledged_its_stop(trial: Trial) -> None:
-    wait_for("an answer", lambda: trial.robot.state.device.link == "alive")
-    assert trial.service.end() == 0
-    assert re.search(r"written twice, acknowledged by the board after \d+\.\d ms\n", trial.service.said())
+def test_the_end_says_that_the_board_has_acknowledged_its_stop(simulated: Simulated) -> None:
+    simulated.set_off()
+    ended_ns = simulated.now_ns()
+    assert simulated.end() == 0
+    events = simulated.board.events()
+    stopped = judge(events, ended_ns, True)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns <= 25 * MS
+    assert stopped.motion_after == 0
+    assert sum(event.is_stop for event in events) >= 8
+    assert simulated.living() == []
+    assert re.search(r"written twice, acknowledged by the board after \d+\.\d ms\n", simulated.said)
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["known to be deaf", "deaf just now"])
-def test_a_board_that_does_not_hear_the_last_stop_is_an_error(trial: Trial, told: bool) -> None:
-    wait_for("an answer", lambda: trial.robot.state.device.link == "alive")
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
-    trial.board.deaf(True)
+def test_a_board_that_does_not_hear_the_last_stop_is_an_error(simulated: Simulated, told: bool) -> None:
+    simulated.set_off()
+    simulated.board.deaf(True)
     if told:
-        wait_for("the loss", lambda: trial.robot.state.device.link == "deaf")
-    assert trial.service.end() == 1
-    assert trial.moving(), "it could not be stopped"
+        simulated.wait_for("the loss", lambda: simulated.robot.state.device.link == "deaf")
+    assert simulated.end() == 1
+    assert simulated.moving(), "it could not be stopped"
     link = "deaf" if told else "alive"
-    assert (
-        f"written twice, NOT acknowledged by the board (link {link}); wheels that turn: POWER" in trial.service.said()
-    )
+    assert f"written twice, NOT acknowledged by the board (link {link}); wheels that turn: POWER" in simulated.said
 
 
-def test_a_board_that_never_answered_makes_no_end_an_error(name: str) -> None:
-    """As one without pings, or with another firmware."""
-    trial = Trial(name)
-    with contextlib.closing(trial):
-        trial.board.start()
-        trial.board.deaf(True)
-        trial.service.start()
-        assert trial.service.end() == 0
-        assert "whether the board hears is not known (link unproven)" in trial.service.said()
-
-
-def test_a_last_stop_that_nothing_takes_is_an_error(trial: Trial) -> None:
-    trial.board.unplug()
-    wait_for("the loss", lambda: trial.robot.state.device.state != "open")
-    trial.leave()
-    assert trial.service.end() == 1
-    assert "the second stop could NOT be written" in trial.service.said()
+def test_a_last_stop_that_nothing_takes_is_an_error(simulated: Simulated) -> None:
+    simulated.board.unplug()
+    simulated.wait_for("the loss", lambda: simulated.robot.state.device.state != "open")
+    simulated.leave()
+    assert simulated.end() == 1
+    assert "the second stop could NOT be written" in simulated.said
 
 
 def _alive(pid: int) -> bool:
@@ -140,23 +131,24 @@ def test_lost_and_returned_port(trial: Trial) -> None:
     trial.recover("port_owner", pid)
 
 
-def test_a_long_absence_of_a_standing_robot_is_no_motion(trial: Trial) -> None:
+def test_a_long_absence_of_a_standing_robot_is_no_motion() -> None:
     """The IMU needs a while after the return before it says anything, and its silence is no shaking."""
-    wait_for("the IMU's word", lambda: attach(trial.name, layout.TELEMETRY).word("still_ns").get())
-    trial.enable()
-    trial.board.unplug()
-    lost_s = time.monotonic()
-    wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
-    wait_for("longer than wheels may take to stand", lambda: time.monotonic() - lost_s > 1.8)
-    trial.board.replug()
-    wait_for("the IMU's word", lambda: (stop := trial.robot.state.last_stop) and stop.observed_s == 0)
-    stop = trial.robot.state.last_stop
-    assert stop
+    simulated = Simulated(imu_hz=110.0)
+    robot = simulated.robot
+    telemetry = simulated.load("failstop.api.client").attach(simulated.name, layout.TELEMETRY)
+    simulated.wait_for("the IMU's word", lambda: telemetry.word("still_ns").get())
+    simulated.enable()
+    simulated.board.unplug()
+    robot.wait_for("latched", 1.0)
+    assert robot.state.estop == "device lost"
+    simulated.wait(1.8)  # longer than wheels may take to stand
+    simulated.board.replug()
+    simulated.wait_for("the IMU's word", lambda: (stop := robot.state.last_stop) and stop.observed_s == 0)
+    stop = robot.state.last_stop
     assert stop.reason == "device lost"
-    assert stop.written_s is not None, "the burst at the return is its stop"
-    assert stop.written_s > 1.8
-    wait_for("the board's answer", lambda: (stop := trial.robot.state.last_stop) and stop.acknowledged_s)
-    assert "CRITICAL" not in trial.service.said()
+    assert stop.written_s == pytest.approx(1.8, abs=0.1), "the burst at the return is its stop"
+    simulated.wait_for("the board's answer", lambda: robot.state.last_stop.acknowledged_s)
+    assert "CRITICAL" not in simulated.said
 
 
 def _holders(trial: Trial) -> list[str]:

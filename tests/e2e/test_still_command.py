@@ -2,69 +2,55 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
-from failstop.api.events import EventLog
-from failstop.lab.trial import Trial, wait_for, write_settings
+from tests.support.simulated import Simulated
 
 AFTER_S = 1.5
 
 
 @pytest.fixture
-def ran(tmp_path: Path) -> Path:
-    """The file that the command makes, as a relay would open."""
-    return tmp_path / "ran"
+def simulated() -> Simulated:
+    """A service that drives, and whose command is a program of the machine, `relay.py`; its runs' times are kept."""
+    made = Simulated({"still.command": "relay.py"}, imu_hz=110.0)
+    made.lab.machine.programs["relay.py"] = lambda process, argv: RAN.append(made.now_ns()) or 0
+    RAN.clear()
+    made.enable()
+    made.drive(1.0)
+    return made
 
 
-@pytest.fixture
-def trial(name: str, ran: Path, tmp_path: Path) -> Iterator[Trial]:
-    settings = tmp_path / "still.toml"
-    write_settings(str(settings), {"still.command": f"touch {ran}"})
-    with Trial(name, ("--config", str(settings))) as running:
-        yield running
+RAN: list[int] = []
 
 
-@pytest.mark.slow
-def test_wheels_that_turn_on_have_it_run_once(trial: Trial, ran: Path) -> None:
-    log = EventLog(trial.name)
-    trial.enable()
-    trial.drive(1.0)
-    trial.board.refuse_stop(True)
-    trial.robot.estop("the wheels turn on")
-    stopped_s = time.monotonic()
-    wait_for("the command", ran.exists)
-    assert AFTER_S - 0.2 < time.monotonic() - stopped_s < AFTER_S + 1.0
-    ran.unlink()
-    time.sleep(2 * AFTER_S)
-    assert trial.moving()
-    assert not ran.exists(), "once for each such stop"
+def stop(simulated: Simulated) -> int:
+    """Stop, and wait for twice as long as the command would."""
+    stopped_ns = simulated.now_ns()
+    simulated.robot.estop("stop")
+    simulated.wait(2 * AFTER_S)
+    return stopped_ns
+
+
+def test_wheels_that_turn_on_have_it_run_once(simulated: Simulated) -> None:
+    log = simulated.load("failstop.api.events").EventLog(simulated.name)
+    simulated.board.refuse_stop(True)
+    stopped_ns = stop(simulated)
+    assert [(ran_ns - stopped_ns) / 1e9 for ran_ns in RAN] == [pytest.approx(AFTER_S, abs=0.05)], "once for each stop"
+    assert simulated.moving()
     told = [event.text for event in log.read() if event.kind == "command"]
     assert [text.partition(" (pid")[0] for text in told] == ["still.command runs", "still.command"]
     assert told[1].endswith("ended with code 0")
-    trial.board.refuse_stop(False)
 
 
-@pytest.mark.slow
-def test_without_an_imu_nobody_knows(trial: Trial, ran: Path) -> None:
-    trial.enable()
-    trial.drive(1.0)
-    trial.board.imu(False)
-    trial.board.refuse_stop(True)
-    trial.robot.estop("the wheels turn on")
-    time.sleep(2 * AFTER_S)
-    assert trial.moving()
-    assert not ran.exists()
-    trial.board.refuse_stop(False)
+def test_without_an_imu_nobody_knows(simulated: Simulated) -> None:
+    simulated.board.imu(False)
+    simulated.board.refuse_stop(True)
+    stop(simulated)
+    assert simulated.moving()
+    assert RAN == []
 
 
-@pytest.mark.slow
-def test_wheels_that_obey_do_not_have_it_run(trial: Trial, ran: Path) -> None:
-    trial.enable()
-    trial.drive(1.0)
-    trial.robot.estop("stop")
-    time.sleep(2 * AFTER_S)
-    assert not ran.exists()
+def test_wheels_that_obey_do_not_have_it_run(simulated: Simulated) -> None:
+    stop(simulated)
+    assert not simulated.moving()
+    assert RAN == []

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 import re
-import signal
 import time
 
 import pytest
@@ -18,9 +17,7 @@ from failstop.policy import causes
 from failstop.shm import instance
 from failstop.supervisor.events import ASKED_BYTES as ASKED_ROOM
 from tests.support.children import NOBODY, become
-from tests.support.commands import failstop
-
-FLOOD_S = 4.0
+from tests.support.simulated import MS, Simulated
 
 
 def _as_nobody(action: object) -> int:
@@ -54,19 +51,6 @@ def test_by_an_unprivileged_user(trial: Trial) -> None:
     assert stopped.stop_ns is not None
     assert stopped.motion_after == 0
     assert trial.robot.state.estop == "stop request: nobody says so"
-
-
-@pytest.mark.parametrize("message", [b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"])
-def test_any_bytes_are_a_stop(trial: Trial, message: bytes) -> None:
-    trial.enable()
-    trial.drive(0.1)
-    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
-    os.write(fd, message)
-    os.close(fd)
-    wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    trial.drive(0.1)
-    assert not trial.moving()
-    assert (trial.robot.state.estop or "").isprintable()
 
 
 def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
@@ -112,103 +96,99 @@ def test_a_flood_is_no_flood_of_bursts(trial: Trial) -> None:
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
 
 
-def test_while_disabled_it_latches_too(trial: Trial) -> None:
-    trial.robot.estop("early")
-    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("stop request: early"))
+# What is asked for, on the simulated machine.
+
+BESIDE = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
 
 
-def test_the_first_reason_is_kept(trial: Trial) -> None:
-    trial.robot.estop("one")
-    wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    epoch = trial.robot.state.epoch
-    trial.robot.estop("two")
-    wait_for("the second stop", lambda: trial.robot.state.epoch > epoch)
-    assert (trial.robot.state.estop or "").startswith("stop request: one")
-    last = trial.robot.state.last_stop
-    assert last is not None
+def write(simulated: Simulated, data: bytes) -> int:
+    """Any bytes in the stop pipe; how many it has taken."""
+    fd = simulated.os.open(f"/run/failstop/{simulated.name}/stop", os.O_WRONLY | os.O_NONBLOCK)
+    try:
+        found: int = simulated.os.write(fd, data)
+    except BlockingIOError:
+        found = 0
+    simulated.os.close(fd)
+    return found
 
 
-def test_pad_button_and_key_stop(trial: Trial) -> None:
-    for press, cause in (
-        (lambda: trial.board.pad(0x0100), causes.BUTTON(0x0100)),
-        (lambda: trial.board.key(1, 0x01), causes.KEY(1)),
-    ):
-        trial.enable()
-        trial.drive(0.15)
-        assert trial.moving()
-        trial.board.events()
-        pressed_ns = time.monotonic_ns()
-        press()
-        trial.drive(0.2)
-        stopped = judge(trial.board.events(), pressed_ns, True)
-        assert stopped.stop_ns is not None
-        assert stopped.stop_ns < 100e6
-        assert stopped.motion_after == 0
-        assert trial.robot.state.cause == cause
-        assert trial.robot.state.estop == str(cause)
-        trial.board.pad(0)
+@pytest.mark.parametrize("message", [b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"])
+def test_any_bytes_are_a_stop(simulated: Simulated, message: bytes) -> None:
+    simulated.set_off()
+    asked_ns = simulated.now_ns()
+    write(simulated, message)
+    simulated.drive(0.1)
+    stopped = judge(simulated.board.events(), asked_ns, True)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns <= 2 * MS
+    assert stopped.motion_after == 0
+    assert simulated.robot.state.estop
+    assert simulated.robot.state.estop.isprintable()
+
+
+def test_while_disabled_it_latches_and_the_first_reason_is_kept(simulated: Simulated) -> None:
+    simulated.robot.estop("one")
+    simulated.robot.wait_for("latched", 1.0)
+    epoch = simulated.robot.state.epoch
+    simulated.robot.estop("two")
+    simulated.wait_for("the second stop", lambda: simulated.robot.state.epoch > epoch)
+    state = simulated.robot.state
+    assert state.estop == state.last_stop.reason == f"stop request: one (trial, pid {simulated.pid})"
 
 
 @pytest.mark.parametrize("words", ["gate died", str(causes.UNSTILL()), "gamepad button 0x0100", "stop request"])
-def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, words: str) -> None:
-    trial.enable()
-    assert _as_nobody(lambda: send_stop(trial.name, words)) == 0
-    wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    state = trial.robot.state
+def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(simulated: Simulated, words: str) -> None:
+    simulated.enable()
+    simulated.load("failstop.api.client").send_stop(simulated.name, words)
+    simulated.robot.wait_for("latched", 1.0)
+    state = simulated.robot.state
     assert state.estop == f"stop request: {words}"
-    assert state.cause == causes.PIPED(words)
+    assert state.cause == simulated.load("failstop.policy.causes").PIPED(words)
     assert verdict.word(state) == verdict.STOPPED, "what the IMU sees is not for anybody to say"
     assert all(process.restarts == 0 for process in state.processes.values())
-    killed_pid = state.processes["gate"].pid
-    os.kill(killed_pid, signal.SIGKILL)
-    beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
-    wait_for("the death to be told beside it", lambda: beside.search(trial.service.said()) is not None)
-    assert trial.robot.state.estop == f"stop request: {words}"
+    simulated.die("gate")
+    simulated.wait_for("the death to be told beside it", lambda: BESIDE.search(simulated.said) is not None)
+    assert simulated.robot.state.estop == f"stop request: {words}"
 
 
-def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(trial: Trial) -> None:
-    trial.robot.estop("the first")
-    wait_for("the latch", lambda: "STOP latched: " in trial.service.said())
-    before = trial.service.written()
-    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
-    until_s = time.monotonic() + FLOOD_S
-    reasons = 0
-    while reasons < 1000 or time.monotonic() < until_s:
-        with contextlib.suppress(BlockingIOError):
-            os.write(fd, f"reason {reasons} {'x' * 150}\n".encode())
-            reasons += 1
-    os.close(fd)
-    assert trial.service.written() - before < 2 * ASKED_ROOM + 2000
-    trial.kill("gate")
-    beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
-    wait_for("what is no request to be told", lambda: beside.search(trial.service.said(before)) is not None)
-    assert trial.service.end() == 0
-    said = trial.service.said()
-    assert "STOP latched: stop request: the first (trial, pid" in said
-    assert re.search(r"^failstop: \d+ stop requests while a stop was latched were left out: ", said, re.M)
-    assert trial.service.written() - before < 2 * ASKED_ROOM + 10_000
+def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(simulated: Simulated) -> None:
+    simulated.robot.estop("the first")
+    simulated.wait_for("the latch", lambda: "STOP latched: " in simulated.said)
+    before = len(simulated.said)
+    until_ns, reasons = simulated.now_ns() + 4000 * MS, 0
+    while reasons < 1000 or simulated.now_ns() < until_ns:
+        reasons += write(simulated, f"reason {reasons} {'x' * 150}\n".encode()) > 0
+        simulated.wait(0.002)
+    assert len(simulated.said) - before < 2 * ASKED_ROOM + 2000
+    simulated.kill("gate")
+    told = "what is no request to be told"
+    simulated.wait_for(told, lambda: BESIDE.search(simulated.said[before:]) is not None)
+    assert simulated.end() == 0
+    assert "STOP latched: stop request: the first (trial, pid" in simulated.said
+    assert re.search(r"^failstop: \d+ stop requests while a stop was latched were left out: ", simulated.said, re.M)
+    assert len(simulated.said) - before < 2 * ASKED_ROOM + 10_000
 
 
 @pytest.mark.parametrize("letter", ["x", "\u20ac"])
-def test_a_reason_of_5000_characters_is_cut_to_what_the_service_takes(trial: Trial, letter: str) -> None:
-    result = failstop("estop", "--name", trial.name, 5000 * letter)
-    assert (result.returncode, result.stdout.count("\n"), result.stderr) == (0, 1, "")
-    latch = trial.robot.state.estop or ""
+def test_a_reason_of_5000_characters_is_cut_to_what_the_service_takes(simulated: Simulated, letter: str) -> None:
+    code, out, err = simulated.command("estop", 5000 * letter)
+    assert (code, out.count("\n"), err) == (0, 1, "")
+    latch = simulated.robot.state.estop
     assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(failstop estop, pid \d+\)", latch)
-    assert latch in result.stdout
-    trial.robot.reset()
-    trial.robot.estop(5000 * letter)
-    wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(trial, pid \d+\)", trial.robot.state.estop or "")
-    assert all(len(line) < 1000 for line in trial.service.said().splitlines())
+    assert latch in out
+    simulated.robot.reset()
+    simulated.robot.estop(5000 * letter)
+    simulated.robot.wait_for("latched", 1.0)
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(trial, pid \d+\)", simulated.robot.state.estop)
+    assert all(len(line) < 1000 for line in simulated.said.splitlines())
 
 
-def test_mode_button_and_other_keys_do_not_stop(trial: Trial) -> None:
-    trial.enable()
-    trial.board.pad(0x2000)
-    trial.board.key(2, 0x01)
-    trial.board.key(1, 0x08)
+def test_mode_button_and_other_keys_do_not_stop(simulated: Simulated) -> None:
+    simulated.enable()
+    simulated.board.pad(0x2000)
+    simulated.board.key(2, 0x01)
+    simulated.board.key(1, 0x08)
     # MODE gives the wheels to the sticks, which rest: the client has them back after the pad's timeout.
-    trial.drive(0.8)
-    assert trial.moving()
-    assert trial.robot.state.estop is None
+    simulated.drive(0.8)
+    assert simulated.moving()
+    assert simulated.robot.state.estop is None

@@ -27,7 +27,7 @@ _numbers = itertools.count()
 SAVED_S = 20.0
 
 
-class Scene:
+class Kept:
     """A trial, its incidents, and what the service tells of them."""
 
     def __init__(self, trial: Trial) -> None:
@@ -67,23 +67,23 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
+def kept(tmp_path: Path) -> Iterator[Kept]:
     with started(tmp_path) as made:
         yield made
 
 
 @contextlib.contextmanager
-def started(tmp_path: Path, settings: str = "") -> Iterator[Scene]:
+def started(tmp_path: Path, settings: str = "") -> Iterator[Kept]:
     config = tmp_path / "robot.toml"
     config.write_text(settings)
     with Trial(f"box-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as trial:
-        yield Scene(trial)
+        yield Kept(trial)
 
 
 def test_a_stop_request_and_then_a_killed_gate(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kept: Kept, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    trial = scene.trial
+    trial = kept.trial
     trial.enable()
     trial.drive(1.0)
     trial.robot.estop("the test says so")
@@ -91,7 +91,7 @@ def test_a_stop_request_and_then_a_killed_gate(
     monkeypatch.setenv("STATE_DIRECTORY", trial.state)
     assert main(["incident", "show", "--name", trial.name]) == 0
     assert "the test says so" in capsys.readouterr().out, "whoever asks for the last means this one"
-    first = scene.saved()
+    first = kept.saved()
     assert first.reason.startswith("stop request: the test says so")
     check_driven(first)
     assert first.head["stop"]["acknowledged_us"] > 0
@@ -101,24 +101,24 @@ def test_a_stop_request_and_then_a_killed_gate(
     pid = trial.service.pids()["gate"]
     assert trial.kill("gate", 0.5).stop_ns is not None
     trial.recover("gate", pid)
-    second = scene.saved(2)
+    second = kept.saved(2)
     assert second.reason == "gate died"
     check_driven(second)
     assert any(line.text.startswith("! gate (pid ") and line.text.endswith("SIGKILL") for line in story.tell(second))
     assert second.ticks[-1].ns > second.cause_ns, "the successor writes where the dead gate ended"
     ids = (first.id, second.id)
-    wait_for("words on both", lambda: len(scene.told()) == 2, SAVED_S)
+    wait_for("words on both", lambda: len(kept.told()) == 2, SAVED_S)
     shown = [f"`failstop incident show {one} --name {trial.name}`" for one in ids]
-    assert scene.told() == [f"incident {one} saved; next: {todo}" for one, todo in zip(ids, shown, strict=True)]
+    assert kept.told() == [f"incident {one} saved; next: {todo}" for one, todo in zip(ids, shown, strict=True)]
 
 
-def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(scene: Scene) -> None:
-    trial = scene.trial
+def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(kept: Kept) -> None:
+    trial = kept.trial
     trial.enable()
     pid = trial.service.pids()["telemetry"]
     assert trial.kill("telemetry", 1.0).stop_ns is not None
     trial.recover("telemetry", pid)
-    saved = scene.saved()
+    saved = kept.saved()
     assert saved.reason == "telemetry died"
     before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.t_ns < saved.cause_ns]
     assert len(before) > 50, "110 a second"
@@ -148,19 +148,19 @@ def check_driven(incident: Incident) -> None:
     assert any(line.what == story.CAUSE for line in story.tell(incident))
 
 
-def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(scene: Scene) -> None:
+def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:
     """Both the stop, which is written at the return, and what came of it are in the file."""
-    trial = scene.trial
+    trial = kept.trial
     trial.enable()
     trial.drive(0.5)
     trial.board.unplug()
-    scene.saver()
+    kept.saver()
     wait_for("the latch", lambda: trial.robot.state.estop == "device lost", 5.0)
     since_s = time.monotonic()
     wait_for("longer than a stop is watched", lambda: time.monotonic() - since_s > 3.0, 10.0)
-    assert scene.heads() == []
+    assert kept.heads() == []
     trial.board.replug()
-    incident = scene.saved()
+    incident = kept.saved()
     stop = incident.head["stop"]
     assert incident.reason == "device lost"
     assert stop["written_by"] == "supervisor"
@@ -169,14 +169,14 @@ def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(scene: Scene) -> 
     assert any(event.kind == "device_back" for event in incident.events)
 
 
-def test_a_killed_supervisor_is_told_of_by_the_next_start(scene: Scene) -> None:
-    trial = scene.trial
+def test_a_killed_supervisor_is_told_of_by_the_next_start(kept: Kept) -> None:
+    trial = kept.trial
     trial.enable()
     trial.drive(0.5)
     assert trial.kill(layout.SUPERVISOR, 0.2).stop_ns is not None
-    assert scene.heads() == []
+    assert kept.heads() == []
     trial.recover(layout.SUPERVISOR, 0)
-    incident = scene.saved()
+    incident = kept.saved()
     assert (incident.reason, incident.head["kind"]) == ("supervisor died", "left")
     stop = incident.head["stop"]
     assert stop["written_by"] in ("port owner", "stopper")
@@ -189,24 +189,24 @@ def test_a_killed_supervisor_is_told_of_by_the_next_start(scene: Scene) -> None:
     assert trial.moving(), "the new run is not the old one's"
 
 
-def test_a_supervisor_that_dies_while_a_stop_is_being_saved(scene: Scene) -> None:
+def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
     """Two stories: the stop's, saved at once by the saver that was there, and the death's, by the next start."""
-    trial = scene.trial
+    trial = kept.trial
     trial.robot.estop("and then it got worse")
-    scene.saver()
+    kept.saver()
     trial.leave()
     trial.service.kill()
-    assert scene.saved().reason.startswith("stop request: and then it got worse")
-    word = f"failstop: the supervisor is gone; its saver says: incident {scene.saved().id} saved\n"
+    assert kept.saved().reason.startswith("stop request: and then it got worse")
+    word = f"failstop: the supervisor is gone; its saver says: incident {kept.saved().id} saved\n"
     wait_for("the saver's word", lambda: word in trial.service.said(), SAVED_S)
     assert "Traceback" not in trial.service.said()
     trial.service.start()
-    wait_for("the second", lambda: len(scene.heads()) == 2, SAVED_S)
-    assert {str(head["kind"]) for head in scene.heads()} == {"stop", "left"}
+    wait_for("the second", lambda: len(kept.heads()) == 2, SAVED_S)
+    assert {str(head["kind"]) for head in kept.heads()} == {"stop", "left"}
 
 
-def test_all_killed_at_once(scene: Scene) -> None:
-    trial = scene.trial
+def test_all_killed_at_once(kept: Kept) -> None:
+    trial = kept.trial
     trial.enable()
     trial.drive(0.5)
     pids = trial.service.pids().values()
@@ -219,66 +219,66 @@ def test_all_killed_at_once(scene: Scene) -> None:
     trial.leave()
     trial.service.kill()
     trial.service.start()
-    incident = scene.saved()
+    incident = kept.saved()
     assert incident.reason == "all of the service died"
     assert incident.head["stop"] is None
     assert incident.ticks[-1].block == "driving"
 
 
-def test_a_stop_just_before_the_end_of_the_service_is_saved(scene: Scene) -> None:
-    trial = scene.trial
+def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
+    trial = kept.trial
     trial.robot.estop("the last word")
     wait_for("the latch", lambda: bool(trial.robot.state.estop), 5.0)
     trial.leave()
     assert trial.service.end() == 0
-    incident = scene.saved()
+    incident = kept.saved()
     assert incident.reason.startswith("stop request: the last word")
     trial.service.start()
-    assert len(scene.heads()) == 1, "an orderly end leaves nothing to save"
+    assert len(kept.heads()) == 1, "an orderly end leaves nothing to save"
 
 
-def test_a_killed_saver_and_a_folder_that_is_none(scene: Scene) -> None:
+def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
     """One line each, no half file, and the next stop is saved as if nothing had been."""
-    trial = scene.trial
-    scene.folder().mkdir(parents=True)
-    half = scene.folder() / ".draft-1999999999"
+    trial = kept.trial
+    kept.folder().mkdir(parents=True)
+    half = kept.folder() / ".draft-1999999999"
     half.write_bytes(b"half of it")
     trial.robot.estop("first")
-    scene.saver().kill()
-    wait_for("a word on it", lambda: len(scene.told()) == 1, SAVED_S)
-    assert scene.told()[0].startswith("incident not saved: the saver was killed by signal 9; next: ")
-    assert scene.heads() == []
+    kept.saver().kill()
+    wait_for("a word on it", lambda: len(kept.told()) == 1, SAVED_S)
+    assert kept.told()[0].startswith("incident not saved: the saver was killed by signal 9; next: ")
+    assert kept.heads() == []
 
     trial.robot.reset()
-    shutil.move(scene.folder(), scene.folder().with_suffix(".away"))
-    scene.folder().write_text("in the way")
+    shutil.move(kept.folder(), kept.folder().with_suffix(".away"))
+    kept.folder().write_text("in the way")
     trial.robot.estop("second")
-    wait_for("a word on that", lambda: len(scene.told()) == 2, SAVED_S)
-    assert scene.told()[1].startswith("incident not saved: [Errno 17] File exists")
+    wait_for("a word on that", lambda: len(kept.told()) == 2, SAVED_S)
+    assert kept.told()[1].startswith("incident not saved: [Errno 17] File exists")
 
     trial.robot.reset()
-    scene.folder().unlink()
-    shutil.move(scene.folder().with_suffix(".away"), scene.folder())
+    kept.folder().unlink()
+    shutil.move(kept.folder().with_suffix(".away"), kept.folder())
     trial.robot.estop("third")
-    assert scene.saved().reason.startswith("stop request: third")
+    assert kept.saved().reason.startswith("stop request: third")
     assert not half.exists()
     assert trial.robot.state.estop is not None
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to mount a tiny disk")
-def test_a_full_disk(scene: Scene) -> None:
-    trial = scene.trial
-    scene.folder().mkdir(parents=True)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(scene.folder())]
+def test_a_full_disk(kept: Kept) -> None:
+    trial = kept.trial
+    kept.folder().mkdir(parents=True)
+    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(kept.folder())]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("mounting is not allowed here")
     try:
         trial.enable()
         trial.drive(1.0)
         trial.robot.estop("into a full disk")
-        wait_for("a word on it", lambda: len(scene.told()) == 1, SAVED_S)
-        assert "No space left on device" in scene.told()[0]
-        assert list(scene.folder().iterdir()) == [], "neither half a file nor a draft"
+        wait_for("a word on it", lambda: len(kept.told()) == 1, SAVED_S)
+        assert "No space left on device" in kept.told()[0]
+        assert list(kept.folder().iterdir()) == [], "neither half a file nor a draft"
         state = trial.robot.state
         assert (state.estop or "").startswith("stop request: into a full disk")
         trial.enable()
@@ -286,21 +286,21 @@ def test_a_full_disk(scene: Scene) -> None:
         assert trial.moving()
         trial.robot.disable()
     finally:
-        subprocess.run(["umount", str(scene.folder())], check=True)
+        subprocess.run(["umount", str(kept.folder())], check=True)
 
 
 def test_as_many_as_the_settings_allow_and_none_when_switched_off(tmp_path: Path) -> None:
-    with started(tmp_path, "[incidents]\nkeep = 1\n") as scene:
+    with started(tmp_path, "[incidents]\nkeep = 1\n") as kept:
         for number in range(2):
-            scene.trial.robot.estop(f"number {number}")
-            wait_for("a word on it", lambda number=number: len(scene.told()) == number + 1, SAVED_S)  # type: ignore[misc]
-            scene.trial.robot.reset()
-        assert [str(head["reason"])[:22] for head in scene.heads()] == ["stop request: number 1"]
-    with started(tmp_path, '[incidents]\nsave = "off"\n') as scene:
-        scene.trial.robot.estop("nobody writes this down")
-        wait_for("the outcome", lambda: outcome_told(scene.trial.name), SAVED_S)
-        assert scene.heads() == []
-        assert scene.told() == []
+            kept.trial.robot.estop(f"number {number}")
+            wait_for("a word on it", lambda number=number: len(kept.told()) == number + 1, SAVED_S)  # type: ignore[misc]
+            kept.trial.robot.reset()
+        assert [str(head["reason"])[:22] for head in kept.heads()] == ["stop request: number 1"]
+    with started(tmp_path, '[incidents]\nsave = "off"\n') as kept:
+        kept.trial.robot.estop("nobody writes this down")
+        wait_for("the outcome", lambda: outcome_told(kept.trial.name), SAVED_S)
+        assert kept.heads() == []
+        assert kept.told() == []
 
 
 def outcome_told(name: str) -> bool:

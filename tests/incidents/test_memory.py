@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import msgpack
@@ -35,13 +36,20 @@ def name() -> Iterator[str]:
     segment.unlink_all(instance)
 
 
-def copied(name: str) -> dict[str, dict[str, Any]]:
+@contextmanager
+def opened(name: str) -> Iterator[dict[str, int]]:
+    """The descriptors of a run's segments, for the length of a block."""
     fds = segment.open_all(name)
-    assert list(fds) == list(layout.PROCESSES)
-    run, found = memory.copy(fds, name)
-    assert run == RUN
+    yield fds
     for fd in fds.values():
         os.close(fd)
+
+
+def copied(name: str) -> dict[str, dict[str, Any]]:
+    with opened(name) as fds:
+        assert list(fds) == list(layout.PROCESSES)
+        run, found = memory.copy(fds, name)
+    assert run == RUN
     return found
 
 
@@ -80,22 +88,17 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
 
 def test_segments_that_were_unlinked_can_still_be_copied(name: str) -> None:
     owned(name, layout.SUPERVISOR).word("epoch").set(77)
-    fds = segment.open_all(name)
-    segment.unlink_all(name)
-    run, data = segment.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
+    with opened(name) as fds:
+        segment.unlink_all(name)
+        run, data = segment.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
     assert run == RUN
     assert memory.segment(layout.SUPERVISOR, run, data)["words"]["epoch"] == 77
-    for fd in fds.values():
-        os.close(fd)
 
 
 def test_a_truncated_segment_is_refused_with_a_reason(name: str) -> None:
     os.truncate(f"/dev/shm/failstop.{name}.gate", 4096)
-    fds = segment.open_all(name)
-    with pytest.raises(segment.AttachError, match="wrong size"):
+    with opened(name) as fds, pytest.raises(segment.AttachError, match="wrong size"):
         segment.copy(fds[layout.GATE], name, layout.GATE)
-    for fd in fds.values():
-        os.close(fd)
 
 
 def test_a_pipe_in_a_segments_place_holds_nobody_up(name: str) -> None:
@@ -103,19 +106,15 @@ def test_a_pipe_in_a_segments_place_holds_nobody_up(name: str) -> None:
     path = f"/dev/shm/failstop.{name}.gate"
     os.unlink(path)
     os.mkfifo(path)
-    fds = segment.open_all(name)
-    assert layout.GATE not in fds
-    for fd in fds.values():
-        os.close(fd)
+    with opened(name) as fds:
+        assert layout.GATE not in fds
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to give a file away")
 def test_another_users_file_is_not_a_run_of_ours(name: str) -> None:
     os.chown(f"/dev/shm/failstop.{name}.gate", 65534, -1)
-    fds = segment.open_all(name)
-    assert layout.GATE not in fds
-    for fd in fds.values():
-        os.close(fd)
+    with opened(name) as fds:
+        assert layout.GATE not in fds
 
 
 def test_nothing_there_is_nothing_found() -> None:

@@ -2,98 +2,88 @@
 
 from __future__ import annotations
 
-import time
-from pathlib import Path
+from typing import Any
 
 import pytest
 
-from failstop.api.errors import NoService
-from failstop.api.snapshot import State
-from failstop.cli.commands import incident as command
-from failstop.cli.main import main
-from failstop.policy import causes
+from failstop.incidents import files
+from failstop.lab.machine.files import Regular
 from tests.support.incident_parts import drive_and_die
-from tests.support.states import latched, state, stop
+from tests.support.simulated import Simulated
 
-DIED = causes.DIED("gate")
-STOPPED_S = 1_700_000_000.0
+FOLDER = "/var/lib/failstop/failstop/incidents"
+OLDER = "20260921-143320-gate-died.incident"
+NS = 1_000_000_000
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    return tmp_path / "incidents"
+def service() -> Simulated:
+    """A service that runs; the machine's saver saves nothing."""
+    return Simulated()
 
 
-def runs(monkeypatch: pytest.MonkeyPatch, told: State | None) -> None:
-    """A service that tells this of itself; None: there is none."""
-
-    class Reader:
-        def __init__(self, name: str) -> None:
-            if told is None:
-                raise NoService(name)
-
-        def read(self) -> State:
-            assert told is not None
-            return told
-
-    monkeypatch.setattr(command, "StateReader", Reader)
+@pytest.fixture
+def command(service: Simulated) -> Any:
+    """The module of `failstop incident`, on that machine."""
+    return service.load("failstop.cli.commands.incident")
 
 
-def saved(folder: Path, after_s: float) -> None:
-    """An incident whose cause was so long after the stop."""
-    drive_and_die().save(folder, "20260921-143320-gate-died", unix_ns=round((STOPPED_S + after_s) * 1e9))
+def saved(service: Simulated, after_s: float, name: str = OLDER) -> None:
+    """An incident whose cause was so long after the last stop."""
+    made = drive_and_die()
+    unix_ns = round((service.robot.state.last_stop.t + after_s) * NS)
+    file = Regular()
+    file.put(files.build(made.head(unix_ns=unix_ns), made.body()), 0)
+    service.lab.machine.root.folder(FOLDER).put(name, file)
 
 
-STOPPED = latched(DIED, last_stop=stop(DIED, t=STOPPED_S))
-AGAIN = latched(DIED, last_stop=stop(causes.DIED("telemetry"), t=STOPPED_S))
-RESET = state(last_stop=stop(DIED, t=STOPPED_S))
+def replace(service: Simulated, process: str) -> None:
+    """This process dies; returns when the service is whole again."""
+    pid = service.pids()[process]
+    service.die(process)
+    service.recover(process, pid)
 
 
-@pytest.mark.parametrize("told", [STOPPED, RESET])
-def test_a_stop_that_is_in_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch, told: State) -> None:
-    runs(monkeypatch, told)
-    assert command.unsaved("failstop") == told.last_stop
-    saved(folder, -30.0)
-    assert command.unsaved("failstop") == told.last_stop, "that is another's file"
-    saved(folder, 0.002)
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_stop_that_is_in_no_file(service: Simulated, command: Any, reset: bool) -> None:
+    replace(service, "gate")
+    if reset:
+        service.robot.reset()
+    stop = service.robot.state.last_stop
+    assert command.unsaved("failstop") == stop
+    saved(service, -30.0)
+    assert command.unsaved("failstop") == stop, "that is another's file"
+    saved(service, 0.002)
     assert command.unsaved("failstop") is None
 
 
-@pytest.mark.parametrize("told", [None, state(), AGAIN])
-@pytest.mark.usefixtures("folder")
-def test_nothing_is_to_come(monkeypatch: pytest.MonkeyPatch, told: State | None) -> None:
-    runs(monkeypatch, told)
+def test_nothing_is_to_come(service: Simulated, command: Any) -> None:
+    assert command.unsaved("nobody") is None
     assert command.unsaved("failstop") is None
+    service.board.unplug()
+    service.wait_for("the latch", lambda: service.robot.state.estop == "device lost")
+    assert command.unsaved("failstop") is not None
+    service.die("telemetry")
+    service.wait_for("its stop", lambda: service.robot.state.last_stop.reason == "telemetry died")
+    assert command.unsaved("failstop") is None, "it belongs to the file of the one that is latched"
 
 
-def test_its_file_is_waited_for(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    runs(monkeypatch, STOPPED)
-    saved(folder, -30.0)
-    now_s = [STOPPED_S + 1.0]
-
-    def sleep(seconds: float) -> None:
-        now_s[0] += seconds
-        if now_s[0] > STOPPED_S + 2.4:
-            saved(folder, 0.0)
-
-    monkeypatch.setattr(command.time, "sleep", sleep)  # type: ignore[attr-defined]
-    monkeypatch.setattr(command.time, "time", lambda: now_s[0])  # type: ignore[attr-defined]
-    assert main(["incident", "show"]) == 0
-    shown = capsys.readouterr()
-    assert "Incident 20260921-143320-gate-died-2\n" in shown.out
-    assert shown.err == ""
+def test_its_file_is_waited_for(service: Simulated) -> None:
+    replace(service, "gate")
+    saved(service, -30.0)
+    newer = OLDER.replace("died", "died-2")
+    service.lab.machine.at(service.now_ns() + 2 * NS, lambda: saved(service, 0.0, newer))
+    code, printed, errors = service.command("incident", "show")
+    assert (code, errors) == (0, "")
+    assert "Incident 20260921-143320-gate-died-2\n" in printed
 
 
-def test_an_older_one_is_not_shown_without_a_word(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    runs(monkeypatch, STOPPED)
-    saved(folder, -30.0)
-    assert time.time() > STOPPED_S + command.SAVED_S
-    assert main(["incident", "show"]) == 0
-    shown = capsys.readouterr()
-    assert shown.out.startswith("Incident ")
-    assert shown.err == "failstop: the last stop (gate died) is in no file so far: this is another\n"
+def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: Any) -> None:
+    replace(service, "gate")
+    saved(service, -30.0)
+    began_ns = service.now_ns()
+    code, printed, errors = service.command("incident", "show")
+    assert service.now_ns() - began_ns == pytest.approx(command.SAVED_S * NS, abs=NS // 10)
+    assert code == 0
+    assert printed.startswith("Incident ")
+    assert errors == "failstop: the last stop (gate died) is in no file so far: this is another\n"

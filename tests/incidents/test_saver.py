@@ -43,14 +43,14 @@ class Saving:
         self.supervisor = segment.attach(self.name, layout.SUPERVISOR, RUN, write=True)
         self.port_owner = segment.attach(self.name, layout.PORT_OWNER, RUN, write=True)
         self.fds = segment.open_all(self.name)
-        self.result, self._told = os.pipe()
-        self._wait, self.hurry = os.pipe()
+        self.result, self.told = os.pipe()
+        self.wait, self.hurry = os.pipe()
 
     def start(self, **words: object) -> subprocess.Popen[bytes]:
-        passed = [*self.fds.values(), self._told, self._wait]
+        passed = [*self.fds.values(), self.told, self.wait]
         listed = ",".join(f"{which}:{fd}" for which, fd in self.fds.items())
         words = {"name": self.name, "keep": 9, "max_mb": 9, "until_ns": 0, **words}
-        words |= {"fds": listed, "result": self._told}
+        words |= {"fds": listed, "result": self.told, "hurry": self.wait}
         search = [ROOT, *(entry for entry in sys.path if os.path.isabs(entry))]
         environment = {
             "FAILSTOP_PATH": os.pathsep.join(search),
@@ -61,7 +61,7 @@ class Saving:
         return subprocess.Popen(command, env=environment, pass_fds=passed)
 
     def save(self, **words: object) -> dict[str, object]:
-        self.start(hurry=self._wait, **words).wait(30)
+        self.start(**words).wait(30)
         told: dict[str, object] = msgpack.unpackb(os.read(self.result, 4096))
         return told
 
@@ -84,7 +84,7 @@ def saving(tmp_path: Path) -> Iterator[Saving]:
     made = Saving(tmp_path / "state")
     yield made
     segment.unlink_all(made.name)
-    for fd in (*made.fds.values(), made.result, made._told, made._wait, made.hurry):
+    for fd in (*made.fds.values(), made.result, made.told, made.wait, made.hurry):
         os.close(fd)
 
 
@@ -104,7 +104,7 @@ def test_one_file_with_everything(saving: Saving) -> None:
 
 
 def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> None:
-    process = saving.start(hurry=saving._wait, **saving.live(until_ns=time.monotonic_ns() + 10**12))
+    process = saving.start(**saving.live(until_ns=time.monotonic_ns() + 10**12))
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
     saving.port_owner.ring_writer("received").put(b"after", 100)
     saving.supervisor.word("epoch").set(99)
@@ -137,7 +137,7 @@ def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_l
     lose_port(saving, records.PORT_LOST)
     words = saving.live(cause=lost.pack().hex())
     cause_ns = int(str(words["cause_ns"]))
-    process = saving.start(hurry=saving._wait, **words)
+    process = saving.start(**words)
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
     size = len(BOARD.burst)
     saving.port_owner.ring_writer("box").put(box.pack_wire(box.BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
@@ -149,7 +149,7 @@ def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_l
 
 def test_a_service_that_ends_waits_for_no_port(saving: Saving) -> None:
     lose_port(saving, records.PORT_LOST)
-    process = saving.start(hurry=saving._wait, **saving.live())
+    process = saving.start(**saving.live())
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
     os.close(saving.hurry)
     saving.hurry = os.dup(saving.result)

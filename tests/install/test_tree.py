@@ -8,8 +8,10 @@ import marshal
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -74,37 +76,33 @@ def test_the_modules_are_compiled_for_their_place(tmp_path: Path) -> None:
     assert f"matches {tmp_path / 'new/module.py'}" in said.stderr
 
 
-def lack(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
-    """This package is not installed."""
-    real = metadata.distribution
+def lacking(package: str) -> Callable[[str], metadata.Distribution]:
+    """Finds what is installed but for this package."""
 
-    def found(name: str) -> metadata.Distribution:
+    def find(name: str) -> metadata.Distribution:
         if name == package:
             raise metadata.PackageNotFoundError(name)
-        return real(name)
+        return metadata.distribution(name)
 
-    monkeypatch.setattr(metadata, "distribution", found)
+    return find
 
 
-def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    lack(monkeypatch, "msgpack")
+def test_a_package_that_is_not_there_is_named() -> None:
     with pytest.raises(tree.BuildError, match=r"Python package msgpack is not in the environment .*`make deb` does"):
-        tree.running()
+        tree.running(find=lacking("msgpack"))
 
 
-def test_what_an_extra_needs_comes_along_where_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_an_extra_needs_comes_along_where_it_is_asked_for() -> None:
     def found(*extras: str) -> set[str]:
         return tops(tree.running(extras))
 
     assert not found() & {"tornado", "segno", "paho", "prometheus_client", "matplotlib", "pytest"}
     assert found("web") - found() >= {"tornado", "segno"}
     assert found("web", "fleet") - found("web") >= {"paho", "prometheus_client"}
-    lack(monkeypatch, "tornado")
     with pytest.raises(tree.BuildError, match="Python package tornado is not in the environment"):
-        tree.running(("web",))
+        tree.running(("web",), lacking("tornado"))
 
 
-def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metadata.Distribution, "files", None)
-    with pytest.raises(tree.BuildError, match=r"which files belong to the Python package .* is not recorded"):
-        tree.running()
+def test_a_package_that_is_not_pip_s_is_refused() -> None:
+    with pytest.raises(tree.BuildError, match="which files belong to the Python package x is not recorded"):
+        tree.running(find=lambda _: SimpleNamespace(name="x", requires=["x"], files=None))

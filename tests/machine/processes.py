@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import failstop
+from failstop.lab.machine.robot import COMMAND_EVERY_S
 from failstop.lab.simulate.scenarios import Play
-from failstop.lab.simulate.stage import PERIOD_S, SETTINGS, SPEED_MPS
+from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS
 from failstop.lab.trial import Trial, write_settings
 from failstop.shm import instance
 
@@ -98,7 +99,7 @@ class Processes:
         while time.monotonic() < until_s:
             robot.sensed()
             robot.drive(speed_mps, 0.0, 0.0)
-            time.sleep(PERIOD_S)
+            time.sleep(COMMAND_EVERY_S)
 
     def stop(self, robot: failstop.Robot, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -173,7 +174,7 @@ class Processes:
 
     def start_driver(self, seconds: float) -> subprocess.Popen[bytes]:
         """Another program, which drives for so long; returns when the wheels turn."""
-        words = (self.trial.name, seconds, SPEED_MPS, PERIOD_S)
+        words = (self.trial.name, seconds, SPEED_MPS, COMMAND_EVERY_S)
         driver = subprocess.Popen([sys.executable, "-c", DRIVER, *map(str, words)], stderr=subprocess.DEVNULL)
         self.trial.board.wait_wheels(True, 10.0)
         return driver

@@ -148,6 +148,8 @@ def files_have_names_and_bytes(on: System, folder: str) -> Story:
     fd = on.os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     story += [tried(on.os.open, path, os.O_RDWR | os.O_CREAT | os.O_EXCL), on.os.write(fd, b"abcdef")]
     story += [on.os.pread(fd, 3, 2), on.os.pwrite(fd, b"XY", 7), on.os.fstat(fd).st_size, on.os.pread(fd, 20, 0)]
+    on.os.posix_fallocate(fd, 0, 100)
+    story.append(on.os.fstat(fd).st_size)
     on.os.ftruncate(fd, 3)
     more = on.os.open(path, os.O_WRONLY | os.O_APPEND)
     on.os.write(more, b"!")
@@ -173,19 +175,40 @@ def a_session_is_killed_as_one(on: System, folder: str) -> Story:
     return [*story, tried(on.os.kill, -pid, 9), tried(on.os.kill, pid, 9)]
 
 
-def a_mask_takes_rights_away(on: System, folder: str) -> Story:
-    before = on.os.umask(0o27)
-    story: Story = [on.os.umask(0o27)]
-    on.os.close(on.os.open(f"{folder}/file", os.O_RDWR | os.O_CREAT, 0o666))
-    on.os.mkfifo(f"{folder}/pipe", 0o622)
-    on.os.mkdir(f"{folder}/folder", 0o777)
-    on.os.umask(before)
-    on.os.chmod(f"{folder}/folder", 0o777)
-    return [*story, *(oct(on.os.stat(f"{folder}/{name}").st_mode) for name in ("file", "pipe", "folder"))]
+def links_are_followed_unless_told_otherwise(on: System, folder: str) -> Story:
+    on.os.mkdir(f"{folder}/in", 0o755)
+    on.os.close(on.os.open(f"{folder}/in/file", os.O_RDWR | os.O_CREAT, 0o600))
+    for name, target in (("file", "in/file"), ("in", f"{folder}/in"), ("nothing", "absent")):
+        on.os.symlink(target, f"{folder}/to_{name}")
+    story: Story = [tried(on.os.symlink, "x", f"{folder}/in"), tried(on.os.mkfifo, f"{folder}/to_nothing")]
+    for name in ("to_file", "to_in", "to_nothing", "in", "to_in/file"):
+        for flags in (os.O_RDONLY, os.O_WRONLY, os.O_NOFOLLOW, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW):
+            found = tried(on.os.open, f"{folder}/{name}", flags)
+            story += [found if isinstance(found, str) else on.os.close(found)]
+        story += [oct(on.os.lstat(f"{folder}/{name}").st_mode >> 12), on.os.path.exists(f"{folder}/{name}")]
+    story += [
+        tried(on.os.rmdir, f"{folder}/in"),
+        tried(on.os.rmdir, f"{folder}/to_in"),
+        tried(on.os.unlink, f"{folder}/in"),
+    ]
+    on.os.unlink(f"{folder}/to_file")
+    return [*story, on.os.path.exists(f"{folder}/in/file"), on.os.path.lexists(f"{folder}/to_nothing")]
+
+
+def what_is_made_has_the_mode_that_the_mask_leaves(on: System, folder: str) -> Story:
+    story: Story = []
+    for mask in (0o027, 0o777, 0o022):
+        on.os.umask(mask)
+        on.os.close(on.os.open(f"{folder}/file{mask}", os.O_RDWR | os.O_CREAT, 0o666))
+        on.os.mkdir(f"{folder}/in{mask}", 0o777)
+        on.os.mkfifo(f"{folder}/pipe{mask}", 0o666)
+        story += [oct(on.os.lstat(f"{folder}/{name}{mask}").st_mode) for name in ("file", "in", "pipe")]
+        on.os.chmod(f"{folder}/file{mask}", 0o1622)
+        story += [oct(on.os.stat(f"{folder}/file{mask}").st_mode), on.os.umask(0o022)]
+    return story
 
 
 PROGRAMS = (
-    a_mask_takes_rights_away,
     a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
     an_eventfd_counts,
@@ -197,6 +220,8 @@ PROGRAMS = (
     a_descriptor_goes_through_a_socket,
     files_have_names_and_bytes,
     a_map_is_the_file,
+    links_are_followed_unless_told_otherwise,
+    what_is_made_has_the_mode_that_the_mask_leaves,
 )
 
 

@@ -50,7 +50,6 @@ ROOMS = {
             "tests/arm/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_memory.py",
-            "tests/procs/test_durable.py",
             "tests/procs/test_gate_halts.py",
             "tests/procs/test_gate_remarks.py",
             "tests/shm/test_[!npst]*.py",

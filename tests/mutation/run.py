@@ -31,7 +31,7 @@ SETTINGS = """
 source_paths = ["failstop"]
 only_mutate = {files}
 also_copy = {copied}
-pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist"]
+pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist", "-p", "tests.mutation.loaded"]
 pytest_add_cli_args_test_selection = {tests}
 # Every mutant of a method declares its attributes once more, which is no fault of the mutant.
 type_check_command = [

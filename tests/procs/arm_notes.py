@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.shm.packing import Note
+from tests.support.gate_scene import Scene
 
-from .arm_scene import ArmScene
-
-Make = Callable[..., ArmScene]
+Make = Callable[..., Scene]
 """A scene with other settings; two underscores are a point."""
 
 
-def notes(scene: ArmScene) -> Callable[[], list[tuple[str, str]]]:
+def notes(scene: Scene) -> Callable[[], list[tuple[str, str]]]:
     """(level, text) of what people are told from now on, since the last call."""
     ring = scene.own.ring_reader("notes")
 

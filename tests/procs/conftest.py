@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from tests.support.arm_settings import ARM
@@ -12,17 +9,14 @@ from tests.support.gate_scene import Scene
 
 from .arm_bench import ArmBench
 from .arm_notes import Make
-from .arm_scene import ArmScene
 from .client_side import Service
 from .gate_bench import Gate
 
 
 @pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
+def service() -> Service:
     """The gate's table of clients, and the clients' side of it."""
-    made = Service(tmp_path)
-    yield made
-    made.close()
+    return Service()
 
 
 @pytest.fixture
@@ -41,20 +35,17 @@ def driving(gate: Gate) -> Gate:
 
 
 @pytest.fixture
-def gate_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+def gate_scene() -> Scene:
     """The process at work, not only its core."""
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
+    return Scene()
 
 
 @pytest.fixture
-def arm_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
+def arm_scene() -> Scene:
     """The process at work, with an arm whose joints it has read."""
-    made = ArmScene(tmp_path, monkeypatch)
+    made = Scene(ARM)
     made.run(0.4)
-    yield made
-    made.close()
+    return made
 
 
 @pytest.fixture
@@ -64,14 +55,11 @@ def arm_bench() -> ArmBench:
 
 
 @pytest.fixture
-def arm_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Make:
+def arm_with() -> Make:
     """A scene with other settings, whose joints have been read."""
 
-    def made(**changed: object) -> ArmScene:
-        values = {key.replace("__", "."): value for key, value in changed.items()}
-        monkeypatch.setattr(ArmScene, "changed", {**ARM, **values})
-        scene = ArmScene(tmp_path, monkeypatch)
-        request.addfinalizer(scene.close)
+    def made(**changed: object) -> Scene:
+        scene = Scene({**ARM, **{key.replace("__", "."): value for key, value in changed.items()}})
         scene.run(0.4)
         return scene
 

@@ -16,20 +16,31 @@ Velocity = tuple[float, float, float]
 
 
 class Gate:
-    """A gate and its clock; without the scan gate, which has its own tests."""
+    """A gate and its clock; without the scan gate, where a test does not switch it on."""
 
-    def __init__(self, **changed: float | str) -> None:
-        values: dict[str, object] = {key.replace("__", "."): value for key, value in changed.items()}
+    def __init__(self, **changed: object) -> None:
+        values = {key.replace("__", "."): value for key, value in changed.items()}
         self.core = GateCore(Settings({"scan.gate": "off", **values}), ROBOT, T0)
         self.now = T0
 
     def step(self, elapsed_ns: int = TICK) -> tuple[float, ...] | None:
         self.now += elapsed_ns
+        self.core.check_interlocks(self.now)
         return self.core.step(self.now)
 
-    def take(self, velocity: Velocity, session: int = 1, age_ns: int = 0) -> str:
-        fault = self.core.take(Command(session, f"client {session}", self.now - age_ns, velocity), self.now)
-        return str(fault or "")
+    def tick(self, elapsed_ns: int = TICK) -> float:
+        """The speed forward after a step."""
+        self.step(elapsed_ns)
+        return self.core.velocity[0]
+
+    def take(
+        self, velocity: Velocity, session: int = 1, age_ns: int = 0, *, source: str = "cmd_vel", manual: bool = False
+    ) -> str:
+        who, t_ns = f"client {session}", self.now - age_ns
+        return str(self.core.take(Command(session, who, t_ns, velocity, manual=manual, source=source), self.now) or "")
+
+    def command(self, vx: float, source: str = "cmd_vel", session: int = 1, *, manual: bool = False) -> str:
+        return self.take((vx, 0.0, 0.0), session, source=source, manual=manual)
 
     def drive(self, velocity: Velocity, ticks: int) -> list[Velocity]:
         """A fresh command at every tick; returns the velocity after each."""
@@ -42,6 +53,14 @@ class Gate:
 
     def enable(self, epoch: int = 1) -> None:
         assert told(self.core.enable(epoch, "", self.now)) == (True, "motion enabled")
+
+    def gone(self, session: int = 1, *, parted: bool = False) -> object:
+        """A client has left, or died; the cause of a stop for it."""
+        return self.core.client_gone(session, self.now, parted=parted)
+
+    def told(self) -> list[str]:
+        """What people are told, in words."""
+        return [note.text for note in self.core.notes]
 
     @property
     def blocked(self) -> str:

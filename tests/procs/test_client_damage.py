@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 import msgpack
 import pytest
 
 from failstop.shm import layout, records
-from failstop.shm.segment import Segment
+from tests.support.gate_scene import Client
+from tests.support.stage import INCARNATION
 
-from .client_side import INCARNATION, Client, Service
+from .client_side import Service
 
 # Damage.
 
 
-def scribble(client: Client, record: str, change: Callable[[bytearray], None]) -> None:
-    spec = client.segment.spec
+def scribble(client: Client, record: str, change: Callable[[bytes], bytes]) -> None:
+    spec, view = client.segment.spec, client.segment.view
     at, size = spec.offsets[record], spec.records[record].size()
-    view = client.segment.view
-    found = bytearray(view[at : at + size])
-    change(found)
-    view[at : at + size] = bytes(found)
+    view[at : at + size] = change(view[at : at + size])
 
 
-def flip_all(found: bytearray) -> None:
-    found[:] = bytes(byte ^ 0x55 for byte in found)
+def flip_all(found: bytes) -> bytes:
+    return bytes(byte ^ 0x55 for byte in found)
 
 
-def zero(found: bytearray) -> None:
-    found[:] = bytes(len(found))
+def zero(found: bytes) -> bytes:
+    return bytes(len(found))
 
 
 @pytest.mark.parametrize("change", [flip_all, zero])
 @pytest.mark.parametrize("record", ["command", "request"])
 def test_a_damaged_record_is_ignored_and_a_whole_one_counts_again(
-    service: Service, record: str, change: Callable[[bytearray], None]
+    service: Service, record: str, change: Callable[[bytes], bytes]
 ) -> None:
     client = service.join()
     service.look()
@@ -58,9 +55,9 @@ def test_a_damaged_hello_ends_the_session(service: Service) -> None:
     client.command()
     assert service.look() == [("gone", 11)]
     assert service.sessions() == []
-    client.hello(11, "back", os.getpid())
+    client.hello(11, "back", service.pid)
     assert service.look() == [], "a session that is over does not come back"
-    client.hello(12, "again", os.getpid())
+    client.hello(12, "again", service.pid)
     client.command(session=12)
     assert service.look() == [("command", 12, 0.1)]
 
@@ -70,11 +67,12 @@ def test_a_damaged_hello_ends_the_session(service: Service) -> None:
 def test_whole_records_of_any_content_raise_nothing(service: Service, record: str, payload: bytes) -> None:
     client = service.join()
     service.look()
-    writer = client.segment.latest_writer(record)
-    writer._capacity = 100  # a client may write more than the record is declared to hold
-    writer.write(payload)
+    cell, spec = service.scene.load("failstop.shm.cell"), client.segment.spec
+    most = 100  # a client may write more than the record is declared to hold
+    seed = cell.seed(f"{spec.name}.{record}", INCARNATION)
+    cell.LatestWriter(client.segment.view, spec.offsets[record], most, seed).write(payload)
     service.look()
-    client.hello(12, "again", os.getpid())
+    client.hello(12, "again", service.pid)
     client.command(session=12)
     assert ("command", 12, 0.1) in service.look()
 
@@ -82,7 +80,8 @@ def test_whole_records_of_any_content_raise_nothing(service: Service, record: st
 def test_records_of_another_run_are_ignored(service: Service) -> None:
     client = service.join()
     service.look()
-    old = Segment(client.segment.spec, INCARNATION + 1, fd=client.segment.fileno())
+    segment = service.scene.load("failstop.shm.segment").Segment
+    old = segment(client.segment.spec, INCARNATION + 1, fd=client.segment.fileno())
     old.latest_writer("command").write(records.COMMAND.pack(11, 0.2, 0.0, 0.0, False, "cmd_vel"))
     assert service.look() == []
 
@@ -92,9 +91,9 @@ def test_a_truncated_segment_is_a_client_gone(service: Service, size: int) -> No
     client = service.join()
     client.command()
     service.look()
-    os.ftruncate(client.segment.view.fd, size)  # type: ignore[union-attr]
+    service.scene.os.ftruncate(client.segment.fileno(), size)
     assert service.look() == [("gone", 11)]
-    os.ftruncate(client.segment.view.fd, client.segment.spec.size)  # type: ignore[union-attr]
+    service.scene.os.ftruncate(client.segment.fileno(), client.segment.spec.size)
     assert service.look() == []
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from math import isnan, nan
 
 import pytest
 
-from failstop.procs.gate import clients
 from failstop.shm import layout, records
-from tests.support.ptys import open_fds
-from tests.support.waiting import until
+from tests.support.gate_scene import NAMESPACE
+from tests.support.stage import Dummy
 
 from .client_side import NOW, Service
 
@@ -28,8 +25,8 @@ def test_a_client_with_claim_and_hello_is_there(service: Service) -> None:
     assert service.look(b"\x03") == []
     assert service.sessions() == [42]
     slot = service.table.active[0]
-    assert (slot.index, slot.name, slot.pid) == (3, "teleop", os.getpid())
-    assert slot.who() == f"teleop (pid {os.getpid()})"
+    assert (slot.index, slot.name, slot.pid) == (3, "teleop", service.pid)
+    assert slot.who() == f"teleop (pid {service.pid})"
 
 
 def test_no_claim_no_client(service: Service) -> None:
@@ -90,7 +87,7 @@ def test_a_command_arrives_once(service: Service) -> None:
     assert service.look() == []
     command = service.commanded
     assert (command.t_ns, command.velocity, command.manual) == (NOW - 7, (0.15, 0.0, 0.0), False)
-    assert command.who == f"teleop (pid {os.getpid()})"
+    assert command.who == f"teleop (pid {service.pid})"
 
 
 def test_the_newest_command_wins(service: Service) -> None:
@@ -191,7 +188,8 @@ def test_a_goodbye_is_told_from_a_death(service: Service, seen_by: str) -> None:
             client.segment.wipe()
         assert service.look() == [("gone", 21 + parted)]
         assert service.parted is parted
-        client.close()
+        if seen_by == "the slot":
+            client.leave()
         service.look()
 
 
@@ -213,7 +211,7 @@ def test_a_slot_is_used_again_by_another_session(service: Service) -> None:
 def test_a_new_hello_under_the_same_claim_is_a_new_client(service: Service) -> None:
     client = service.join(session=31)
     service.look()
-    client.hello(32, "again", os.getpid())
+    client.hello(32, "again", service.pid)
     assert service.look() == [("gone", 31)]
     assert service.sessions() == [32]
     client.command(session=31)
@@ -230,22 +228,13 @@ def test_one_leaving_leaves_the_others(service: Service) -> None:
 
 
 def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> None:
-    go, wait = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        os.close(wait)
-        os.read(go, 1)
-        os._exit(0)
-    os.close(go)
-    client = service.join(pid=pid)
+    driver = Dummy(service.scene.machine, "driver")
+    client = service.join(pid=driver.pid)
     service.look()
     life = service.table.active[0].life
-    assert life is not None
     assert service.loop.wait(0) == {}
     client.leave()
-    os.close(wait)
-    until(lambda: service.loop.wait(0), "the lifeline")
-    os.waitpid(pid, 0)
+    driver.kill()
     ready = service.loop.wait(0)
     assert list(ready) == [life.fd]
     service.told.clear()
@@ -257,13 +246,11 @@ def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> 
 @pytest.mark.parametrize("namespace", [0, 1])
 def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, namespace: int) -> None:
     """A client in a container: here another process has its number, and that one's end is none of its own."""
-    other = os.fork()
-    if other == 0:
-        os._exit(0)
-    client = service.join(pid=other, namespace=namespace)
+    other = Dummy(service.scene.machine, "other")
+    client = service.join(pid=other.pid, namespace=namespace)
     service.look()
-    assert service.table.active[0].life.pid == 0  # type: ignore[union-attr]
-    os.waitpid(other, 0)
+    assert service.table.active[0].life.pid == 0
+    other.kill()
     assert service.loop.wait(0) == {}
     client.command()
     assert service.look() == [("command", 11, 0.1)]
@@ -272,62 +259,57 @@ def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, name
     assert service.told[-1] == ("gone", 11), "its claim tells of its own end"
 
 
-def test_where_the_own_namespace_is_not_known_nobody_is_watched(
-    service: Service, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(clients, "pid_namespace", lambda: 0)
+def test_where_the_own_namespace_is_not_known_nobody_is_watched(service: Service) -> None:
+    service.scene.os.unlink(NAMESPACE)
     service.start()
     service.join(namespace=0)
     service.look()
     assert service.sessions() == [11]
-    assert service.table.active[0].life.pid == 0  # type: ignore[union-attr]
+    assert service.table.active[0].life.pid == 0
 
 
 @pytest.mark.parametrize("namespace", [None, 1])
 def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, namespace: int | None) -> None:
     """The thread that holds it ends; the process, and with it pidfd and claim, is there as before."""
+    machine = service.scene.machine
     client = service.join(namespace=namespace)
     word = client.segment.futex("held", write=True)
-    go = threading.Event()
     kept: list[object] = []
 
     def hold() -> None:
         kept.append(word.hold())
-        go.wait()
+        machine.block()
 
-    thread = threading.Thread(target=hold)
-    thread.start()
-    until(word.held, "the futex is held")
+    thread = machine.thread(machine.processes[service.pid], hold)
+    service.scene.clock.now_ns += 1
+    assert word.held()
     service.look()
-    go.set()
-    thread.join()
-    ready = {service.early.bell.fd: 1}
-    until(lambda: service.table.active[0].life.marked, "the early news")  # type: ignore[union-attr]
+    life = service.table.active[0].life
+    service.scene.clock.now_ns += 1
+    assert not life.marked
+    machine.wake(thread)
+    service.scene.clock.now_ns += 1
+    assert life.marked
     service.told.clear()
-    service.table.lives_ended(ready, NOW)
+    service.table.lives_ended({service.early.bell.fd: 1}, NOW)
     assert service.told == [("gone", 11)]
     word.close()
 
 
 def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: Service) -> None:
     """What a driver has forked inherits its claim; the driver has gone all the same."""
-    pid = os.fork()
-    if pid == 0:
-        os._exit(0)
-    client = service.join(pid=pid)
+    driver = Dummy(service.scene.machine, "driver")
+    client = service.join(pid=driver.pid)
     service.look()
-    life = service.table.active[0].life
-    assert life is not None
-    until(lambda: service.loop.wait(0), "the lifeline")
+    driver.kill()
     service.told.clear()
     service.table.lives_ended(service.loop.wait(0), NOW)
-    os.waitpid(pid, 0)
     assert service.told == [("gone", 11)]
     assert service.loop.wait(0) == {}
     client.command()
     client.request()
     assert service.look() == [], "nor does what it left behind count"
-    client.hello(12, "heir", os.getpid())
+    client.hello(12, "heir", service.pid)
     client.command(session=12)
     assert service.look() == [("command", 12, 0.1)]
 
@@ -341,13 +323,13 @@ def test_descriptors_that_are_no_lifeline_are_ignored(service: Service) -> None:
 
 
 def test_coming_and_going_uses_nothing_up(service: Service) -> None:
-    before = open_fds()
+    before = service.scene.open_fds()
     for session in range(1, 50):
         client = service.join(4, session)
         service.look()
         client.leave()
         service.look()
-    assert open_fds() == before
+    assert service.scene.open_fds() == before
 
 
 # Hints.

@@ -8,13 +8,13 @@ import pytest
 
 from failstop.shm import records
 from tests.support.arm_settings import SERVOS, TUCK
+from tests.support.gate_scene import Scene
 
 from .arm_notes import Make, notes
-from .arm_scene import ArmScene
 
 
 @pytest.fixture
-def scene(arm_scene: ArmScene) -> ArmScene:
+def scene(arm_scene: Scene) -> Scene:
     return arm_scene
 
 
@@ -29,7 +29,7 @@ def scene(arm_scene: ArmScene) -> ArmScene:
         ({"supply_mv": 5999}, "has less than 6000 mV; with little less it lets go"),
     ],
 )
-def test_fault_of_a_servo_is_told_once_and_its_end(scene: ArmScene, fault: dict[str, Any], text: str) -> None:
+def test_fault_of_a_servo_is_told_once_and_its_end(scene: Scene, fault: dict[str, Any], text: str) -> None:
     news = notes(scene)
     scene.run(20.0)
     assert news() == []

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import inf, nan
-from pathlib import Path
 from random import Random
 
 import pytest
@@ -13,9 +11,8 @@ from failstop.policy import causes
 from failstop.shm import records
 from tests.support.amounts import amount
 from tests.support.arm_settings import ARM, SERVOS
+from tests.support.gate_scene import Scene
 from tests.support.stage import MS
-
-from .arm_scene import OTHER, SESSION, ArmScene
 
 FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 VERBS = (records.ARM_DRIVE, records.ARM_TUCK, records.ARM_HOLD, records.ARM_RELEASE, records.ARM_READ)
@@ -33,16 +30,13 @@ def rows(random: Random, servos: list[int]) -> list[tuple[float, list[float]]]:
     return [(t_s, [random.choice(ANGLES[:6]) for _ in servos]) for t_s in times]
 
 
-def ask(scene: ArmScene, random: Random) -> None:
+def ask(scene: Scene, random: Random) -> None:
     """Ask for something at random, as one of two clients, the gamepad, or whoever stops."""
     client = int(random.random() < 0.1)
     servos = random.sample(SERVOS, random.randint(1, len(SERVOS)))
     kind = random.random()
     if kind < 0.3:
-        share = random.choice((1.0, 0.2, 0.0, 7.0))
-        packed = records.ARM_PATH.pack((SESSION, OTHER)[client], share, servos, rows(random, servos))
-        scene.segment_of(client).latest_writer("arm_path").write(packed, scene.clock())
-        scene.ask_for(records.ARM_MOVE, client)
+        scene.go(random.choice((1.0, 0.2, 0.0, 7.0)), servos, rows(random, servos), client)
     elif kind < 0.75:
         scene.goal(random.choice((FOLLOW, JOG)), {servo: random.choice(ANGLES) for servo in servos}, client)
     elif kind < 0.9:
@@ -56,26 +50,24 @@ def ask(scene: ArmScene, random: Random) -> None:
 
 
 @pytest.fixture(params=[{}, {"arm.collision": "off"}], ids=["minds what is in the way", "does not"])
-def scene(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
-    monkeypatch.setattr(ArmScene, "changed", {**ARM, **request.param})
-    made = ArmScene(tmp_path, monkeypatch)
+def scene(request: pytest.FixtureRequest) -> Scene:
+    made = Scene(ARM | request.param)
     made.run(0.4)
-    yield made
-    made.close()
+    return made
 
 
-def turns_in_a_second(scene: ArmScene) -> int:
+def turns_in_a_second(scene: Scene) -> int:
     """How often the gate wakes while nobody asks for anything."""
     began_ns, turns = scene.clock(), 0
     while scene.clock() - began_ns < 1000 * MS:
-        scene.turn()
+        scene.wake()
         assert scene.gate.loop.due_ns() > scene.clock()
         turns += 1
     return turns
 
 
 @pytest.mark.timeout(3600)
-def test_no_goal_leaves_a_timer_in_the_past(scene: ArmScene) -> None:
+def test_no_goal_leaves_a_timer_in_the_past(scene: Scene) -> None:
     random = Random(GOALS)
     taken = refused = 0
     for number in range(GOALS // 2):
@@ -85,7 +77,7 @@ def test_no_goal_leaves_a_timer_in_the_past(scene: ArmScene) -> None:
         else:
             ask(scene, random)
         for _ in range(random.choice((1, 1, 2, 3, 5, 30))):
-            scene.turn()
+            scene.wake()
             assert scene.gate.loop.due_ns() > scene.clock(), number
         taken += scene.gate.arm is not None and bool(scene.gate.arm.core.followed)
         refused += bool(scene.state()["refused"])
@@ -94,7 +86,7 @@ def test_no_goal_leaves_a_timer_in_the_past(scene: ArmScene) -> None:
     assert min(taken, refused) > GOALS / 50, "the goals are of both kinds"
 
 
-def test_a_move_that_is_refused_as_too_fast_leaves_the_gate_asleep(scene: ArmScene) -> None:
+def test_a_move_that_is_refused_as_too_fast_leaves_the_gate_asleep(scene: Scene) -> None:
     scene.travel({1: 0.3}, over_s=0.05)
     done, text = scene.finish()
     assert (done, text.startswith("joint base at 6.000 rad/s")) == (records.REFUSED, True)

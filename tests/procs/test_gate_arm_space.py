@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import ClassVar
+from collections.abc import Callable
 
 import pytest
 
@@ -13,8 +11,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import records
 from tests.support.arm_settings import ARM, JOINTS, SERVOS
-
-from .arm_scene import ArmScene
+from tests.support.gate_scene import Scene
 
 LINKS = (("yaw", 0.05), ("pitch", 0.15), ("pitch", 0.15), ("pitch", 0.1), ("roll", 0.0), ("none", 0.0))
 LOW = round(500 + 1.5 * PULSES_PER_RAD)
@@ -34,64 +31,60 @@ MODEL = Model(Settings(SHAPE))
 ELBOW = 3
 
 
-class SpaceScene(ArmScene):
-    """An arm with a shape, in mid-air beside its robot."""
+def gap_m(scene: Scene) -> float:
+    """By the model, from where the servos truly are."""
+    angles = [(scene.at(servo) - 500) / PULSES_PER_RAD for servo in SERVOS]
+    return MODEL.nearest(dict(zip(JOINTS, angles, strict=True)))[0]
 
-    changed: ClassVar[dict[str, object]] = SHAPE
 
-    def gap_m(self) -> float:
-        """By the model, from where the servos truly are."""
-        angles = [(self.at(servo) - 500) / PULSES_PER_RAD for servo in SERVOS]
-        return MODEL.nearest(dict(zip(JOINTS, angles, strict=True)))[0]
-
-    def watch(self, seconds: float, each: Callable[[], None]) -> float:
-        """Let time pass; returns the smallest gap there was."""
-        least_m = self.gap_m()
-        for _ in range(round(seconds / 0.02)):
-            each()
-            self.run(0.02)
-            least_m = min(least_m, self.gap_m())
-        return least_m
+def watch(scene: Scene, seconds: float, each: Callable[[], None]) -> float:
+    """Let time pass; returns the smallest gap there was."""
+    least_m = gap_m(scene)
+    for _ in range(round(seconds / 0.02)):
+        each()
+        scene.run(0.02)
+        least_m = min(least_m, gap_m(scene))
+    return least_m
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SpaceScene]:
-    made = SpaceScene(tmp_path, monkeypatch)
+def scene() -> Scene:
+    """An arm with a shape, in mid-air beside its robot."""
+    made = Scene(SHAPE)
     made.run(1.2)
     made.travel({1: 1.5, 2: 1.5})
     assert made.finish() == (records.DONE, "arm is there")
-    yield made
-    made.close()
+    return made
 
 
-def test_follow_ends_before_it_and_goes_back_from_there(scene: SpaceScene) -> None:
-    assert scene.watch(2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 1.5, 4: 0.2})) > -0.001
-    assert scene.gap_m() < 0.02, "it went as far as it could"
+def test_follow_ends_before_it_and_goes_back_from_there(scene: Scene) -> None:
+    assert watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 1.5, 4: 0.2})) > -0.001
+    assert gap_m(scene) < 0.02, "it went as far as it could"
     assert scene.state()["refused"] == f"the arm would hit something on its way: wrist and {FLOOR}"
-    assert scene.gate.core.latch is None
-    scene.watch(2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 0.0, 4: 0.0}))
+    assert scene.latched() is None
+    watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 0.0, 4: 0.0}))
     assert scene.at(ELBOW) == pytest.approx(500, abs=2)
     assert scene.state()["refused"] == ""
 
 
-def test_jog_ends_before_it(scene: SpaceScene) -> None:
-    assert scene.watch(2.5, lambda: scene.goal(records.ARM_JOG, {ELBOW: 0.8})) > -0.001
+def test_jog_ends_before_it(scene: Scene) -> None:
+    assert watch(scene, 2.5, lambda: scene.goal(records.ARM_JOG, {ELBOW: 0.8})) > -0.001
     assert FLOOR in scene.state()["refused"]
 
 
-def test_so_does_the_gamepad_s(scene: SpaceScene) -> None:
-    assert scene.watch(2.5, lambda: scene.pad(JOINTS.index("elbow"), 0.8)) > -0.001
-    assert scene.gap_m() < 0.02
+def test_so_does_the_gamepad_s(scene: Scene) -> None:
+    assert watch(scene, 2.5, lambda: scene.pad(JOINTS.index("elbow"), 0.8)) > -0.001
+    assert gap_m(scene) < 0.02
 
 
-def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: SpaceScene) -> None:
+def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene) -> None:
     scene.travel({ELBOW: 1.5})
-    assert scene.watch(2.5, lambda: None) > -0.001
+    assert watch(scene, 2.5, lambda: None) > -0.001
     assert scene.answered() == (records.REFUSED, f"the arm would hit something on its way: wrist and {FLOOR}")
     assert not scene.state()["moving"]
 
 
-def test_a_pose_and_the_way_to_enable_likewise(scene: SpaceScene) -> None:
+def test_a_pose_and_the_way_to_enable_likewise(scene: Scene) -> None:
     scene.ask_for(records.ARM_TUCK)
     assert scene.finish()[1].startswith("the arm would hit something")
     scene.ask_for(records.ENABLE)
@@ -100,35 +93,31 @@ def test_a_pose_and_the_way_to_enable_likewise(scene: SpaceScene) -> None:
         records.REFUSED,
         f"arm is not in the drive pose: the arm would hit something on its way: wrist and {FLOOR}",
     )
-    assert scene.gap_m() > -0.001
+    assert gap_m(scene) > -0.001
     assert not scene.gate.core.enabled
 
 
-def test_an_arm_that_can_not_tuck_itself_says_so(scene: SpaceScene) -> None:
-    notes = scene.own.ring_reader("notes")
+def test_an_arm_that_can_not_tuck_itself_says_so(scene: Scene) -> None:
     scene.run(26.0)
-    said = []
-    while entry := notes.next():
-        said.append(entry[2])
-    assert any(b"the arm did not tuck itself: the arm would hit something" in note for note in said)
-    assert scene.gap_m() > -0.001
+    assert any("the arm did not tuck itself: the arm would hit something" in text for text in scene.told())
+    assert gap_m(scene) > -0.001
 
 
-def test_what_touches_already_may_part(scene: SpaceScene) -> None:
+def test_what_touches_already_may_part(scene: Scene) -> None:
     """By hand, or since the model is not exact: what is there must not be kept there."""
     scene.servos.change(ELBOW, scene.clock(), position=LOW)
     scene.ask_for(records.ARM_READ)
     scene.finish()
-    touching_m = scene.gap_m()
+    touching_m = gap_m(scene)
     assert touching_m < 0
     scene.travel({ELBOW: 2.0})
     assert scene.finish()[0] == records.REFUSED
-    assert scene.gap_m() == pytest.approx(touching_m, abs=0.003)
+    assert gap_m(scene) == pytest.approx(touching_m, abs=0.003)
     scene.travel({ELBOW: 0.0})
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: SpaceScene) -> None:
+def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: Scene) -> None:
     scene.servos.change(10, scene.clock(), silent=True)
     scene.ask_for(records.ARM_READ)
     assert "gripper" in scene.finish()[1]
@@ -136,7 +125,7 @@ def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: SpaceScene) -> N
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_where_all_of_them_are_is_read_before_one_of_them_moves(scene: SpaceScene) -> None:
+def test_where_all_of_them_are_is_read_before_one_of_them_moves(scene: Scene) -> None:
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
     scene.gate.arm.core.forget()  # type: ignore[union-attr]

@@ -11,10 +11,10 @@ from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.arm.shell import LONGEST_S
 from failstop.shm import records
 from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
+from tests.support.gate_scene import SESSION, Scene
 from tests.support.stage import MS
 
 from .arm_notes import Make
-from .arm_scene import SESSION, ArmScene
 
 NO_JOINTS = "a trajectory for joints that the arm does not have"
 TIMES = f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
@@ -22,20 +22,20 @@ ANGLE = "joint base to 3 rad: allowed is -2.094 to 2.094"
 
 
 @pytest.fixture
-def scene(arm_scene: ArmScene) -> ArmScene:
+def scene(arm_scene: Scene) -> Scene:
     return arm_scene
 
 
-def path(scene: ArmScene, rows: list[tuple[float, list[float]]], servos: list[int], share: float = 1.0) -> None:
+def path(scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float = 1.0) -> None:
     packed = records.ARM_PATH.pack(SESSION, share, servos, rows)
-    scene.segment_of(0).latest_writer("arm_path").write(packed, scene.clock())
+    scene.clients[0].segment.latest_writer("arm_path").write(packed, scene.clock())
     scene.ask_for(records.ARM_MOVE)
 
 
 # Trajectories.
 
 
-def test_move_without_a_trajectory_is_refused(scene: ArmScene) -> None:
+def test_move_without_a_trajectory_is_refused(scene: Scene) -> None:
     scene.ask_for(records.ARM_MOVE)
     assert scene.finish() == (records.REFUSED, "no trajectory came with the request")
 
@@ -56,7 +56,7 @@ def test_move_without_a_trajectory_is_refused(scene: ArmScene) -> None:
     ],
 )
 def test_trajectory_that_can_not_be_gone_is_refused(
-    scene: ArmScene, rows: list[tuple[float, list[float]]], servos: list[int], share: float, told: str
+    scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float, told: str
 ) -> None:
     path(scene, rows, servos, share)
     assert scene.finish() == (records.REFUSED, told)
@@ -64,14 +64,14 @@ def test_trajectory_that_can_not_be_gone_is_refused(
 
 
 @pytest.mark.parametrize("rows", [[(LONGEST_S, [0.0])], [(0.5, [0.1]), (LONGEST_S, [0.0])]])
-def test_trajectory_may_take_the_longest_time(scene: ArmScene, rows: list[tuple[float, list[float]]]) -> None:
+def test_trajectory_may_take_the_longest_time(scene: Scene, rows: list[tuple[float, list[float]]]) -> None:
     path(scene, rows, [1])
     scene.run(0.5)
     assert scene.answered()[1] == f"arm, move: on its way, {(LONGEST_S * 1e9 - 0.4e9) / 1e9:.1f} s left"
 
 
 @pytest.mark.parametrize(("share", "over_s"), [(1.0, 0.5), (0.25, 2.0)])
-def test_way_without_a_time_takes_the_share_of_its_speed(scene: ArmScene, share: float, over_s: float) -> None:
+def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene, share: float, over_s: float) -> None:
     path(scene, [(0.0, [0.5, -0.1])], [1, 2], share)
     assert scene.finish() == (records.DONE, "arm is there")
     assert scene.at(1) == pytest.approx(500 + 0.5 * PULSES_PER_RAD, abs=1)
@@ -79,12 +79,12 @@ def test_way_without_a_time_takes_the_share_of_its_speed(scene: ArmScene, share:
     assert (scene.moves[-1][0] - scene.moves[0][0]) * 1e-9 == pytest.approx(over_s, abs=share and 0.35)
 
 
-def test_progress_is_told_five_times_a_second(scene: ArmScene) -> None:
+def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
     reply = scene.own.latest_reader("reply.0")
     path(scene, [(2.0, [0.5])], [1])
     told: dict[int, int] = {}
     while scene.answered()[0] == records.UNDER_WAY:
-        scene.turn()
+        scene.wake()
         if entry := reply.read():
             told.setdefault(entry[0], scene.clock())
     gaps = [after - before for before, after in pairwise(told.values())][1:-1]
@@ -95,14 +95,14 @@ def test_progress_is_told_five_times_a_second(scene: ArmScene) -> None:
 # Who waits.
 
 
-def test_client_that_leaves_gives_up_what_it_waits_for(scene: ArmScene) -> None:
+def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
     scene.ask_for(records.ENABLE)
     scene.run(0.8)
     assert scene.state()["moving"]
-    scene.segment_of(1).wipe()
+    scene.clients[1].segment.wipe()
     scene.run(0.1)
     assert scene.state()["moving"], "another one's leaving is nothing to it"
-    scene.segment_of(0).wipe()
+    scene.clients[0].segment.wipe()
     scene.run(0.02)
     stood = scene.at(2)
     scene.run(3.0)
@@ -110,10 +110,10 @@ def test_client_that_leaves_gives_up_what_it_waits_for(scene: ArmScene) -> None:
     assert not scene.gate.core.enabled
 
 
-def test_reply_is_not_for_who_has_the_slot_next(scene: ArmScene) -> None:
+def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
     scene.travel({1: 0.2})
     scene.run(0.2)
-    scene.segment_of(0).latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
+    scene.clients[0].segment.latest_writer("hello").write(records.HELLO.pack(SESSION + 5, 0, 0, "heir"))
     scene.run(2.0)
     assert scene.answered()[0] == records.UNDER_WAY
 
@@ -122,7 +122,7 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: ArmScene) -> None:
     ("verb", "done"),
     [(records.ARM_HOLD, "arm held"), (records.ARM_RELEASE, "arm released: its torque is off")],
 )
-def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(scene: ArmScene, verb: int, done: str) -> None:
+def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(scene: Scene, verb: int, done: str) -> None:
     scene.travel({1: 1.0})
     scene.run(0.5)
     scene.ask_for(verb)
@@ -132,7 +132,7 @@ def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(scene: ArmSc
     assert scene.state()["released"] == (verb == records.ARM_RELEASE)
 
 
-def test_hold_of_another_client_names_it(scene: ArmScene) -> None:
+def test_hold_of_another_client_names_it(scene: Scene) -> None:
     scene.travel({1: 1.0})
     scene.run(0.5)
     scene.ask_for(records.ARM_HOLD, client=1)
@@ -140,17 +140,17 @@ def test_hold_of_another_client_names_it(scene: ArmScene) -> None:
     assert scene.answered() == (records.REFUSED, "held by other (pid 0)")
 
 
-def test_hold_ends_a_release(scene: ArmScene) -> None:
+def test_hold_ends_a_release(scene: Scene) -> None:
     scene.travel({1: 0.1})
     scene.finish()
     scene.ask_for(records.ARM_RELEASE)
-    scene.turn()
+    scene.wake()
     scene.ask_for(records.ARM_HOLD)
     scene.run(0.5)
     assert not scene.servos.by_id[1].limp()
 
 
-def test_newer_way_preempts_the_older(scene: ArmScene) -> None:
+def test_newer_way_preempts_the_older(scene: Scene) -> None:
     scene.travel({1: 1.0})
     scene.run(0.5)
     scene.travel({1: -0.2})
@@ -167,15 +167,15 @@ def test_pose_that_the_settings_do_not_have_is_refused(arm_with: Make) -> None:
     assert scene.state()["pose"] == "drive"
 
 
-def test_way_while_another_client_moves_it_is_refused_and_latches(scene: ArmScene) -> None:
+def test_way_while_another_client_moves_it_is_refused_and_latches(scene: Scene) -> None:
     scene.goal(records.ARM_FOLLOW, {1: 0.1})
     scene.run(0.1)
     scene.travel({1: 0.2}, client=1)
     assert scene.finish(client=1)[1].startswith("a stop is latched")
-    assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)")
+    assert scene.latched() == str(causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)"))
 
 
-def test_goal_for_joints_that_are_none_is_refused_by_name(scene: ArmScene) -> None:
+def test_goal_for_joints_that_are_none_is_refused_by_name(scene: Scene) -> None:
     for mode, servo in ((records.ARM_FOLLOW, 7), (9, 1)):
         scene.goal(mode, {servo: 0.1})
         scene.run(0.02)
@@ -202,7 +202,7 @@ def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with:
 # The gamepad.
 
 
-def test_gamepad_turns_by_its_share_of_the_joint_s_speed_and_no_joint_that_is_none(scene: ArmScene) -> None:
+def test_gamepad_turns_by_its_share_of_the_joint_s_speed_and_no_joint_that_is_none(scene: Scene) -> None:
     for _ in range(20):
         scene.pad(len(JOINTS), 0.5)
         scene.run(0.05)
@@ -223,7 +223,7 @@ def test_gamepad_turns_by_its_share_of_the_joint_s_speed_and_no_joint_that_is_no
 # The state.
 
 
-def test_state_says_what_the_arm_does_and_for_whom(scene: ArmScene) -> None:
+def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
     assert {key: scene.state()[key] for key in ("mode", "phase", "moving", "by", "refused", "closed", "released")} == {
         "mode": "",
         "phase": "",
@@ -239,7 +239,7 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: ArmScene) -> None:
     scene.travel({1: 0.5})
     phases: list[str] = []
     while scene.answered()[0] == records.UNDER_WAY:
-        scene.turn()
+        scene.wake()
         if (state := scene.state())["phase"] not in phases[-1:]:
             phases.append(state["phase"])
     assert phases == ["switching its torque on", "on its way", "settling", "reading back where it is", ""]
@@ -260,7 +260,7 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: ArmScene) -> None:
     assert scene.state()["closed"] == "a stop is latched"
 
 
-def test_read_tells_where_each_joint_is(scene: ArmScene) -> None:
+def test_read_tells_where_each_joint_is(scene: Scene) -> None:
     scene.servos.change(4, scene.clock(), position=320.0)
     scene.ask_for(records.ARM_READ)
     scene.run(0.02)

@@ -7,15 +7,16 @@ from hypothesis import strategies as st
 
 from failstop.policy import causes
 from failstop.procs.gate.conditions import AHEAD_NS, LEFT, NOBODY, Attendance
-from tests.procs.gate_bench import MS, T0, Gate
 from tests.support.why import told
+
+from .gate_bench import MS, T0, Gate
 
 LEASE = 1000 * MS
 
 
 def attended() -> Gate:
     """A gate that needs an operator, and has one since now."""
-    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    gate = Gate(attend__required="on")
     gate.core.attendance.hear(1, "Anna", gate.now, gate.now)
     return gate
 
@@ -31,7 +32,7 @@ def test_it_is_off_by_default() -> None:
 
 
 def test_nobody_attends() -> None:
-    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    gate = Gate(attend__required="on")
     assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
 
 
@@ -121,7 +122,7 @@ def test_a_session_that_names_one_who_sleeps_has_nobody() -> None:
 
 
 def test_a_stamp_from_the_future_is_none() -> None:
-    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    gate = Gate(attend__required="on")
     gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS + 1, gate.now)
     assert gone(gate) is not None
     gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS, gate.now)

@@ -9,7 +9,6 @@ import pytest
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import STILL
-from failstop.procs.gate.sources import Command
 
 from .gate_bench import MS, Gate, stands
 
@@ -77,6 +76,6 @@ def test_it_cannot_be_switched_off(value: object) -> None:
 def test_a_manual_command_times_out_too(gate: Gate) -> None:
     """The exemption of manual commands is from the scan gate alone."""
     gate.enable()
-    assert gate.core.take(Command(1, "person", gate.now, (0.2, 0.0, 0.0), manual=True), gate.now) is None
+    assert gate.command(0.2, manual=True) == ""
     assert gate.core.blocked(gate.now + 300 * MS) == ""
     assert gate.core.blocked(gate.now + 300 * MS + 1) == "cmd timeout"

@@ -6,7 +6,6 @@ import pytest
 
 from failstop.policy import causes
 from failstop.procs.gate.core import REST, STILL
-from failstop.procs.gate.sources import Command
 
 from .client_side import Service
 from .gate_bench import MS, Gate, stands
@@ -29,7 +28,7 @@ def test_it_disables_motion_however_long_ago_it_commanded(silent_ns: int) -> Non
     dying = gate("disable")
     dying.step(silent_ns)
     dying.core.notes.clear()
-    assert dying.core.client_gone(1, dying.now) is None
+    assert dying.gone(1) is None
     assert (dying.blocked, dying.core.latch) == ("disabled", None)
     assert stands(dying)
     assert dying.step() is None
@@ -47,9 +46,9 @@ def test_one_that_waits_is_a_driver_as_well(dies: int) -> None:
     dying = Gate(sources__teleop__priority=10)
     dying.enable()
     dying.take(VELOCITY)
-    dying.core.take(Command(2, "client 2", dying.now, REST, manual=True, source="teleop"), dying.now)
+    dying.take(REST, 2, manual=True, source="teleop")
     dying.step()
-    dying.core.client_gone(dies, dying.now)
+    dying.gone(dies)
     assert dying.blocked == "disabled"
 
 
@@ -57,37 +56,37 @@ def test_one_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
     dying = Gate()
     dying.take(VELOCITY)
     dying.enable()
-    dying.core.client_gone(1, dying.now)
+    dying.gone(1)
     assert dying.blocked == "disabled"
 
 
 def test_one_that_has_commanded_nothing_is_none() -> None:
     dying = gate("disable")
-    dying.core.client_gone(2, dying.now)
+    dying.gone(2)
     assert dying.blocked == ""
-    assert dying.core.take(Command(3, "client 3", dying.now, VELOCITY, source="stranger"), dying.now) is None
-    dying.core.client_gone(3, dying.now)
+    assert dying.take(VELOCITY, 3, source="stranger") == ""
+    dying.gone(3)
     assert dying.blocked == "", "its commands were of no source"
 
 
 def test_it_is_told_each_time_however_often() -> None:
     dying = gate("disable")
     for _ in range(50):
-        dying.core.client_gone(1, dying.now)
+        dying.gone(1)
         dying.enable()
         dying.drive(VELOCITY, 3)
-    assert [note.text for note in dying.core.notes] == [TOLD] * 50
+    assert dying.told() == [TOLD] * 50
 
 
 def test_it_latches_where_the_settings_say_so() -> None:
     dying = gate("latch")
-    assert dying.core.client_gone(1, dying.now) == causes.DRIVER_DIED("client 1")
-    assert dying.core.client_gone(1, dying.now) is None, "once"
+    assert dying.gone(1) == causes.DRIVER_DIED("client 1")
+    assert dying.gone(1) is None, "once"
 
 
 def test_it_stays_enabled_where_the_settings_say_so() -> None:
     dying = gate("stay")
-    assert dying.core.client_gone(1, dying.now) is None
+    assert dying.gone(1) is None
     assert dying.step(0) == STILL
     assert dying.blocked == "cmd timeout"
     assert [note.kind for note in dying.core.notes] == ["driver_gone"]
@@ -96,7 +95,7 @@ def test_it_stays_enabled_where_the_settings_say_so() -> None:
 @pytest.mark.parametrize("driver_death", ["disable", "latch", "stay"])
 def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
     ending = gate(driver_death)
-    assert ending.core.client_gone(1, ending.now, parted=True) is None
+    assert ending.gone(1, parted=True) is None
     assert ending.step(0) == STILL
     assert ending.blocked == "cmd timeout"
     assert [note.kind for note in ending.core.notes] == ["driver_ended"]
@@ -107,7 +106,7 @@ def test_while_motion_is_disabled_it_is_no_news(driver_death: str) -> None:
     dying = gate(driver_death)
     dying.core.disable()
     dying.core.notes.clear()
-    assert dying.core.client_gone(1, dying.now) is None
+    assert dying.gone(1) is None
     assert not dying.core.notes
 
 
@@ -136,9 +135,9 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
     first.leave()
     service.look()
     service.join(session=22).leave()
-    service.join(session=23)
+    last = service.join(session=23)
     assert service.look() == []
-    service.clients[-1].leave()
+    last.leave()
     assert service.look() == [("gone", 23)]
     assert service.parted is False
 

@@ -17,15 +17,15 @@ from tests.support.why import why
 
 def test_the_first_cause_since_the_reset_is_latched(gate_scene: Scene) -> None:
     assert gate_scene.tick() is None
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     assert gate_scene.tick() == "key1"
-    gate_scene.stop(3, "device lost")
+    gate_scene.stop("device lost")
     assert gate_scene.tick() == "key1"
 
 
 def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(gate_scene: Scene) -> None:
     """The gate looks at the latch for the reset before it has seen the epoch of a stop that came after it."""
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     gate_scene.ask(records.RESET)
     assert gate_scene.ask(records.ENABLE)[0]
@@ -37,10 +37,10 @@ def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(gate_
 
 def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(gate_scene: Scene) -> None:
     """Though it was asked for after that one."""
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     gate_scene.saw(2)
-    gate_scene.stop(3, "key2")
+    gate_scene.stop("key2")
     gate_scene.tick()
     assert gate_scene.ask(records.RESET) == (False, UNSEEN)
     assert gate_scene.latched() == "key1"
@@ -50,20 +50,20 @@ def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(gate_scene
 
 
 def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(gate_scene: Scene) -> None:
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     gate_scene.ask(records.DISABLE)
     gate_scene.saw(2)
     slot = gate_scene.gate.clients.slots[0]
-    gate_scene.stop(3, "key2")
+    gate_scene.stop("key2")
     gate_scene.gate.requests.take(slot, 2, records.RESET, gate_scene.clock(), gate_scene.clock())
     assert gate_scene.replied()[1:] == (False, UNSEEN)
     assert gate_scene.tick() == "key1"
 
 
 def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(gate_scene: Scene) -> None:
-    gate_scene.stop(2, "key1")
-    gate_scene.stop(3, "key2")
+    gate_scene.stop("key1")
+    gate_scene.stop("key2")
     gate_scene.tick()
     gate_scene.saw(0)
     assert gate_scene.ask(records.RESET)[0]
@@ -79,7 +79,7 @@ def test_no_reset_clears_a_stop_that_its_person_had_not_seen(
         gate_scene.clock.now_ns += MS
         if stops:
             epoch += 1
-            gate_scene.stop(epoch, f"key{1 + epoch % 2}")
+            gate_scene.stop(f"key{1 + epoch % 2}")
             gate_scene.tick()
             continue
         was, seen = gate_scene.latched(), max(0, epoch - behind)
@@ -95,8 +95,8 @@ def test_no_reset_clears_a_stop_that_its_person_had_not_seen(
 
 @pytest.mark.parametrize("resets", [0, 1])
 def test_a_successor_finds_what_is_latched(gate_scene: Scene, resets: int) -> None:
-    gate_scene.stop(2, "key1")
-    gate_scene.stop(3, "gate died")
+    gate_scene.stop("key1")
+    gate_scene.stop("gate died")
     gate_scene.tick()
     for _ in range(resets):
         gate_scene.ask(records.RESET)
@@ -106,18 +106,18 @@ def test_a_successor_finds_what_is_latched(gate_scene: Scene, resets: int) -> No
 
 
 def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(gate_scene: Scene) -> None:
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     gate_scene.gate.requests.take(gate_scene.gate.clients.slots[0], 1, records.RESET, gate_scene.clock(), 0)
     gate_scene.start_gate()
     gate_scene.decide()
     assert gate_scene.tick() is None, "but it is one all the same"
-    assert gate_scene.no_reply()
+    assert gate_scene.replied() == (0, records.UNDER_WAY, "")
 
 
 def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
     slot = gate_scene.gate.clients.slots[0]
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     for number in (7, 8):
         gate_scene.gate.requests.take(slot, number, records.RESET, gate_scene.clock(), gate_scene.clock())
@@ -130,7 +130,7 @@ def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
 def test_who_asks_for_resets_without_end_is_in_the_line_once(gate_scene: Scene) -> None:
     """While the first one is being decided; nobody else has to wait behind the rest."""
     mine, other = gate_scene.gate.clients.slots[:2]
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.tick()
     for number in range(1000):
         gate_scene.gate.requests.take(mine, number, records.RESET, gate_scene.clock(), gate_scene.clock())
@@ -143,7 +143,7 @@ def test_who_asks_for_resets_without_end_is_in_the_line_once(gate_scene: Scene) 
 
 def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
     record = records.LATCH.pack(2, gate_scene.clock(), gate_scene.clock(), b"?")
-    gate_scene.own_supervisor().latest_writer("latch").write(record, gate_scene.clock())
+    gate_scene.views[layout.SUPERVISOR].latest_writer("latch").write(record, gate_scene.clock())
     gate_scene.raise_epoch(2)
     assert gate_scene.tick() == "stopped by the supervisor"
 
@@ -154,22 +154,22 @@ def test_who_asked_before_the_stop_did_not_know_of_it(
     gate_scene: Scene, successor: bool, after_ns: int, granted: bool
 ) -> None:
     """Of a gate that saw the stop, and of one that was started for it."""
-    gate_scene.stop(2, "gate died")
+    gate_scene.stop("gate died")
     stopped_ns = gate_scene.clock()
     if successor:
         gate_scene.start_gate()
     assert gate_scene.tick() == "gate died"
-    gate_scene.request(records.RESET, stopped_ns + after_ns)
+    gate_scene.ask_for(records.RESET, asked_ns=stopped_ns + after_ns)
     for _ in range(main.LOOK_AT_ALL_EVERY):
         latched = gate_scene.tick()
-    done, text = gate_scene.answer()
+    done, text = gate_scene.answered()
     assert done == granted
     assert latched == (None if granted else "gate died")
     assert granted or text.startswith("asked before the last stop (gate died)")
 
 
 def test_nothing_was_stopped_yet_for_the_first_gate(gate_scene: Scene) -> None:
-    gate_scene.request(records.RESET, 1)
+    gate_scene.ask_for(records.RESET, asked_ns=1)
     for _ in range(main.LOOK_AT_ALL_EVERY):
         gate_scene.tick()
-    assert gate_scene.answer() == (True, "no stop is latched")
+    assert gate_scene.answered() == (True, "no stop is latched")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
+from failstop.procs.gate.sources import PAD, PAD_SESSION
 from tests.support.why import why
 
 from .gate_bench import MS, REST, TICK, Gate
@@ -12,39 +12,40 @@ from .gate_bench import MS, REST, TICK, Gate
 VELOCITY = (0.2, 0.0, 0.0)
 
 
-def told(gate: Gate) -> list[str]:
-    kinds = [note.kind for note in gate.core.notes]
+def kinds(gate: Gate) -> list[str]:
+    """What people were told since the last look, by kind."""
+    found = [note.kind for note in gate.core.notes]
     gate.core.notes.clear()
-    return kinds
+    return found
 
 
 def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    assert told(driving) == []
+    assert kinds(driving) == []
     driving.step(281 * MS)
     (note,) = driving.core.notes
     assert (note.kind, note.fields["who"], note.fields["source"]) == ("driver_silent", "client 1", "cmd_vel")
     assert note.fields["silent_ms"] == 301
     assert "client 1 fell silent" in note.text
-    told(driving)
+    kinds(driving)
     for _ in range(100):
         driving.step()
-    assert told(driving) == []
+    assert kinds(driving) == []
 
 
 def test_a_driver_that_has_gone_is_told_of(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    driving.core.client_gone(1, driving.now)
+    driving.gone(1)
     (note,) = driving.core.notes
     assert (note.kind, note.fields["who"], note.fields["source"]) == ("driver_gone", "client 1", "cmd_vel")
     driving.step(0)
     driving.step(400 * MS)
-    assert told(driving) == ["driver_gone"], "and not as silent too"
+    assert kinds(driving) == ["driver_gone"], "and not as silent too"
 
 
 def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    assert driving.core.client_gone(1, driving.now, parted=True) is None
+    assert driving.gone(1, parted=True) is None
     assert driving.core.enabled
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
@@ -55,17 +56,17 @@ def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> No
 def test_the_news_of_a_driver_hides_no_other(driving: Gate, kind: str) -> None:
     """In the same turn a program commands as a source that no setting names."""
     driving.drive(VELOCITY, 3)
-    driving.core.take(Command(2, "other", driving.now, VELOCITY, source="navv"), driving.now)
+    driving.take(VELOCITY, 2, source="navv")
     if kind == "driver_gone":
-        driving.core.client_gone(1, driving.now)
+        driving.gone(1)
     else:
         driving.step(301 * MS)
-    assert told(driving) == ["ignored", kind]
+    assert kinds(driving) == ["ignored", kind]
 
 
 def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
     """A person's command."""
-    assert gate.core.take(Command(session, "teleop", gate.now, VELOCITY, manual=True, source=source), gate.now) is None
+    assert gate.take(VELOCITY, session, manual=True, source=source) == ""
     gate.step()
 
 
@@ -73,46 +74,46 @@ def test_a_person_s_command_that_runs_out_is_let_go(driving: Gate) -> None:
     by_hand(driving)
     driving.step(301 * MS)
     (note,) = driving.core.notes
-    assert (note.kind, note.fields) == ("driver_ended", {"who": "teleop", "source": "cmd_vel"})
-    assert note.text == "teleop let go: last command 321 ms ago, the wheels are stopped"
+    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
+    assert note.text == "client 1 let go: last command 321 ms ago, the wheels are stopped"
 
 
 def test_a_gamepad_that_falls_silent_has_not_let_go(driving: Gate) -> None:
     """It says where its sticks are for as long as it can be heard."""
     by_hand(driving, PAD, PAD_SESSION)
     driving.step(301 * MS)
-    assert told(driving) == ["driver_silent"]
+    assert kinds(driving) == ["driver_silent"]
 
 
 def test_ordinary_ends_without_end_do_not_hide_a_silent_driver(driving: Gate) -> None:
     for _ in range(50):
         by_hand(driving)
         driving.step(301 * MS)
-    assert told(driving).count("driver_ended") < 20
+    assert kinds(driving).count("driver_ended") < 20
     driving.drive(VELOCITY, 2)
     driving.step(301 * MS)
-    assert told(driving) == ["driver_silent"]
+    assert kinds(driving) == ["driver_silent"]
 
 
 def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
     driving.drive(REST, 30)
     driving.step(301 * MS)
-    driving.core.client_gone(1, driving.now, parted=True)
-    assert told(driving) == []
+    driving.gone(1, parted=True)
+    assert kinds(driving) == []
 
 
 def test_a_client_that_does_not_drive_leaves_without_a_word(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    driving.core.client_gone(2, driving.now)
-    assert told(driving) == []
+    driving.gone(2)
+    assert kinds(driving) == []
 
 
 def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
     driving.core.stop(why("key1"), 1)
     driving.step(301 * MS)
-    assert told(driving) == []
+    assert kinds(driving) == []
 
 
 def test_who_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
@@ -120,6 +121,6 @@ def test_who_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> 
     for _ in range(200):
         driving.drive(VELOCITY, 2)
         driving.step(301 * MS)
-        count += len(told(driving))
+        count += len(kinds(driving))
     elapsed_s = 200 * (2 * TICK + 301 * MS) / 1e9
     assert 5 <= count <= 5 + elapsed_s / 10 + 1

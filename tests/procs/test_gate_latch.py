@@ -50,7 +50,7 @@ def test_enable_is_refused_while_latched(driving: Gate) -> None:
 def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
     driving.core.stop(why("key1"), 3)
     driving.core.disable()
-    driving.core.client_gone(1, driving.now)
+    driving.gone(1)
     driving.core.enable(4, "", driving.now)
     driving.take((0.2, 0.0, 0.0))
     for _ in range(100):

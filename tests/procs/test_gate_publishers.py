@@ -39,16 +39,16 @@ def test_another_may_take_over_once_the_last_command_no_longer_counts(driving: G
 
 
 def test_the_driver_s_orderly_end_stands_at_once(driving: Gate) -> None:
-    driving.core.client_gone(2, driving.now, parted=True)
+    driving.gone(2, parted=True)
     assert driving.blocked == "", "a client that does not drive"
-    driving.core.client_gone(1, driving.now, parted=True)
+    driving.gone(1, parted=True)
     assert driving.step(0) == STILL
     assert driving.blocked == "cmd timeout"
     assert driving.core.latch is None
 
 
 def test_another_may_drive_at_once_when_the_driver_has_ended(driving: Gate) -> None:
-    driving.core.client_gone(1, driving.now, parted=True)
+    driving.gone(1, parted=True)
     driving.step(0)
     assert driving.take((0.2, 0.0, 0.0), session=2) == ""
     driving.step()

@@ -8,18 +8,17 @@ from failstop.procs.gate.requests import NO_ARM
 from failstop.shm import records
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
-from tests.support.why import said
 
 
 @pytest.mark.parametrize("verb", [records.ENABLE, records.RESET])
 def test_who_asked_before_the_last_stop_did_not_know_of_it(gate_scene: Scene, verb: int) -> None:
     asked_ns = gate_scene.clock() - 1
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.turn()
     done, text = gate_scene.ask(verb, asked_ns)
     assert not done
     assert text.startswith("asked before the last stop (key1)")
-    assert said(gate_scene.gate.core.latch) == "key1"
+    assert gate_scene.latched() == "key1"
     assert gate_scene.ask(records.RESET)[0], "and now it does"
 
 
@@ -44,7 +43,7 @@ def test_nobody_is_told_that_was_done_which_this_robot_cannot_do(gate_scene: Sce
 def test_a_slot_s_next_session_is_answered_from_its_first_request_on(gate_scene: Scene) -> None:
     for _ in range(3):
         gate_scene.ask(records.DISABLE)
-    gate_scene.succeed(12)
+    gate_scene.clients[0].succeed(13, "heir")
     assert gate_scene.ask(records.ENABLE) == (True, "motion enabled")
 
 
@@ -67,7 +66,7 @@ def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(gat
 def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(gate_scene: Scene) -> None:
     lease_ns = gate_scene.settings.ns("gate.lease_s")
     gate_scene.turn(10 * lease_ns, supervisor_beats=False)
-    assert gate_scene.gate.core.latch is None, "nothing was enabled"
+    assert gate_scene.latched() is None, "nothing was enabled"
     gate_scene.turn()
     assert gate_scene.ask(records.ENABLE)[0]
     assert gate_scene.turn(lease_ns, supervisor_beats=False) == [records.MOTION]
@@ -100,14 +99,14 @@ def test_a_successor_keeps_the_speed_limit(gate_scene: Scene) -> None:
 
 
 def test_a_successor_starts_latched(gate_scene: Scene) -> None:
-    gate_scene.stop(2, "key1")
+    gate_scene.stop("key1")
     gate_scene.start_gate()
-    assert said(gate_scene.gate.core.latch) == "key1"
+    assert gate_scene.latched() == "key1"
 
 
 def test_a_command_that_is_repeated_without_a_ring_does_not_time_out(gate_scene: Scene) -> None:
     gate_scene.turn()
-    gate_scene.request(records.ENABLE)
+    gate_scene.ask_for(records.ENABLE)
     gate_scene.turn()
 
     gate_scene.command(0.2)

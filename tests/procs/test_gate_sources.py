@@ -5,17 +5,14 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import kinematics
-from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.conditions import AHEAD_NS
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
 from tests.support.why import told
 
-MS = 1_000_000
-TICK = 20 * MS
-T0 = 100_000 * MS
-ROBOT = mecanum(0.08, 0.17706, 0.17165)
+from .gate_bench import MS, T0, TICK, Gate
+
 WITH_TELEOP: dict[str, object] = {
     "sources.cmd_vel.priority": 0,
     "sources.cmd_vel.timeout_s": 0.3,
@@ -25,86 +22,74 @@ WITH_TELEOP: dict[str, object] = {
 ARM: dict[str, object] = {"interlocks.arm.timeout_s": 0.5, "interlocks.arm.refusal": "arm is not in the drive pose"}
 
 
-class Gate:
-    """An enabled gate and its clock."""
+def scanning(changed: dict[str, object] | None = None) -> Gate:
+    """An enabled gate, which needs the obstacle sensor."""
+    gate = Gate(scan__gate="on", **(changed or {}))
+    gate.enable()
+    return gate
 
-    def __init__(self, changed: dict[str, object], *, enabled: bool = True) -> None:
-        self.core = GateCore(Settings(changed), ROBOT, T0)
-        self.now = T0
-        if enabled:
-            assert self.core.enable(1, "", self.now).done
 
-    def told(self) -> list[str]:
-        """What people are told, in words."""
-        return [note.text for note in self.core.notes]
+def scan(gate: Gate) -> None:
+    gate.core.scan.deliver(gate.now, gate.now)
 
-    def fields(self) -> list[dict[str, str | int | float]]:
-        """The same, for programs."""
-        return [note.fields for note in self.core.notes]
 
-    def command(self, vx: float, source: str = "cmd_vel", session: int = 1, manual: bool = False) -> str:
-        who = f"{source} {session}"
-        command = Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source)
-        return str(self.core.take(command, self.now) or "")
+def fields(gate: Gate) -> list[dict[str, str | int | float]]:
+    """What programs are told."""
+    return [note.fields for note in gate.core.notes]
 
-    def tick(self, ns: int = TICK) -> float:
-        self.now += ns
-        self.core.check_interlocks(self.now)
-        self.core.step(self.now)
-        return self.core.velocity[0]
 
-    def scan(self) -> None:
-        self.core.scan.deliver(self.now, self.now)
+def cruise(gate: Gate, vx: float, source: str = "cmd_vel", session: int = 1) -> None:
+    for _ in range(25):
+        scan(gate)
+        assert gate.command(vx, source, session) == ""
+        gate.tick()
+    assert gate.core.velocity[0] == pytest.approx(vx)
 
-    def cruise(self, vx: float, source: str = "cmd_vel", session: int = 1, ticks: int = 25) -> None:
-        for _ in range(ticks):
-            self.scan()
-            assert self.command(vx, source, session) == ""
-            self.tick()
-        assert self.core.velocity[0] == pytest.approx(vx)
 
-    @property
-    def blocked(self) -> str:
-        return self.core.blocked(self.now)
+def fall_silent(gate: Gate, ticks: int = 40) -> None:
+    """The sensor does, and the commands go on."""
+    for _ in range(ticks):
+        gate.command(0.1)
+        gate.tick()
 
 
 # Sources.
 
 
 def test_a_higher_source_takes_over_at_once() -> None:
-    gate = Gate(WITH_TELEOP)
-    gate.cruise(0.1)
+    gate = scanning(WITH_TELEOP)
+    cruise(gate, 0.1)
     gate.command(-0.1, "teleop", session=2)
     assert gate.tick() == pytest.approx(0.09), "from the speed it has, along the ramp"
     rows = gate.core.sources.table(gate.now)
     assert [(row["source"], row["who"], row["state"]) for row in rows] == [
-        ("teleop", "teleop 2", "drives"),
-        ("cmd_vel", "cmd_vel 1", "waits"),
+        ("teleop", "client 2", "drives"),
+        ("cmd_vel", "client 1", "waits"),
     ]
 
 
 def test_a_lower_source_gets_it_back_after_the_higher_s_silence_from_zero_along_the_ramp() -> None:
-    gate = Gate(WITH_TELEOP)
-    gate.cruise(-0.1, "teleop", session=2)
+    gate = scanning(WITH_TELEOP)
+    cruise(gate, -0.1, "teleop", session=2)
     for _ in range(9):
-        gate.scan()
+        scan(gate)
         gate.command(0.1)
         assert gate.tick() == pytest.approx(-0.1), "still the higher one's"
-    gate.scan()
+    scan(gate)
     gate.command(0.1)
     assert gate.tick(TICK) == pytest.approx(0.01), "more than 0.2 s of silence: from zero, not from -0.1"
 
 
 def test_two_publishers_of_one_source_latch_and_of_two_sources_do_not() -> None:
-    gate = Gate(WITH_TELEOP)
+    gate = scanning(WITH_TELEOP)
     assert gate.command(0.1, "cmd_vel", session=1) == ""
     assert gate.command(0.1, "teleop", session=2) == ""
-    assert gate.command(0.1, "teleop", session=3) == "multiple teleop publishers: teleop 2, teleop 3"
-    assert gate.command(0.1, "cmd_vel", session=2) == "multiple cmd_vel publishers: cmd_vel 1, cmd_vel 2"
+    assert gate.command(0.1, "teleop", session=3) == "multiple teleop publishers: client 2, client 3"
+    assert gate.command(0.1, "cmd_vel", session=2) == "multiple cmd_vel publishers: client 1, client 2"
 
 
 def test_each_source_has_its_own_timeout() -> None:
-    gate = Gate(WITH_TELEOP)
+    gate = scanning(WITH_TELEOP)
     gate.command(0.1, "teleop", manual=True)
     gate.tick(200 * MS)
     assert gate.blocked == ""
@@ -122,46 +107,45 @@ def test_the_default_is_one_source() -> None:
 
 
 def test_the_pad_is_above_all() -> None:
-    gate = Gate(WITH_TELEOP)
+    gate = scanning(WITH_TELEOP)
     gate.command(0.1, "teleop", session=2, manual=True)
     gate.command(0.05, PAD, session=0, manual=True)
     assert gate.core.sources.driving(gate.now).source == PAD  # type: ignore[union-attr]
 
 
 def test_no_client_is_the_pad() -> None:
-    gate = Gate(WITH_TELEOP)
-    gate.scan()
+    gate = scanning(WITH_TELEOP)
+    scan(gate)
     assert gate.command(0.1, PAD, session=7, manual=True) == ""
     assert gate.tick() == 0
-    assert gate.told() == [f"command from {PAD} 7 ignored: the source 'gamepad' is the board's gamepad alone"]
+    assert gate.told() == ["command from client 7 ignored: the source 'gamepad' is the board's gamepad alone"]
     assert gate.command(0.1, "teleop", session=0, manual=True) == "", "nor is the pad a client"
     assert gate.tick() == 0
 
 
 def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
-    gate = Gate({})
-    gate.scan()
+    gate = scanning()
+    scan(gate)
     assert gate.command(0.1, "navv") == ""
     assert gate.tick() == 0
-    assert gate.told() == ["command from navv 1 ignored: no source 'navv' in the settings"]
-    assert gate.fields() == [{"who": "navv 1", "source": "navv"}]
+    assert gate.told() == ["command from client 1 ignored: no source 'navv' in the settings"]
+    assert fields(gate) == [{"who": "client 1", "source": "navv"}]
 
 
 def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
-    gate = Gate({})
+    gate = scanning()
     for session in (1, 2, 1, 2):
         for source in ("a", "b", "a"):
             assert gate.command(0.1, source=source, session=session) == ""
-    assert [text.split(" ignored")[0] for text in gate.told()] == [
-        "command from a 1",
-        "command from b 1",
-        "command from a 2",
-        "command from b 2",
+    assert gate.told() == [
+        f"command from client {session} ignored: no source '{source}' in the settings"
+        for session in (1, 2)
+        for source in "ab"
     ]
 
 
 def test_ever_new_unknown_sources_are_not_told_of_for_ever() -> None:
-    gate = Gate({})
+    gate = scanning()
     for number in range(100):
         gate.command(0.1, source=f"s{number}")
     assert len(gate.core.notes) == 64
@@ -171,8 +155,8 @@ def test_ever_new_unknown_sources_are_not_told_of_for_ever() -> None:
 
 
 def test_nothing_for_half_a_second_blocks_with_no_scan_and_does_not_latch() -> None:
-    gate = Gate({})
-    gate.cruise(0.1)
+    gate = scanning()
+    cruise(gate, 0.1)
     seen_ns = gate.now - TICK
     while gate.now + TICK - seen_ns <= 500 * MS:
         gate.command(0.1)
@@ -186,17 +170,15 @@ def test_nothing_for_half_a_second_blocks_with_no_scan_and_does_not_latch() -> N
 
 
 def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -> None:
-    gate = Gate({})
-    gate.cruise(0.1)
-    for _ in range(40):
-        gate.command(0.1)
-        gate.tick()
+    gate = scanning()
+    cruise(gate, 0.1)
+    fall_silent(gate)
     assert gate.told() == ["no scan for 0.52 s: wheels stopped"]
-    gate.scan()
+    scan(gate)
     gate.command(0.1)
     assert gate.tick() == pytest.approx(0.01), "along the ramp"
     assert gate.told()[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
-    assert gate.fields() == [
+    assert fields(gate) == [
         {"state": "silent", "age_s": pytest.approx(0.52)},
         {"state": "back", "age_s": pytest.approx(0.02)},
     ]
@@ -204,17 +186,17 @@ def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -
 
 
 def test_before_the_first_scan_nothing_moves() -> None:
-    gate = Gate({})
+    gate = scanning()
     gate.command(0.1)
     assert gate.tick() == 0
     assert gate.blocked == "no scan"
     assert gate.told() == ["no scan yet: wheels stand"]
-    assert gate.fields() == [{"state": "silent"}]
+    assert fields(gate) == [{"state": "silent"}]
 
 
 def test_a_sensor_whose_clock_is_ahead_has_not_delivered_yet() -> None:
     """And nobody is told of a silence as long as the machine has run."""
-    gate = Gate({})
+    gate = scanning()
     gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)
     gate.command(0.1)
     assert gate.tick() == 0
@@ -222,21 +204,21 @@ def test_a_sensor_whose_clock_is_ahead_has_not_delivered_yet() -> None:
 
 
 def test_manual_commands_are_exempt() -> None:
-    gate = Gate({})
+    gate = scanning()
     gate.command(0.1, manual=True)
     assert gate.tick() == pytest.approx(0.01)
     assert gate.blocked == ""
 
 
 def test_the_command_timeout_comes_before_no_scan() -> None:
-    gate = Gate({})
+    gate = scanning()
     gate.command(0.1)
     gate.tick(400 * MS)
     assert gate.blocked == "cmd timeout"
 
 
 def test_switched_off_by_a_word() -> None:
-    gate = Gate({"scan.gate": "off"})
+    gate = scanning({"scan.gate": "off"})
     gate.command(0.1)
     assert gate.tick() == pytest.approx(0.01)
 
@@ -245,17 +227,17 @@ def test_switched_off_by_a_word() -> None:
 
 
 def test_enabling_needs_every_interlock() -> None:
-    gate = Gate(ARM, enabled=False)
+    gate = Gate(scan__gate="on", **ARM)
     assert told(gate.core.enable(1, "", gate.now)) == (False, "arm is not in the drive pose")
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
 
 
 def test_losing_one_disables_and_does_not_latch() -> None:
-    gate = Gate(ARM, enabled=False)
+    gate = Gate(scan__gate="on", **ARM)
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     gate.core.enable(1, "", gate.now)
-    gate.scan()
+    scan(gate)
     gate.command(0.1)
     assert gate.tick(500 * MS) == 0
     assert gate.blocked == "cmd timeout"
@@ -264,7 +246,7 @@ def test_losing_one_disables_and_does_not_latch() -> None:
     assert gate.core.latch is None
     assert gate.core.velocity == REST
     assert gate.told() == ["motion disabled: arm is not in the drive pose"]
-    assert gate.fields() == [{"reason": "arm is not in the drive pose"}]
+    assert fields(gate) == [{"reason": "arm is not in the drive pose"}]
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
@@ -272,7 +254,7 @@ def test_losing_one_disables_and_does_not_latch() -> None:
 
 def test_a_stamp_that_is_a_little_ahead_counts_as_now() -> None:
     """Written after the turn that reads it began."""
-    gate = Gate(ARM, enabled=False)
+    gate = Gate(scan__gate="on", **ARM)
     gate.core.interlocks.hold(["arm"], gate.now + AHEAD_NS, gate.now)
     gate.core.scan.deliver(gate.now + AHEAD_NS, gate.now)
     assert gate.core.interlocks.unmet(gate.now) == ""
@@ -283,7 +265,7 @@ def test_a_stamp_that_is_a_little_ahead_counts_as_now() -> None:
 
 
 def test_a_stamp_from_the_future_never_holds_however_often_it_is_looked_at() -> None:
-    gate = Gate(ARM, enabled=False)
+    gate = Gate(scan__gate="on", **ARM)
     stamp_ns = gate.now + 10_000 * MS
     for _ in range(100):
         gate.core.interlocks.hold(["arm"], stamp_ns, gate.now)
@@ -315,28 +297,24 @@ def test_the_pad_s_name_and_rank() -> None:
 
 
 def test_every_loss_and_every_return_is_logged_once() -> None:
-    gate = Gate({})
+    gate = scanning()
     for _ in range(2):
         gate.core.notes.clear()
-        gate.cruise(0.1)
-        for _ in range(40):
-            gate.command(0.1)
-            gate.tick()
-        gate.scan()
+        cruise(gate, 0.1)
+        fall_silent(gate)
+        scan(gate)
         gate.core.step(gate.now)
         assert gate.told() == [
             "no scan for 0.52 s: wheels stopped",
             "scan is back (age 0.00 s): motion resumes by itself",
         ]
-        assert gate.fields()[1]["age_s"] == 0
+        assert fields(gate)[1]["age_s"] == 0
 
 
 def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
-    gate = Gate({})
-    gate.cruise(0.1)
-    for _ in range(30):
-        gate.command(0.1)
-        gate.tick()
+    gate = scanning()
+    cruise(gate, 0.1)
+    fall_silent(gate, 30)
     gate.core.notes.clear()
     gate.tick(400 * MS)
     assert gate.blocked == "cmd timeout"
@@ -344,10 +322,10 @@ def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
 
 
 def test_the_table_of_sources_says_the_priority() -> None:
-    gate = Gate(WITH_TELEOP)
+    gate = scanning(WITH_TELEOP)
     gate.command(0.1, "teleop", session=2)
     assert gate.core.sources.table(gate.now) == [
-        {"source": "teleop", "priority": 10, "who": "teleop 2", "state": "drives"}
+        {"source": "teleop", "priority": 10, "who": "client 2", "state": "drives"}
     ]
 
 

@@ -34,10 +34,10 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
         service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
     )
     made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None, random.Random(1))  # type: ignore[arg-type]
-    made._cause_ns = FAULT_NS
+    made.cause_ns = FAULT_NS
     return made
 
 
 def wrong(made: Run) -> list[str]:
-    made._judge()
+    made.judge()
     return made.result.wrong

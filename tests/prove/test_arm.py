@@ -42,6 +42,19 @@ def one(stand: Stand, name: str) -> Result:
     return ArmRun(stand, BY_ARM_PATH[name], SWINGING).take()
 
 
+def before_read_back(stand: Stand, wait_s: float, does: Callable[[], None]) -> Result:
+    """The run of a requested stop: `does` is done when it waits for so long, in order to read where the joint is."""
+    run = stand.run
+
+    def waits(seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        if seconds == wait_s:
+            does()
+        return run(seconds, until)
+
+    stand.run = waits  # type: ignore[method-assign]
+    return one(stand, "arm-stop-request")
+
+
 @pytest.mark.slow
 def test_what_is_read_back_is_when_it_stood(stand: Stand) -> None:
     result = one(stand, "arm-stop-request")
@@ -67,9 +80,8 @@ def test_what_enabling_asks_for_is_asserted_all_the_way_to_the_drive_pose(stand:
 
 
 @pytest.mark.slow
-def test_a_stop_that_is_not_made_fails(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("failstop.lab.prove.arm_run.send_stop", lambda *_: None)
-    result = one(stand, "arm-stop-request")
+def test_a_stop_that_is_not_made_fails(stand: Stand) -> None:
+    result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, lambda *_: None).take()
     assert result.verdict == "FAIL"
     assert result.rest_s is not None
     assert result.rest_s > 0.4
@@ -83,35 +95,24 @@ def test_a_stop_that_is_not_made_fails(stand: Stand, monkeypatch: pytest.MonkeyP
     ("by_hand", "wrong"),
     [(1000, "at rest after"), (0, "it did not follow before the stop")],
 )
-def test_a_joint_that_stands_elsewhere_fails(
-    stand: Stand, monkeypatch: pytest.MonkeyPatch, by_hand: int, wrong: str
-) -> None:
+def test_a_joint_that_stands_elsewhere_fails(stand: Stand, by_hand: int, wrong: str) -> None:
     """Whichever way it was going: as far beyond as there is, or behind."""
-    read_back = ArmRun._read_back
 
-    def moved(run: ArmRun) -> None:
+    def moved() -> None:
         assert stand.board
-        stand.board.servo(BASE.servo, position=by_hand if run._way > 0 else 1000 - by_hand)
-        read_back(run)
+        assert stand.swing
+        way = stand.swing.at(stand.watch.moves, time.monotonic_ns())[1]
+        stand.board.servo(BASE.servo, position=by_hand if way > 0 else 1000 - by_hand)
 
-    monkeypatch.setattr(ArmRun, "_read_back", moved)
-    result = one(stand, "arm-stop-request")
+    result = before_read_back(stand, 0.0, moved)
     assert [wrong in found for found in result.wrong] == [True], result.wrong
 
 
 @pytest.mark.slow
 def test_a_joint_that_goes_on_after_the_read_back_fails(stand: Stand) -> None:
+    assert stand.board
     board = stand.board
-    assert board
-    run = stand.run
-
-    def later(seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        if seconds == arm_run.STAYS_S:
-            board.servo(BASE.servo, position=400)
-        return run(seconds, until)
-
-    stand.run = later  # type: ignore[method-assign]
-    result = one(stand, "arm-stop-request")
+    result = before_read_back(stand, arm_run.STAYS_S, lambda: board.servo(BASE.servo, position=400))
     assert any(found.startswith("it stood at ") for found in result.wrong), result.wrong
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import random
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,10 +51,9 @@ def test_a_seed_says_every_draw_from_any_index_on() -> None:
 
 
 @pytest.mark.parametrize("name", ["kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate"])
-def test_steps_are_taken_as_the_row_says(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_are_taken_as_the_row_says(name: str) -> None:
     row, taken, waited = BY_NAME[name], list[tuple[int, int]](), list[float]()
-    monkeypatch.setattr(os, "kill", lambda pid, number: taken.append((pid, int(number))))
-    Steps(row, random.Random(3)).take(PIDS, waited.append)
+    Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).take(PIDS, waited.append)
     numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
     assert sorted(taken) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
     if CONTINUE in {action for action, _ in row.steps}:
@@ -111,19 +110,17 @@ def test_a_board_that_does_not_stop_fails_and_ends_the_campaign(tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stops", [True, False])
-def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stops: bool
-) -> None:
+def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Path, stops: bool) -> None:
     """An error in the midst of it says nothing of the wheels."""
 
-    def fail(self: Steps, *_: object) -> int:
-        raise OSError("nobody is there")
+    class Fails(random.Random):
+        def choice(self, seq: Any) -> Any:
+            raise OSError("nobody is there")
 
-    monkeypatch.setattr(Steps, "take", fail)
     path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["0.2"]
     with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path)) as stand:
         board.refuse_stop(not stops)
-        result = Run(stand, SIMULATED, path, velocity, None, random.Random(1)).take()
+        result = Run(stand, SIMULATED, path, velocity, None, Fails(1)).take()
         assert "OSError: nobody is there" in result.wrong
         assert result.runaway is not stops
         assert any(board.wheels()) is not stops

@@ -49,5 +49,5 @@ def test_an_acknowledgement_that_is_late() -> None:
 
 def test_a_service_that_ends_badly() -> None:
     made = run("service-stop")
-    made._check_end()
+    made.check_end()
     assert made.result.wrong == ["the service ended with exit code 3"]

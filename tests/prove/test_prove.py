@@ -13,18 +13,16 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.api.errors import Refused
-from failstop.api.robot import Robot
 from failstop.doctor.system import System
-from failstop.lab.prove import run
+from failstop.lab.faults.driving import Driver
 from failstop.lab.prove.run import Result, Run
 from failstop.lab.prove.session import check_free
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.strike import strike
 from failstop.lab.prove.table import BY_PATH, BY_VELOCITY
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
@@ -201,18 +199,16 @@ def test_a_service_that_runs_is_left_alone() -> None:
         assert not any(event.is_motion for event in trial.board.events())
 
 
-def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
-    board: SimBoard, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_service_on_another_board_does_not_hinder_a_simulated_one(board: SimBoard) -> None:
     name = f"prove-other-{os.getpid()}"
     with Trial(name):
         done = prove("--name", name, "--device", board.link, said="no\n")
         assert (done.returncode, "no consent" in done.stderr) == (2, True), done.stderr
         # Of a robot's port it is not known whether the service is about to open it under another name.
         real = dataclasses.replace(System().node(board.link), pseudo=False)  # type: ignore[type-var]
-        monkeypatch.setattr(System, "node", lambda *_: real)
+        system = SimpleNamespace(node=lambda _: real)
         with pytest.raises(Refused, match=f"the service '{name}' runs"):
-            check_free(board.link, name)
+            check_free(board.link, name, system=system)  # type: ignore[arg-type]
 
 
 def test_words_that_are_in_no_table() -> None:
@@ -297,15 +293,21 @@ def command_lines() -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_sensor_that_does_not_move_the_wheels_again_fails_its_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def strike_for_good(*given: Any) -> int:
-        monkeypatch.setattr(Robot, "sensed", lambda _: None)
-        return strike(*given)
+def test_a_sensor_that_does_not_move_the_wheels_again_fails_its_path(tmp_path: Path) -> None:
+    class Blind(Driver):
+        """A sensor that has failed once delivers nothing any more."""
 
-    monkeypatch.setattr(run, "strike", strike_for_good)
+        failed = False
+
+        def step(self) -> None:
+            self.failed = self.failed or not self.senses
+            self.senses = self.senses and not self.failed
+            super().step()
+
     with on_stand(tmp_path) as stand:
+        stand.driver.leave()
+        stand.driver = Blind(stand.name, "prove", tuple(stand.settings.interlocks()))
+        stand.driver.each = stand.look
         result = one(stand, "scan")
     assert result.verdict == "FAIL"
     assert result.wrong == ["the sensor is back, and the wheels do not turn again"]

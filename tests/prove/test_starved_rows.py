@@ -16,14 +16,12 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.api.client import send_stop
-from failstop.cli import style
 from failstop.lab.faults import processes
-from failstop.lab.prove import character, report, session, shake
+from failstop.lab.prove import character, report, session
 from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
 from failstop.lab.prove.held import LATE_NS, Held, waited_ns
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Result, Run, judge_latch
-from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_VELOCITY, PATHS, SWINGING
 from failstop.lab.sim.client import SimBoard
@@ -35,8 +33,6 @@ from tests.prove.judged import MS, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
-
-NOISE = Noise(0.002, 0.002, 0.002, 0.002, 0.0, 0.0, 110.0)
 
 
 def result(**changed: object) -> Result:
@@ -190,9 +186,9 @@ def test_lateness_is_counted_since_a_moment() -> None:
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.19, ""), (0.3, "this test waited for a processor for 30% of the time")])
-def test_waiting_for_a_processor_counts(share: float, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Held, "mark", lambda _: (5_000 * MS, 700 * MS))
-    assert Held().starved((4_000 * MS, round((700 - 1_000 * share) * MS))) == told
+def test_waiting_for_a_processor_counts(share: float, told: str) -> None:
+    held = Held(lambda: (5_000 * MS, 700 * MS))
+    assert held.starved((4_000 * MS, round((700 - 1_000 * share) * MS))) == told
 
 
 def test_the_kernel_counts_the_waiting() -> None:
@@ -223,13 +219,12 @@ def test_a_process_that_was_not_run_knows_it() -> None:
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_advice_fits_the_board(simulated: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_advice_fits_the_board(simulated: bool) -> None:
+    """Wheels that are told to turn, and shake as those at rest."""
     driver = SimpleNamespace(robot=SimpleNamespace(disable=str), enable=str)
     settings = {"still.std_radps": 0.0035, "limits.acceleration_mps2": 0.5, "limits.acceleration_radps2": 2.0}
-    stand = SimpleNamespace(settings=settings, driver=driver, board=simulated or None, run=lambda *_: True)
-    monkeypatch.setattr(character, "_collect", lambda *_: [])
-    monkeypatch.setattr(shake, "noise", lambda _: NOISE)
-    monkeypatch.setattr(shake, "limit", lambda *_: None)
+    watch = SimpleNamespace(samples=gyro((2.0, STILL)), forget=str)
+    stand = SimpleNamespace(settings=settings, driver=driver, board=simulated or None, run=lambda *_: True, watch=watch)
     with pytest.raises(Unfit) as error:
         character.characterize(stand, [BY_VELOCITY["0.2"]], quick=True)  # type: ignore[arg-type]
     assert (MOUNTED in str(error.value)) is not simulated
@@ -246,18 +241,14 @@ def on_stand(tmp_path: Path) -> Iterator[Stand]:
 @pytest.mark.parametrize(
     ("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Runaway("THE WHEELS DID NOT COME TO REST"), "FAIL")]
 )
-def test_a_session_that_the_machine_spoils_ends_as_invalid(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, verdict: str
-) -> None:
-    def characterize(stand: Stand, *_: object, **__: object) -> None:
+def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error: Exception, verdict: str) -> None:
+    def breaks_off(_: str) -> None:
         stand.held.woken(time.monotonic_ns() - 2 * LATE_NS, time.monotonic_ns())
         raise error
 
-    monkeypatch.setattr(session, "characterize", characterize)
-    monkeypatch.setattr(style, "paint", lambda text, _: text)
     with SimBoard(tmp_path / "board") as board:
         stand = Stand(board.link, {}, str(tmp_path), board)
-        found = session.session([], [BY_VELOCITY["0.2"]], stand, say=lambda _: None)
+        found = session.session([], [], stand, say=breaks_off)
     assert found.verdict == verdict
     assert str(error) in found.ended
     assert ("the machine was starved" in found.ended) is (verdict == "INVALID")

@@ -7,19 +7,22 @@ import signal
 
 import pytest
 
-from failstop.lab.trial import Trial, TrialError
+from failstop.lab.trial import Service, Trial, TrialError
 
 
-def test_what_does_not_end_leaves_nothing_of_the_rest_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    trial = Trial(f"trial-end-{os.getpid()}")
+class Stubborn(Service):
+    """A service that has to be killed."""
 
-    def end() -> int:
-        trial.service.kill()
+    def end(self) -> int:
+        self.kill()
         raise TrialError("it did not end")
 
+
+def test_what_does_not_end_leaves_nothing_of_the_rest_behind() -> None:
+    trial = Trial(f"trial-end-{os.getpid()}")
+    trial.service = Stubborn(trial.name, trial.link, trial.state)
     trial.__enter__()
     board = trial.board.pid
-    monkeypatch.setattr(trial.service, "end", end)
     with pytest.raises(TrialError, match="it did not end"):
         trial.close()
     assert not os.path.exists(os.path.dirname(trial.link)), "its folder is gone"

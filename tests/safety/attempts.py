@@ -48,7 +48,7 @@ def become(user: str, group: int) -> None:
             raise OSError(ctypes.get_errno(), "capset")
 
 
-class Scene:
+class Attempt:
     """A running service, and one who tries something."""
 
     def __init__(self, trial: Trial, user: str, folder: Path) -> None:
@@ -63,14 +63,14 @@ class Scene:
     def does(self, work: Callable[[], object], user: str = "") -> Any:
         """What the work returns, done as this user; False when that is refused."""
 
-        def attempt(_send: object, _wait: object) -> object:
+        def does(_send: object, _wait: object) -> object:
             become(user or self.user, self.group)
             try:
                 return work()
             except (FailstopError, OSError, segment.AttachError, instance.InstanceError, PortError):
                 return False
 
-        with Child(attempt) as child:
+        with Child(does) as child:
             return child.result()
 
     def opens(self, path: str, flags: int) -> bool:
@@ -86,46 +86,46 @@ def _soon(condition: Callable[[], object]) -> bool:
     return True
 
 
-def stop(scene: Scene) -> bool:
-    scene.does(lambda: send_stop(scene.name, "from the table"))
-    return _soon(lambda: "from the table" in (scene.trial.robot.state.estop or ""))
+def stop(attempt: Attempt) -> bool:
+    attempt.does(lambda: send_stop(attempt.name, "from the table"))
+    return _soon(lambda: "from the table" in (attempt.trial.robot.state.estop or ""))
 
 
-def read_state(scene: Scene) -> bool:
+def read_state(attempt: Attempt) -> bool:
     def read() -> bool:
-        with Robot(scene.name) as robot:
-            return robot.state.blocked is not None and len(EventLog(scene.name).read()) > 0
+        with Robot(attempt.name) as robot:
+            return robot.state.blocked is not None and len(EventLog(attempt.name).read()) > 0
 
-    return bool(scene.does(read))
+    return bool(attempt.does(read))
 
 
-def read_reasons(scene: Scene) -> bool:
-    send_stop(scene.name, "words of another")
+def read_reasons(attempt: Attempt) -> bool:
+    send_stop(attempt.name, "words of another")
     return bool(
-        scene.does(lambda: _soon(lambda: any("words of another" in it.text for it in EventLog(scene.name).read())))
+        attempt.does(lambda: _soon(lambda: any("words of another" in it.text for it in EventLog(attempt.name).read())))
     )
 
 
-def keep_stopped(scene: Scene) -> bool:
+def keep_stopped(attempt: Attempt) -> bool:
     """Whoever enables in between has the next request to answer to."""
 
     def ask(send: Callable[[object], None], _wait: Callable[[], None]) -> None:
-        become(scene.user, scene.group)
+        become(attempt.user, attempt.group)
         send("begun")
         until_s = time.monotonic() + WITHIN_S
         while time.monotonic() < until_s:
-            send_stop(scene.name, "again")
+            send_stop(attempt.name, "again")
             time.sleep(0.001)
 
     with Child(ask) as child:
         child.receive()
         for _ in range(10):
-            if not _soon(lambda: scene.trial.robot.state.estop):
+            if not _soon(lambda: attempt.trial.robot.state.estop):
                 return False
             with contextlib.suppress(FailstopError):
-                scene.trial.enable()
-                scene.trial.drive(0.02)
-    scene.trial.board.wait_wheels(moving=False, timeout_s=WITHIN_S)
+                attempt.trial.enable()
+                attempt.trial.drive(0.02)
+    attempt.trial.board.wait_wheels(moving=False, timeout_s=WITHIN_S)
     return True
 
 
@@ -136,13 +136,13 @@ def _enabled(robot: Robot) -> bool:
     return robot.state.enabled
 
 
-def enable(scene: Scene) -> bool:
-    return bool(scene.does(lambda: _enabled(Robot(scene.name))))
+def enable(attempt: Attempt) -> bool:
+    return bool(attempt.does(lambda: _enabled(Robot(attempt.name))))
 
 
-def drive(scene: Scene) -> bool:
+def drive(attempt: Attempt) -> bool:
     def go() -> bool:
-        with Robot(scene.name) as robot:
+        with Robot(attempt.name) as robot:
             _enabled(robot)
 
             def moves() -> bool:
@@ -151,35 +151,35 @@ def drive(scene: Scene) -> bool:
 
             return _soon(moves)
 
-    return bool(scene.does(go))
+    return bool(attempt.does(go))
 
 
-def pose(scene: Scene) -> bool:
-    _enabled(scene.trial.robot)
-    slot = scene.trial.robot.state.clients[0].slot
-    return scene.opens(segment.path_of(scene.memory, f"client.{slot}"), os.O_RDWR)
+def pose(attempt: Attempt) -> bool:
+    _enabled(attempt.trial.robot)
+    slot = attempt.trial.robot.state.clients[0].slot
+    return attempt.opens(segment.path_of(attempt.memory, f"client.{slot}"), os.O_RDWR)
 
 
-def take_slot(scene: Scene) -> bool:
+def take_slot(attempt: Attempt) -> bool:
     def take() -> bool:
-        fd = claim.open_claims(instance.claims_path(scene.directory))
+        fd = claim.open_claims(instance.claims_path(attempt.directory))
         return any(claim.take(fd, index) for index in range(layout.CLIENT_SLOTS))
 
-    return bool(scene.does(take))
+    return bool(attempt.does(take))
 
 
-def overhear(scene: Scene) -> bool:
-    return scene.opens(instance.stop_path(scene.directory), os.O_RDONLY)
+def overhear(attempt: Attempt) -> bool:
+    return attempt.opens(instance.stop_path(attempt.directory), os.O_RDONLY)
 
 
-def write_memory(scene: Scene) -> bool:
-    paths = [segment.path_of(scene.memory, of) for of in (*layout.PROCESSES, "lifelines")]
-    return any(scene.opens(path, os.O_RDWR) for path in paths)
+def write_memory(attempt: Attempt) -> bool:
+    paths = [segment.path_of(attempt.memory, of) for of in (*layout.PROCESSES, "lifelines")]
+    return any(attempt.opens(path, os.O_RDWR) for path in paths)
 
 
-def replace(scene: Scene) -> bool:
-    paths = [segment.path_of(scene.memory, layout.GATE), segment.path_of(scene.memory, "client.7")]
-    paths += [at(scene.directory) for at in (instance.stop_path, instance.bell_path, instance.lock_path)]
+def replace(attempt: Attempt) -> bool:
+    paths = [segment.path_of(attempt.memory, layout.GATE), segment.path_of(attempt.memory, "client.7")]
+    paths += [at(attempt.directory) for at in (instance.stop_path, instance.bell_path, instance.lock_path)]
 
     def rename() -> list[str]:
         done = []
@@ -190,31 +190,31 @@ def replace(scene: Scene) -> bool:
                 os.rename(f"{path}.away", path)
         return done
 
-    done = scene.does(rename)
+    done = attempt.does(rename)
     assert done in ([], paths)
     return bool(done)
 
 
-def hold_lock(scene: Scene) -> bool:
-    return scene.opens(instance.lock_path(scene.directory), os.O_RDONLY)
+def hold_lock(attempt: Attempt) -> bool:
+    return attempt.opens(instance.lock_path(attempt.directory), os.O_RDONLY)
 
 
-def signal_it(scene: Scene) -> bool:
-    pids = list(scene.trial.service.pids().values())
-    return bool(scene.does(lambda: [os.kill(pid, 0) for pid in pids]))
+def signal_it(attempt: Attempt) -> bool:
+    pids = list(attempt.trial.service.pids().values())
+    return bool(attempt.does(lambda: [os.kill(pid, 0) for pid in pids]))
 
 
-def open_port_too(scene: Scene) -> bool:
+def open_port_too(attempt: Attempt) -> bool:
     """Whatever the port's mode."""
-    os.chmod(scene.trial.link, 0o666)
-    os.chmod(os.path.dirname(scene.trial.link), 0o755)
-    assert not scene.does(lambda: open_port(scene.trial.link, exclusive=True))
-    return bool(scene.does(lambda: open_port(scene.trial.link, exclusive=False)))
+    os.chmod(attempt.trial.link, 0o666)
+    os.chmod(os.path.dirname(attempt.trial.link), 0o755)
+    assert not attempt.does(lambda: open_port(attempt.trial.link, exclusive=True))
+    return bool(attempt.does(lambda: open_port(attempt.trial.link, exclusive=False)))
 
 
-def take_names(scene: Scene) -> bool:
+def take_names(attempt: Attempt) -> bool:
     """Before it starts; as if it were a run's."""
-    name = f"{scene.name}-next"
+    name = f"{attempt.name}-next"
     files = [f"/dev/shm/failstop.{name}.{of}" for of in ("supervisor", "gate", "0000000000000007.supervisor")]
 
     def plant() -> bool:
@@ -223,7 +223,7 @@ def take_names(scene: Scene) -> bool:
         return True
 
     try:
-        assert scene.does(plant)
+        assert attempt.does(plant)
         with Trial(name) as trial:
             return not _enabled(trial.robot)
     except TrialError:
@@ -234,14 +234,14 @@ def take_names(scene: Scene) -> bool:
                 os.unlink(path)
 
 
-def look_alive(scene: Scene) -> bool:
+def look_alive(attempt: Attempt) -> bool:
     """By a lock on its memory; the strongest that this user may take."""
-    memory = segment.memory(f"{scene.name}-dead", 7)
+    memory = segment.memory(f"{attempt.name}-dead", 7)
     segment.create(memory, layout.SUPERVISOR, 7).close()
     path = segment.path_of(memory, layout.SUPERVISOR)
 
     def lock(send: Callable[[object], None], wait: Callable[[], None]) -> None:
-        become(scene.user, scene.group)
+        become(attempt.user, attempt.group)
         writes = os.access(path, os.W_OK)
         fd = os.open(path, os.O_RDWR if writes else os.O_RDONLY)
         kind = fcntl.F_WRLCK if writes else fcntl.F_RDLCK
@@ -257,13 +257,13 @@ def look_alive(scene: Scene) -> bool:
         segment.unlink_all(memory)
 
 
-def pass_off_memory(scene: Scene) -> bool:
+def pass_off_memory(attempt: Attempt) -> bool:
     """Under the right name, as after a removal."""
-    memory = segment.memory(f"{scene.name}-other", 7)
+    memory = segment.memory(f"{attempt.name}-other", 7)
     path = segment.path_of(memory, layout.GATE)
     try:
-        scene.does(lambda: segment.create(memory, layout.GATE, 7).close())
-        segment.attach(memory, layout.GATE, 7, owner=os.stat(scene.directory).st_uid)
+        attempt.does(lambda: segment.create(memory, layout.GATE, 7).close())
+        segment.attach(memory, layout.GATE, 7, owner=os.stat(attempt.directory).st_uid)
     except segment.AttachError as error:
         told = str(error)
     else:
@@ -275,9 +275,9 @@ def pass_off_memory(scene: Scene) -> bool:
     return False
 
 
-def pass_off_directory(scene: Scene) -> bool:
+def pass_off_directory(attempt: Attempt) -> bool:
     """In a place that is everybody's to write; looked for by root."""
-    place = scene.folder / "place"
+    place = attempt.folder / "place"
     place.mkdir()
     place.chmod(0o1777)
     base, path = place / "failstop", place / "failstop" / "robot"
@@ -289,11 +289,11 @@ def pass_off_directory(scene: Scene) -> bool:
         os.chmod(pipe, 0o666)
         return True
 
-    assert scene.does(plant)
+    assert attempt.does(plant)
     reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(instance, "bases", lambda: [str(base)])
+            patch.setenv("XDG_RUNTIME_DIR", str(place))
             return instance.find("robot") == str(path)
     except instance.NoService as error:
         told = str(error)
@@ -303,13 +303,13 @@ def pass_off_directory(scene: Scene) -> bool:
     return False
 
 
-def plant_link(scene: Scene) -> bool:
+def plant_link(attempt: Attempt) -> bool:
     """Even in a directory that is this user's to use, and believed to be."""
-    base = scene.folder / "failstop"
-    path, victim = base / "robot", scene.folder / "victim"
+    base = attempt.folder / "failstop"
+    path, victim = base / "robot", attempt.folder / "victim"
     path.mkdir(parents=True)
     victim.write_text("precious")
-    owner = NOBODY if scene.user in (STRANGER, MEMBER) else 0
+    owner = NOBODY if attempt.user in (STRANGER, MEMBER) else 0
     for folder in (base, path):
         os.chown(folder, owner, owner)
 
@@ -318,21 +318,21 @@ def plant_link(scene: Scene) -> bool:
             os.symlink(victim, at(str(path)))
         return True
 
-    assert scene.does(plant)
+    assert attempt.does(plant)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(instance, "bases", lambda: [str(base)])
-        for attempt in (
+        patch.setenv("XDG_RUNTIME_DIR", str(attempt.folder))
+        for write in (
             lambda: send_stop("robot", "overwrites it"),
             lambda: instances.lock(str(path)),
             lambda: claim.open_claims(instance.claims_path(str(path)), create=True, mode=0o666),
             lambda: os.close(instance.publish(str(path), 7)),
         ):
             with contextlib.suppress(FailstopError, OSError, instance.InstanceError):
-                attempt()
+                write()
     return victim.read_text() != "precious" or stat.S_IMODE(victim.stat().st_mode) == 0o666
 
 
-def be_in_the_way(scene: Scene) -> bool:
+def be_in_the_way(attempt: Attempt) -> bool:
     path = f"/dev/shm/failstop-{VICTIM}"
 
     def start() -> str:
@@ -346,7 +346,7 @@ def be_in_the_way(scene: Scene) -> bool:
             return str(error)
 
     try:
-        assert scene.does(lambda: os.mkdir(path, 0o700) is None)
+        assert attempt.does(lambda: os.mkdir(path, 0o700) is None)
         with Child(lambda send, wait: start()) as child:
             said = str(child.result())
         return said != f"{path}/robot" and path in said
@@ -356,7 +356,7 @@ def be_in_the_way(scene: Scene) -> bool:
         os.rmdir(path)
 
 
-ATTEMPTS: dict[str, Callable[[Scene], bool]] = {
+ATTEMPTS: dict[str, Callable[[Attempt], bool]] = {
     attempt.__name__: attempt
     for attempt in (
         stop,

@@ -14,7 +14,7 @@ import pytest
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance
 from tests.safety import page
-from tests.safety.attempts import ATTEMPTS, Scene
+from tests.safety.attempts import ATTEMPTS, Attempt
 from tests.safety.table import TABLE, USERS, Row
 from tests.support.children import needs_root, reachable
 
@@ -53,7 +53,7 @@ def _unheard(name: str) -> int:
 @pytest.mark.parametrize("row", [row for row in TABLE if row.attempt in ATTEMPTS], ids=lambda row: row.attempt)
 def test_row(trial: Trial, tmp_path: Path, row: Row, user: str) -> None:
     reachable(tmp_path)
-    assert ATTEMPTS[row.attempt](Scene(trial, user, tmp_path)) is (user in row.can)
+    assert ATTEMPTS[row.attempt](Attempt(trial, user, tmp_path)) is (user in row.can)
 
 
 def test_every_row_has_an_attempt_or_a_test_and_every_attempt_a_row() -> None:

@@ -5,10 +5,15 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.shm import segment
+from failstop.shm.segment import Segment
+
+from . import simulated
+from .dying import RUN, lifelines
 
 _numbers = itertools.count()
 
@@ -19,6 +24,19 @@ def name() -> Iterator[str]:
     unique = f"t{os.getpid()}x{next(_numbers)}"
     yield unique
     segment.unlink_all(unique)
+
+
+@pytest.fixture
+def lines(name: str) -> Segment:
+    """The lines of every block, as one of the service's processes sees them."""
+    segment.create(name, "lifelines", RUN).close()
+    return lifelines(name)
+
+
+@pytest.fixture
+def on() -> SimpleNamespace:
+    """A simulated machine, with failstop's modules as the test's process has them."""
+    return simulated.machine()
 
 
 @pytest.fixture

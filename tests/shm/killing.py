@@ -127,7 +127,9 @@ def write_flat_out(case: Case, first: Word, ready: Word) -> None:
     check = exit_after(20)
     writer = case.writer()
     put = writer.write if isinstance(writer, LatestWriter) else writer.put
-    seq = (writer._seq if isinstance(writer, LatestWriter) else writer.seq) + 1
+    reader = case.reader()
+    found = reader.read() if isinstance(reader, LatestReader) else None
+    seq = (writer.seq if isinstance(writer, RingWriter) else found[0] if found else 0) + 1
     first.set(seq)
     while True:
         if put(payload_of(seq, case.size_of(seq)), time_of(seq)) != seq:

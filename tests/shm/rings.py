@@ -14,13 +14,10 @@ from .memory import Cut, Death, Memory, genuine, payload_of, time_of
 if TYPE_CHECKING:
     from failstop.shm.cell import View
 
-
 SEED = cell.seed("test.ring", 1)
 AT = 128
 CAPACITY = 40
 CELLS = 8
-
-
 SIZE = cell_bytes(CAPACITY)
 
 
@@ -34,6 +31,12 @@ def writer_of(view: View, cells: int = CELLS, capacity: int = CAPACITY) -> RingW
 
 def reader_of(view: View, cells: int = CELLS, capacity: int = CAPACITY, *, from_oldest: bool = False) -> RingReader:
     return RingReader(view, AT, capacity, cells, SEED, from_oldest=from_oldest)
+
+
+def ring(cells: int = CELLS) -> tuple[Cut, RingWriter, RingReader]:
+    """Its memory, a writer and a reader."""
+    memory = ring_memory(cells)
+    return memory, writer_of(memory, cells), reader_of(memory, cells)
 
 
 def put(writer: RingWriter, count: int = 1, size: int = CAPACITY) -> None:

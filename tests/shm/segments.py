@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 
 import pytest
@@ -13,7 +14,7 @@ from failstop.version import VERSION
 
 RUN = 0xABCDEF0123456789
 NAMES = [spec.name for spec in SEGMENTS]
-
+HEADER, HEADER_SEED = struct.Struct("<8sQQQ24s24s"), cell.seed("header", 0)
 
 SERVICE = [spec.name for spec in SEGMENTS if spec.mode == PUBLIC]
 PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
@@ -53,11 +54,11 @@ def write_header(
     version: str = VERSION,
 ) -> None:
     """Put a header of another program, run or layout into a segment."""
-    header = segment._HEADER.pack(
+    header = HEADER.pack(
         magic, layout, BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
     )
     with open(path_of(instance, of), "r+b") as file:
-        file.write(cell.build(1, 0, header, segment._HEADER_SEED, 104))
+        file.write(cell.build(1, 0, header, HEADER_SEED, 104))
 
 
 def attach_any(name: str, of: str, run: int = RUN) -> Segment:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
-from failstop.shm.words import Barrier
+from types import SimpleNamespace
 
 
-def test_a_barrier_releases_before_it_acquires(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_barrier_releases_before_it_acquires(on: SimpleNamespace) -> None:
     """The other way around orders nothing: model/arm/barrier-control-reversed.litmus."""
     done = []
 
@@ -18,8 +16,8 @@ def test_a_barrier_releases_before_it_acquires(monkeypatch: pytest.MonkeyPatch) 
         def release(self) -> None:
             done.append("release")
 
-    monkeypatch.setattr("failstop.shm.words._thread.allocate_lock", Lock)
-    barrier = Barrier()
+    on.system["_thread"].allocate_lock = Lock
+    barrier = on.load("failstop.shm.words").Barrier()
     assert done == ["acquire"], "held from the start"
     barrier()
     barrier()

@@ -8,12 +8,15 @@ import stat
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.shm import claim
-from tests.support.children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.children import NOBODY, Child
 from tests.support.waiting import until
+
+from .simulated import user
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -46,20 +49,19 @@ def test_open_of_what_is_not_there(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize("mode", [0o660, 0o644, 0o600])
-def test_the_file_s_mode_is_exact(tmp_path: Path, mask: int, mode: int, fds: list[int]) -> None:
-    with umask(mask):
-        fds.append(claim.open_claims(str(tmp_path / "new"), create=True, mode=mode))
-    assert stat.S_IMODE(os.stat(tmp_path / "new").st_mode) == mode
-
-
-@needs_root
-def test_the_file_s_group(tmp_path: Path, fds: list[int]) -> None:
-    for own, gid, wanted in ((0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)):
-        path = tmp_path / f"{own}-{gid}"
-        with group(own):
-            fds.append(claim.open_claims(str(path), create=True, gid=gid))
-        assert (path.stat().st_uid, path.stat().st_gid) == (0, wanted)
-        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+@pytest.mark.parametrize(("own", "gid", "wanted"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
+def test_the_file_s_mode_and_group_are_exact(
+    on: SimpleNamespace, mask: int, mode: int, own: int, gid: int, wanted: int
+) -> None:
+    on.own.umask = mask
+    words = {"mode": mode, "gid": gid} if gid >= 0 else {"mode": mode}
+    with user(on, 0, own):
+        fd = on.claim.open_claims("/run/new", create=True, **(words if mode != 0o660 else {"gid": gid}))
+    found = on.os.fstat(fd)
+    assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, wanted, mode)
+    on.os.chmod("/run/new", 0o660)
+    with user(on, NOBODY - 1), pytest.raises(PermissionError):
+        on.claim.open_claims("/run/new")  # who may not write the file can't claim
 
 
 def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:
@@ -103,27 +105,18 @@ def test_a_closed_descriptor_holds_nothing(path: str, fds: list[int]) -> None:
     assert not claim.held(watcher, 0)
 
 
-def test_sigkill_of_the_holder_drops_its_claims(path: str, fds: list[int]) -> None:
-    fds.append(fd := claim.open_claims(path))
-    for _ in range(30):
-        with holder(path, 0, 7) as child:
-            assert claim.held(fd, 0)
-            assert claim.held(fd, 7)
-            child.kill()
-        assert not claim.held(fd, 0)
-        assert not claim.held(fd, 7)
-
-
 def test_the_claim_is_gone_at_the_latest_when_the_death_is_reported(path: str, fds: list[int]) -> None:
     """The gate looks at the claim when the holder's pidfd becomes readable: it must not find it held then."""
     fds.append(fd := claim.open_claims(path))
     for _ in range(50):
-        with holder(path, 2) as child:
+        with holder(path, 0, 7) as child:
+            assert [claim.held(fd, index) for index in (0, 2, 7)] == [True, False, True]
             pidfd = os.pidfd_open(child.pid)
             try:
                 os.kill(child.pid, 9)
                 os.waitid(os.P_PIDFD, pidfd, os.WEXITED | os.WNOWAIT)
-                assert not claim.held(fd, 2)
+                assert not claim.held(fd, 0)
+                assert not claim.held(fd, 7)
             finally:
                 os.close(pidfd)
 
@@ -167,55 +160,28 @@ def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: l
     assert not claim.take(fd, 0)
 
 
-def test_of_two_that_race_exactly_one_wins(path: str) -> None:
-    rounds = 300
+def test_of_many_that_race_each_gets_a_slot_as_long_as_there_is_one(path: str) -> None:
+    """As clients do: take the first byte that is free."""
+    slots, rounds = 2, 100
 
     def work(send: Send, wait: Wait) -> None:
         for _ in range(rounds):
             wait()
             fd = claim.open_claims(path)
-            send(claim.take(fd, 6))
+            send(next((index for index in range(slots) if claim.take(fd, index)), -1))
             wait()
             os.close(fd)
             send("closed")
 
-    with Child(work) as one, Child(work) as two:
-        wins = [0, 0]
+    with Child(work) as one, Child(work) as two, Child(work) as three:
+        racers = [one, two, three]
         for number in range(rounds):
-            first, second = (one, two) if number % 2 else (two, one)
-            first.go()
-            second.go()
-            won = [one.receive(), two.receive()]
-            assert sorted(won) == [False, True]
-            wins = [total + new for total, new in zip(wins, won, strict=True)]
-            for racer in (one, two):
+            for racer in racers if number % 2 else reversed(racers):
+                racer.go()
+            assert sorted(racer.receive() for racer in racers) == [-1, 0, 1]
+            for racer in racers:
                 racer.go()
                 assert racer.receive() == "closed"
-        assert sum(wins) == rounds
-
-
-def test_many_that_race_get_one_slot_each(path: str) -> None:
-    """As clients do: take the first byte that is free."""
-
-    def work(send: Send, wait: Wait) -> None:
-        fd = claim.open_claims(path)
-        send("ready")
-        wait()
-        send(next((index for index in range(4) if claim.take(fd, index)), None))
-        wait()
-
-    children = [Child(work) for _ in range(6)]
-    try:
-        for child in children:
-            assert child.receive() == "ready"
-        for child in children:
-            child.go()
-        taken = [child.receive() for child in children]
-        assert sorted(index for index in taken if index is not None) == [0, 1, 2, 3]
-        assert taken.count(None) == 2
-    finally:
-        for child in children:
-            child.close()
 
 
 def exec_sleeper() -> tuple[int, int]:
@@ -279,23 +245,3 @@ def test_claims_do_not_depend_on_the_file_s_content(path: str, fds: list[int]) -
     assert not claim.take(other, 5)
     os.ftruncate(fd, 0)
     assert not claim.take(other, 5)
-
-
-@needs_root
-def test_who_may_not_write_the_file_can_not_claim(path: str) -> None:
-    os.chmod(path, 0o660)
-    os.chmod(os.path.dirname(path), 0o755)
-
-    def attempt() -> str:
-        try:
-            claim.open_claims(path)
-        except PermissionError:
-            return "refused"
-        return "opened"
-
-    parent = os.path.dirname(path)
-    while parent != "/":
-        if not os.stat(parent).st_mode & 0o001:
-            os.chmod(parent, os.stat(parent).st_mode | 0o001)
-        parent = os.path.dirname(parent)
-    assert call(attempt, NOBODY) == "refused"

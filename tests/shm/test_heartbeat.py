@@ -32,12 +32,8 @@ def test_beats(name: str) -> None:
     assert not seen.running(78)
     for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
         beats.beat(now_ns, epoch=i * 100)
-        assert (seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (
-            now_ns,
-            i,
-            i * 100,
-            worst_ns,
-        )
+        told = seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()
+        assert told == (now_ns, i, i * 100, worst_ns)
     assert seen.age_ns(1_100) == 40
     assert seen.age_ns(1_000) == 0
     beats.state(STOPPING, 2_000)
@@ -68,8 +64,8 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
 
     class Recording(segment.Segment):
         def word(self, of: str) -> Word:
-            word = super().word(of)
             place = self.spec.offsets[of]
+            assert self.mapped is not None
 
             class Recorded(Word):
                 def set(self, value: int) -> None:
@@ -77,9 +73,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
                     order.append(place)
                     assert not seen.running(78)
 
-            recorded = Recorded.__new__(Recorded)
-            recorded._words, recorded._index = word._words, word._index
-            return recorded
+            return Recorded(self.mapped, place)
 
     Heartbeat(Recording(own.spec, own.incarnation, own.mapped), 78, 0, 20_000)
     names = [name for place in order for name, at in own.spec.offsets.items() if at == place]

@@ -2,60 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
-import resource
-import signal
-import stat
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop import instances
-from failstop.shm import bell, instance, root
-from failstop.shm.instance import InstanceError, NoService
-from failstop.shm.lifeline import Lifeline
-from failstop.shm.place import Untrusted
-from tests.support.children import NOBODY, Child, call, needs_root, reachable, umask
+from failstop.lab.machine.kernel import Process
+from failstop.shm import instance, root
+from failstop.shm.instance import InstanceError
 
-Send = Callable[[object], None]
-Wait = Callable[[], None]
-STRANGER = 61_000 + os.getpid() % 4000
-"""A user that no one is, and of this process alone, so that its directories are this test's."""
+from .simulated import content, kill, living, mode, open_fds, put, refusing, user
+
+USER, OTHER = 1000, 1001
+MS = 1_000_000
 
 
 @pytest.fixture
-def bases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Three candidate directories of this test, none of them made yet."""
-    places = [str(tmp_path / place) for place in ("run", "session", "private")]
-    monkeypatch.setattr(instance, "bases", lambda: list(places))
-    return places
-
-
-@pytest.fixture
-def private() -> Iterator[str]:
-    """The stranger's directory in /dev/shm; whatever a test puts there is removed."""
-    path = f"/dev/shm/failstop-{STRANGER}"
-    _remove(path)
-    yield path
-    _remove(path)
-
-
-def _remove(path: str) -> None:
-    if os.path.islink(path) or os.path.isfile(path):
-        os.unlink(path)
-        return
-    for base, directories, files in os.walk(path, topdown=False):
-        for entry in directories + files:
-            whole = os.path.join(base, entry)
-            os.unlink(whole) if os.path.islink(whole) or entry in files else os.rmdir(whole)
-    with contextlib.suppress(FileNotFoundError):
-        os.rmdir(path)
+def bases(on: SimpleNamespace) -> list[str]:
+    """The three candidate directories of a user, who is the test; none is made yet, and each can be."""
+    on.os.chmod("/run", 0o1777)
+    on.os.makedirs(f"/run/user/{USER}")
+    on.os.chown(f"/run/user/{USER}", USER, USER)
+    on.own.uid = on.own.gid = USER
+    found: list[str] = on.instance.bases()
+    return found
 
 
 @pytest.mark.parametrize("name", ["a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_"])
@@ -84,357 +59,232 @@ def test_a_good_name_is_one_plain_path_component(name: str) -> None:
     assert name.strip(".")
 
 
-def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "getuid", lambda: 77)
-    private = "/dev/shm/failstop-77"
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
-    monkeypatch.setenv(root.VARIABLE, "/srv/apart")
-    assert instance.bases() == ["/srv/apart/run/failstop", "/elsewhere/failstop", private]
-    monkeypatch.delenv(root.VARIABLE)
-    assert instance.bases() == ["/run/failstop", "/elsewhere/failstop", private]
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "")
-    assert instance.bases() == ["/run/failstop", "/run/user/77/failstop", private]
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert instance.bases() == ["/run/failstop", "/run/user/77/failstop", private]
+def test_the_order_of_candidates(on: SimpleNamespace) -> None:
+    environ, private = on.own.environ, f"/dev/shm/failstop-{USER}"
+    with user(on, USER):
+        environ |= {"XDG_RUNTIME_DIR": "/elsewhere", root.VARIABLE: "/srv/apart"}
+        assert on.instance.bases() == ["/srv/apart/run/failstop", "/elsewhere/failstop", private]
+        del environ[root.VARIABLE]
+        assert on.instance.bases() == ["/run/failstop", "/elsewhere/failstop", private]
+        for session in ({"XDG_RUNTIME_DIR": ""}, {}):
+            environ.clear()
+            environ.update(session)
+            assert on.instance.bases() == ["/run/failstop", f"/run/user/{USER}/failstop", private]
+    assert on.instance.bases() == ["/run/failstop", "/run/user/0/failstop"], "root's are nobody else's to take"
 
 
-def test_root_has_no_place_that_others_could_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(root.VARIABLE, raising=False)
-    monkeypatch.setattr(os, "getuid", lambda: 0)
-    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    assert instance.bases() == ["/run/failstop", "/run/user/0/failstop"]
+def block(on: Any, base: str) -> None:
+    """A file is where a directory should be."""
+    with user(on, 0):
+        put(on, base, "in the way")
 
 
-def test_the_first_that_can_be_written_is_taken(bases: list[str]) -> None:
+def test_the_first_that_can_be_written_is_taken(on: SimpleNamespace, bases: list[str]) -> None:
     for base in bases:
-        path = instances.make_runtime_dir("robot")
-        assert path == os.path.join(base, "robot")
-        assert os.path.isdir(path)
-        os.rmdir(path)
-        os.rmdir(base)
-        Path(base).write_text("in the way")
-
-
-def test_when_none_can_be_written(bases: list[str]) -> None:
-    for base in bases:
-        Path(base).write_text("in the way")
-    with pytest.raises(InstanceError) as refused:
-        instances.make_runtime_dir("robot")
-    for part in ("'robot'", *bases):
+        path = on.instances.make_runtime_dir("robot")
+        assert path == f"{base}/robot"
+        assert on.os.path.isdir(path)
+        on.os.rmdir(path)
+        on.os.rmdir(base)
+        block(on, base)
+    with pytest.raises(on.instance.InstanceError) as refused:
+        on.instances.make_runtime_dir("robot")
+    for part in ("'robot'", *bases, "none can be written: set XDG_RUNTIME_DIR to a directory that is yours alone"):
         assert part in str(refused.value)
 
 
-def test_a_runtime_dir_is_taken_over(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-    Path(path, "left").write_text("by a dead run")
-    assert instances.make_runtime_dir("robot") == path
-    assert Path(path, "left").exists()
+def test_a_runtime_dir_is_taken_over(on: SimpleNamespace, bases: list[str]) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    put(on, f"{path}/left", "by a dead run")
+    assert on.instances.make_runtime_dir("robot") == path
+    assert on.os.path.exists(f"{path}/left")
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
-def test_the_shared_place_is_private_under_any_umask(private: str, monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
-    monkeypatch.setattr(instance, "bases", lambda: [private])
-    with umask(mask):
-        path = instances.make_runtime_dir("robot")
-        assert os.umask(mask) == mask
-    assert stat.S_IMODE(os.stat(path).st_mode) == 0o700
-    assert stat.S_IMODE(os.stat(private).st_mode) == 0o700
+@pytest.mark.parametrize(("taken", "rights"), [(0, 0o755), (1, 0o755), (2, 0o700)])
+def test_the_shared_place_is_private_and_others_let_everyone_in_to_read_under_any_umask(
+    on: SimpleNamespace, bases: list[str], mask: int, taken: int, rights: int
+) -> None:
+    """So that every local user can reach the stop pipe."""
+    for base in bases[:taken]:
+        block(on, base)
+    on.own.umask = mask
+    path = on.instances.make_runtime_dir("robot")
+    assert on.own.umask == mask
+    assert (path, mode(on, path), mode(on, bases[taken])) == (f"{bases[taken]}/robot", rights, rights)
+    assert on.os.stat(path).st_uid == on.os.stat(bases[taken]).st_uid == USER
+    assert on.instances.make_runtime_dir("robot") == path
 
 
-def test_a_full_disk_is_told_and_not_passed_over(bases: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_and_not_passed_over(on: SimpleNamespace, bases: list[str]) -> None:
     """Clients look in the first place, and would find nobody."""
-
-    def mkdir(path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
-
-    os.mkdir(bases[0])
-    monkeypatch.setattr(os, "mkdir", mkdir)
-    with pytest.raises(InstanceError) as refused:
-        instances.make_runtime_dir("robot")
-    assert f"{bases[0]}/robot: No space left on device" in str(refused.value)
+    with refusing(on, "mkdir", errno.ENOSPC), pytest.raises(on.instance.InstanceError) as refused:
+        on.instances.make_runtime_dir("robot")
+    assert str(refused.value).endswith(f"; {bases[0]}/robot: No space left on device")
 
 
 @pytest.mark.parametrize("second", ["everyone's", "full"])
-def test_every_place_that_is_no_good_is_told_of(bases: list[str], monkeypatch: pytest.MonkeyPatch, second: str) -> None:
+def test_every_place_that_is_no_good_is_told_of(on: SimpleNamespace, bases: list[str], second: str) -> None:
     """To a user: root has the first alone."""
-    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() or STRANGER)
-    Path(bases[2]).write_text("in the way")
-    os.mkdir(bases[0])
-    os.chmod(bases[0], 0o777)
-    real = os.mkdir
-
-    def mkdir(path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
-        if path == bases[1]:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
-        real(path, mode, dir_fd=dir_fd)
-
-    if second == "full":
-        monkeypatch.setattr(os, "mkdir", mkdir)
-        expected = rf"{bases[1]}/robot: No space left on device$"
-    else:
-        os.mkdir(bases[1])
-        os.chmod(bases[1], 0o777)
-        expected = rf"{bases[1]} may be written by others .*$"
-    with pytest.raises(InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected}"):
-        instances.make_runtime_dir("robot")
+    block(on, bases[2])
+    for base in bases[: 1 if second == "full" else 2]:
+        on.os.mkdir(base)
+        on.os.chmod(base, 0o777)
+    expected = (
+        f"{bases[1]}/robot: No space left on device" if second == "full" else f"{bases[1]} may be written by others .*"
+    )
+    with (
+        refusing(on, "mkdir", errno.ENOSPC, of=bases[1] if second == "full" else ""),
+        pytest.raises(on.instance.InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected}$"),
+    ):
+        on.instances.make_runtime_dir("robot")
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o077])
-def test_other_directories_let_everyone_in_to_read(monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
-    """So that every local user can reach the stop pipe."""
-    base = f"/var/tmp/failstop-test-{os.getpid()}"
-    monkeypatch.setattr(instance, "bases", lambda: [base])
-    try:
-        with umask(mask):
-            path = instances.make_runtime_dir("robot")
-        assert stat.S_IMODE(os.stat(path).st_mode) == 0o755
-        assert stat.S_IMODE(os.stat(base).st_mode) == 0o755
-    finally:
-        _remove(base)
-
-
-def made_as_stranger(name: str = "robot") -> str:
-    """What a user without a session or rights gets: its directory, or the refusal."""
-
-    def attempt() -> str:
-        os.environ.pop("XDG_RUNTIME_DIR", None)
-        try:
-            return instances.make_runtime_dir(name)
-        except InstanceError as error:
-            return f"refused: {error}"
-
-    answer: str = call(attempt, STRANGER)
-    return answer
-
-
-@needs_root
-def test_a_user_s_own_directory_in_the_shared_place(private: str) -> None:
-    assert made_as_stranger() == f"{private}/robot"
-    for path in (private, f"{private}/robot"):
-        found = os.lstat(path)
-        assert (found.st_uid, stat.S_IMODE(found.st_mode)) == (STRANGER, 0o700)
-    assert made_as_stranger() == f"{private}/robot"
-
-
-@needs_root
 @pytest.mark.parametrize("part", ["base", "instance"])
 @pytest.mark.parametrize("trap", ["other user's", "link to other user's", "link to own", "file", "dangling link"])
-def test_a_trap_in_the_shared_place_is_refused(private: str, tmp_path: Path, part: str, trap: str) -> None:
+def test_a_trap_in_the_shared_place_is_refused(on: SimpleNamespace, bases: list[str], part: str, trap: str) -> None:
     """It is everyone's: what is there already may have been put there to be trusted."""
-    target = tmp_path / "target"
-    target.mkdir()
-    reachable(tmp_path)
-    if trap == "link to own":
-        os.chown(target, STRANGER, STRANGER)
-    else:
-        os.chown(target, NOBODY, NOBODY)
-        target.chmod(0o777)
-    place = private
+    for base in bases[:2]:
+        block(on, base)
+    place = bases[2]
     if part == "instance":
-        os.mkdir(private, 0o700)
-        os.chown(private, STRANGER, STRANGER)
-        place = f"{private}/robot"
-    if trap == "other user's":
-        os.mkdir(place)
-        os.chown(place, NOBODY, NOBODY)
-        os.chmod(place, 0o777)
-    elif trap == "file":
-        Path(place).write_text("")
-    else:
-        os.symlink(tmp_path / "nowhere" if trap == "dangling link" else target, place)
-    answer = made_as_stranger()
-    assert answer.startswith("refused: no runtime directory for 'robot'")
-    assert private in answer
-    assert "\n" not in answer
-    assert list(target.iterdir()) == []
+        on.os.mkdir(place, 0o700)
+        place = f"{place}/robot"
+    owner = USER if trap == "link to own" else OTHER
+    with user(on, 0):
+        for made in ("/tmp/target", *([place] if trap == "other user's" else [])):
+            on.os.mkdir(made)
+            on.os.chmod(made, 0o777)
+            on.os.chown(made, owner, owner)
+        if trap == "file":
+            put(on, place)
+        elif trap != "other user's":
+            on.os.symlink("/tmp/nowhere" if trap == "dangling link" else "/tmp/target", place)
+    with pytest.raises(on.instance.InstanceError, match=r"^no runtime directory for 'robot'") as refused:
+        on.instances.make_runtime_dir("robot")
+    assert bases[2] in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert on.os.listdir("/tmp/target") == []
 
 
-def holder(path: str) -> Child:
+def holder(on: Any, path: str) -> Process:
     """A process that is the service of this directory."""
 
-    def work(send: Send, wait: Wait) -> None:
-        instances.lock(path)
-        bell.make_pipe(instance.stop_path(path), 0o622)
-        bell.open_pipe(instance.stop_path(path))
-        send(os.getpid())
-        wait()
+    def work() -> None:
+        on.instances.lock(path)
+        on.bell.make_pipe(on.instance.stop_path(path), 0o622)
+        on.bell.open_pipe(on.instance.stop_path(path))
 
-    child = Child(work)
-    assert child.receive() == child.pid
-    return child
+    return living(on, work)
 
 
-def test_a_second_service_is_refused_with_the_first_one_s_pid(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-    assert not instances.running(path)
-    with holder(path) as first:
-        assert instances.running(path)
-        for _ in range(3):
-            with pytest.raises(InstanceError) as refused:
-                instances.lock(path)
-            assert f"'robot' is already running (pid {first.pid})" in str(refused.value)
-            assert "--name" in str(refused.value)
-        assert instance.find("robot") == path
-        first.go()
-        first.wait()
-    assert not instances.running(path)
+def pid_told(on: Any, path: str) -> str:
+    """What is in the lock."""
+    return content(on, on.instance.lock_path(path)).decode()
 
 
-def test_a_refused_one_leaves_nothing_open_and_the_pid_alone(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-    with holder(path) as first:
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(10):
-            with pytest.raises(InstanceError):
-                instances.lock(path)
-            instances.running(path)
-        assert len(os.listdir("/proc/self/fd")) == before
-        assert Path(instance.lock_path(path)).read_text() == f"{first.pid}\n"
+def test_a_second_service_is_refused_with_the_first_one_s_pid(on: SimpleNamespace, bases: list[str]) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    assert not on.instances.running(path)
+    first, before = holder(on, path), open_fds(on)
+    assert on.instances.running(path)
+    for _ in range(3):
+        with pytest.raises(on.instance.InstanceError) as refused:
+            on.instances.lock(path)
+        assert f"'robot' is already running (pid {first.pid})" in str(refused.value)
+        assert "--name" in str(refused.value)
+    assert on.instance.find("robot") == path
+    assert open_fds(on) == before
+    assert pid_told(on, path) == f"{first.pid}\n"
+    for junk in (b"", b"\xff\xfe\0", b"x" * 5000):
+        put(on, on.instance.lock_path(path), junk)
+        with pytest.raises(on.instance.InstanceError, match="is already running"):
+            on.instances.lock(path)
+    kill(on, first)
+    assert not on.instances.running(path)
+    with pytest.raises(on.instance.NoService):
+        on.instance.find("robot")
+    put(on, on.instance.lock_path(path), "99999999999\n")
+    on.instances.lock(path)
+    assert pid_told(on, path) == f"{on.own.pid}\n", "no digits are left of a longer one"
 
 
-def test_sigkill_of_the_holder_frees_the_name(bases: list[str], fds: list[int]) -> None:
-    path = instances.make_runtime_dir("robot")
-    for _ in range(10):
-        with holder(path) as first:
-            first.kill()
-        assert not instances.running(path)
-        with pytest.raises(NoService):
-            instance.find("robot")
-    fds.append(instances.lock(path))
-    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
-
-
-def test_a_longer_pid_before_leaves_no_digits(bases: list[str], fds: list[int]) -> None:
-    path = instances.make_runtime_dir("robot")
-    Path(instance.lock_path(path)).write_text("99999999999\n")
-    fds.append(instances.lock(path))
-    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
-
-
-@pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"x" * 5000])
-def test_junk_in_the_lock_file_is_no_crash(bases: list[str], junk: bytes) -> None:
-    path = instances.make_runtime_dir("robot")
-    with holder(path):
-        Path(instance.lock_path(path)).write_bytes(junk)
-        with pytest.raises(InstanceError, match="is already running"):
-            instances.lock(path)
-
-
-def test_of_two_that_start_at_once_one_runs(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-
-    def work(send: Send, wait: Wait) -> None:
-        for _ in range(100):
-            wait()
-            try:
-                fd = instances.lock(path)
-                send("runs")
-            except InstanceError:
-                fd = -1
-                send("refused")
-            wait()
-            if fd >= 0:
-                os.close(fd)
-            send("gone")
-
-    with Child(work) as one, Child(work) as two:
-        for _ in range(100):
-            one.go()
-            two.go()
-            assert sorted([one.receive(), two.receive()]) == ["refused", "runs"]
-            for racer in (one, two):
-                racer.go()
-                assert racer.receive() == "gone"
-
-
-@contextlib.contextmanager
-def died_with_a_copy(path: str) -> Iterator[Lifeline]:
-    """The service has died, and a copy of it, which has exec'd nothing, still has its lock."""
-
-    def work(send: Send, wait: Wait) -> None:
-        instances.lock(path)
-        copy = os.fork()
-        if not copy:
-            signal.alarm(60)
-            signal.pause()
-        send(copy)
-        wait()
-
-    with Child(work) as dead:
-        copy = Lifeline(dead.receive())
-    try:
-        yield copy
-    finally:
-        copy.kill()
-        copy.close()
-
-
-def test_a_lock_whose_owner_has_died_is_waited_for(
-    bases: list[str], fds: list[int], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("lets_go", [True, False])
+def test_a_lock_whose_owner_has_died_is_waited_for_and_not_without_end(
+    on: SimpleNamespace, bases: list[str], lets_go: bool
 ) -> None:
-    """A supervisor that dies while it starts a process: that one lets go at its exec."""
-    path = instances.make_runtime_dir("robot")
-    with died_with_a_copy(path) as copy:
-        assert instances.holder(path) == "", "no living process's"
-        instances.refuse_locked("robot")
-        monkeypatch.setattr(instances, "LETTING_GO_S", 60)
-        slept_s: list[float] = []
-        monkeypatch.setattr(time, "sleep", lambda seconds: (slept_s.append(seconds), copy.kill()))
-        fds.append(instances.lock(path))
-        assert max(slept_s) < 0.1, "a start does not wait long for it"
-    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
+    """A supervisor that dies while it starts a process, which has its lock too: that one lets go at its exec."""
+    path, machine = on.instances.make_runtime_dir("robot"), on.machine
+    dead = holder(on, path)
+    copy = living(on, lambda: None)
+    (lock,) = (opened for opened in dead.files.values() if opened.node.locks)
+    copy.descriptor(lock)
+    kill(on, dead)
+    assert on.instances.holder(path) == "", "no living process's"
+    on.instances.refuse_locked("robot")
+    began_ns = machine.now_ns
+    if lets_go:
+        machine.at(began_ns + 100 * MS, lambda: machine.die(copy, -9))
+        on.instances.lock(path)
+        assert 100 * MS < machine.now_ns - began_ns < 105 * MS
+        assert pid_told(on, path) == f"{on.own.pid}\n"
+    else:
+        with pytest.raises(on.instance.InstanceError, match="is already running"):
+            on.instances.lock(path)
+        assert 500 * MS < machine.now_ns - began_ns < 505 * MS
 
 
-def test_it_is_not_waited_for_without_end(bases: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    path = instances.make_runtime_dir("robot")
-    monkeypatch.setattr(instances, "LETTING_GO_S", 0.01)
-    with died_with_a_copy(path), pytest.raises(InstanceError, match="is already running"):
-        instances.lock(path)
-
-
-def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(bases: list[str]) -> None:
-    instances.refuse_locked("robot")
+def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(on: SimpleNamespace, bases: list[str]) -> None:
+    on.instances.refuse_locked("robot")
     for base in bases:
-        path = os.path.join(base, "robot")
-        os.makedirs(path)
-        assert instances.holder(path) == ""
-        with holder(path) as first:
-            assert instances.holder(path) == str(first.pid)
-            with pytest.raises(InstanceError, match=rf"'robot' is already running \(pid {first.pid}\)"):
-                instances.refuse_locked("robot")
-        assert instances.holder(path) == ""
-        instances.refuse_locked("robot")
+        path = f"{base}/robot"
+        on.os.makedirs(path)
+        own(on, path)
+        assert on.instances.holder(path) == ""
+        first = holder(on, path)
+        assert on.instances.holder(path) == str(first.pid)
+        with pytest.raises(on.instance.InstanceError, match=rf"'robot' is already running \(pid {first.pid}\)"):
+            on.instances.refuse_locked("robot")
+        kill(on, first)
+        assert on.instances.holder(path) == ""
+        on.instances.refuse_locked("robot")
 
 
-def test_who_listens_in_another_directory_is_refused(bases: list[str]) -> None:
-    instances.refuse_listening("robot")
-    path = os.path.join(bases[1], "robot")
-    os.makedirs(path)
-    with holder(path):
-        instances.refuse_listening("robot", but=path)
-        for but in ("", os.path.join(bases[0], "robot")):
-            with pytest.raises(InstanceError, match="'robot' is already running"):
-                instances.refuse_listening("robot", but)
-    instances.refuse_listening("robot")
+def own(on: Any, path: str) -> None:
+    """Give a directory, and the one above, to the test's user."""
+    with user(on, 0):
+        for each in (path, os.path.dirname(path)):
+            on.os.chown(each, USER, USER)
 
 
-@needs_root
-def test_what_is_not_believed_does_not_listen(bases: list[str]) -> None:
-    path = os.path.join(bases[1], "robot")
-    os.makedirs(path)
-    with holder(path):
-        os.chmod(path, 0o777)
-        instances.refuse_listening("robot")
+def test_who_listens_in_another_directory_is_refused(on: SimpleNamespace, bases: list[str]) -> None:
+    on.instances.refuse_listening("robot")
+    path = f"{bases[1]}/robot"
+    on.os.makedirs(path)
+    own(on, path)
+    first = holder(on, path)
+    on.instances.refuse_listening("robot", but=path)
+    for but in ("", f"{bases[0]}/robot"):
+        with pytest.raises(on.instance.InstanceError, match="'robot' is already running"):
+            on.instances.refuse_listening("robot", but)
+    on.os.chmod(path, 0o777)
+    on.instances.refuse_listening("robot")  # what is not believed does not listen
+    on.os.chmod(path, 0o755)
+    kill(on, first)
+    on.instances.refuse_listening("robot")
 
 
-def test_all_that_listen_are_found_by_name(bases: list[str]) -> None:
-    assert instances.listening() == []
+def test_all_that_listen_are_found_by_name(on: SimpleNamespace, bases: list[str]) -> None:
+    assert on.instances.listening() == []
     for base, name in ((bases[2], "alpha"), (bases[1], "robot"), (bases[1], "silent"), (bases[1], "No name")):
-        os.makedirs(os.path.join(base, name))
-    with holder(os.path.join(bases[1], "robot")), holder(os.path.join(bases[2], "alpha")):
-        assert instances.listening() == ["alpha", "robot"]
-        assert [instances.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
-    assert instances.listening() == []
+        on.os.makedirs(f"{base}/{name}")
+        own(on, f"{base}/{name}")
+    both = [holder(on, path) for path in (f"{bases[1]}/robot", f"{bases[2]}/alpha")]
+    assert on.instances.listening() == ["alpha", "robot"]
+    assert [on.instances.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
+    for each in both:
+        kill(on, each)
+    assert on.instances.listening() == []
 
 
 def test_a_command_names_every_instance_but_the_default_one() -> None:
@@ -442,216 +292,191 @@ def test_a_command_names_every_instance_but_the_default_one() -> None:
     assert instance.option("robot") == " --name robot"
 
 
-def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(bases: list[str]) -> None:
-    path = os.path.join(bases[0], "robot")
-    with pytest.raises(InstanceError, match=rf"the lock {path}/lock can't be made: No such file or directory"):
-        instances.lock(path)
-    os.makedirs(path)
-
-    def attempt() -> tuple[str, int]:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-        before = len(os.listdir("/proc/self/fd"))
-        with pytest.raises(InstanceError) as refused:
-            instances.lock(path)
-        return str(refused.value), len(os.listdir("/proc/self/fd")) - before
-
-    assert call(attempt) == (f"the lock {path}/lock can't be written: File too large", 0)
-
-
-def test_instances_do_not_lock_each_other(bases: list[str], fds: list[int]) -> None:
-    fds.append(instances.lock(instances.make_runtime_dir("one")))
-    fds.append(instances.lock(instances.make_runtime_dir("two")))
-    assert len(fds) == 2
-
-
-@needs_root
-def test_a_stranger_cannot_open_the_lock(bases: list[str], fds: list[int]) -> None:
-    fds.append(instances.lock(path := instances.make_runtime_dir("robot")))
-    assert stat.S_IMODE(os.stat(instance.lock_path(path)).st_mode) == 0o600
-
-
-def test_the_lock_does_not_cross_an_exec(bases: list[str], fds: list[int]) -> None:
-    fds.append(fd := instances.lock(path := instances.make_runtime_dir("robot")))
-    assert instances.holder(path) == str(os.getpid())
-    assert not os.get_inheritable(fd)
-
-
-def test_find_looks_everywhere_for_the_one_that_runs(bases: list[str]) -> None:
-    for base in bases:
-        os.makedirs(os.path.join(base, "robot"))
-        Path(base, "robot", "lock").write_text("123\n")
+def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(
+    on: SimpleNamespace, bases: list[str]
+) -> None:
+    path = f"{bases[0]}/robot"
     with pytest.raises(
-        NoService, match=r"no service named 'robot' is running: start it with `failstop run --name robot`"
+        on.instance.InstanceError, match=rf"the lock {path}/lock can't be made: No such file or directory"
     ):
-        instance.find("robot")
+        on.instances.lock(path)
+    assert on.instances.make_runtime_dir("robot") == path
+    before = open_fds(on)
+    for call in ("pwrite", "ftruncate"):
+        with (
+            refusing(on, call, errno.EFBIG),
+            pytest.raises(on.instance.InstanceError, match=rf"^the lock {path}/lock can't be written: File too large$"),
+        ):
+            on.instances.lock(path)
+        assert open_fds(on) == before
+
+
+def test_a_lock_is_its_directory_s_and_its_owner_s_alone_and_crosses_no_exec(
+    on: SimpleNamespace, bases: list[str]
+) -> None:
+    paths = [on.instances.make_runtime_dir(name) for name in ("one", "two")]
+    fds = [on.instances.lock(path) for path in paths]
+    assert len(set(fds)) == 2
+    assert [mode(on, on.instance.lock_path(path)) for path in paths] == [0o600] * 2
+    assert on.instances.holder(paths[0]) == str(on.own.pid)
+    assert not on.own.inheritable & set(fds)
+
+
+def test_find_looks_everywhere_for_the_one_that_runs(on: SimpleNamespace, bases: list[str]) -> None:
+    for base in bases:
+        on.os.makedirs(f"{base}/robot")
+        own(on, f"{base}/robot")
+        put(on, f"{base}/robot/lock", "123\n")
+    with pytest.raises(
+        on.instance.NoService, match=r"no service named 'robot' is running: start it with `failstop run --name robot`"
+    ):
+        on.instance.find("robot")
     for base in reversed(bases):
-        with holder(os.path.join(base, "robot")):
-            assert instance.find("robot") == os.path.join(base, "robot")
+        first = holder(on, f"{base}/robot")
+        assert on.instance.find("robot") == f"{base}/robot"
+        kill(on, first)
 
 
-@needs_root
-def test_everyone_can_find_a_service_that_everyone_may_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    base = f"/var/tmp/failstop-test-{os.getpid()}"
-    monkeypatch.setattr(instance, "bases", lambda: [base])
-    try:
-        with umask(0o077):
-            path = instances.make_runtime_dir("robot")
-            with holder(path):
-                assert call(lambda: instance.find("robot"), NOBODY) == path
-    finally:
-        _remove(base)
+def test_everyone_can_find_a_service_of_root_s_that_everyone_may_stop(on: SimpleNamespace) -> None:
+    on.own.umask = 0o077
+    path = on.instances.make_runtime_dir("robot")
+    holder(on, path)
+    with user(on, OTHER):
+        assert on.instance.find("robot") == path
 
 
-def test_paths_lie_in_the_runtime_dir_and_differ() -> None:
-    each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
-    paths = [path("/run/x") for path in each]
-    assert len(set(paths)) == len(each)
-    assert all(os.path.dirname(path) == "/run/x" for path in paths)
+def test_paths_lie_in_the_runtime_dir_by_their_own_names() -> None:
+    names = {"lock": instance.lock_path, "claims": instance.claims_path, "stop": instance.stop_path}
+    names |= {"bell": instance.bell_path, "run": instance.run_path, "last": instance.last_path}
+    assert {name: path("/run/x") for name, path in names.items()} == {name: f"/run/x/{name}" for name in names}
 
 
-def test_a_file_of_a_runtime_dir_is_reached_by_its_own_name_there() -> None:
-    assert [instance._file(name)("/run/x") for name in ("lock", "other")] == ["/run/x/lock", "/run/x/other"]
-
-
-def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds: list[int]) -> None:
-    path = instances.make_runtime_dir("robot")
-    with pytest.raises(NoService):
-        instance.run(path)
+def test_the_run_that_is_published_is_the_one_that_is_read(on: SimpleNamespace, bases: list[str]) -> None:
+    path, fds = on.instances.make_runtime_dir("robot"), []
+    with pytest.raises(on.instance.NoService):
+        on.instance.run(path)
     for incarnation in (7, 2**64 - 1, 0):
-        fds.append(fd := instance.publish(path, incarnation))
-        assert instance.run(path) == (incarnation, os.geteuid())
-        assert os.fstat(fd).st_nlink == 1
-        assert stat.S_IMODE(os.fstat(fd).st_mode) == 0o644
-    assert os.fstat(fds[0]).st_nlink == 0
-    instance.clear(path)
-    assert os.listdir(path) == []
+        fds.append(on.instance.publish(path, incarnation))
+        assert on.instance.run(path) == (incarnation, USER)
+        found = on.os.fstat(fds[-1])
+        assert (found.st_nlink, found.st_mode & 0o7777) == (1, 0o644)
+    assert on.os.fstat(fds[0]).st_nlink == 0
+    on.instance.clear(path)
+    assert on.os.listdir(path) == []
 
 
 def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
-    bases: list[str], fds: list[int]
+    on: SimpleNamespace, bases: list[str]
 ) -> None:
-    path = instances.make_runtime_dir("robot")
-    fds.append(instance.publish(path, 7))
-
-    def attempt() -> int:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-        before = len(os.listdir("/proc/self/fd"))
-        with pytest.raises(OSError, match="File too large"):
-            instance.publish(path, 8)
-        return len(os.listdir("/proc/self/fd")) - before
-
-    assert call(attempt) == 0
-    assert instance.run(path) == (7, os.geteuid())
-    os.unlink(f"{instance.run_path(path)}.new")
-    os.symlink(bases[0], f"{instance.run_path(path)}.new")
-    before = os.listdir("/proc/self/fd")
-    with pytest.raises(Untrusted, match="is a link"):
-        instance.publish(path, 8)
-    assert os.listdir("/proc/self/fd") == before
+    path = on.instances.make_runtime_dir("robot")
+    on.instance.publish(path, 7)
+    before = open_fds(on)
+    with refusing(on, "pwrite", errno.EFBIG), pytest.raises(OSError, match="File too large"):
+        on.instance.publish(path, 8)
+    on.machine.shortened = True
+    with pytest.raises(OSError, match="No space left on device") as full:
+        on.instance.publish(path, 8)
+    assert (full.value.errno, full.value.filename) == (errno.ENOSPC, on.instance.run_path(path))
+    assert on.instance.run(path) == (7, USER)
+    on.os.unlink(f"{on.instance.run_path(path)}.new")
+    on.os.symlink(bases[0], f"{on.instance.run_path(path)}.new")
+    with pytest.raises(on.place.Untrusted, match="is a link"):
+        on.instance.publish(path, 8)
+    assert open_fds(on) == before
 
 
-def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: list[int]) -> None:
-    path = instances.make_runtime_dir("robot")
-    each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
-    for place in each:
-        Path(place(path)).write_text("")
-    for place in (instance.run_path, instance.last_path):
-        Path(f"{place(path)}.new").write_text("")
-    Path(path, "kept").write_text("somebody else's")
-    before = len(os.listdir("/proc/self/fd"))
+def test_what_a_run_has_left_is_cleared_but_for_the_lock(on: SimpleNamespace, bases: list[str]) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    for name in ("lock", "claims", "stop", "bell", "run", "run.new", "last.new", "kept"):
+        put(on, f"{path}/{name}")
+    before = open_fds(on)
     for _ in range(2):
-        instance.clear(path)
-        assert sorted(os.listdir(path)) == ["kept", "lock"]
-    instance.clear(f"{path}-absent")
-    assert len(os.listdir("/proc/self/fd")) == before
+        on.instance.clear(path)
+        assert sorted(on.os.listdir(path)) == ["kept", "lock"]
+    on.instance.clear(f"{path}-absent")
+    assert open_fds(on) == before
 
 
-def remembered(name: str) -> tuple[str, str, tuple[int, ...]]:
+def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...]]:
     """How the last run of this name was started."""
-    found = instance.last(name)
+    found = on.instance.last(name)
     return found.device, found.command, found.servos
 
 
 NO_RUN = ("", "", ())
 
 
-def test_how_the_last_run_was_started_outlives_it(bases: list[str]) -> None:
-    assert remembered("robot") == NO_RUN
-    path = instances.make_runtime_dir("robot")
+def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: list[str]) -> None:
+    for name in ("robot", "no/slash", ""):
+        assert remembered(on, name) == NO_RUN
+    path = on.instances.make_runtime_dir("robot")
     for servos in ((), (1, 2, 10)):
-        instance.remember(path, instance.Last("/dev/my board", "failstop run --device '/dev/my board'", servos))
-        assert remembered("robot") == ("/dev/my board", "failstop run --device '/dev/my board'", servos)
-    instance.clear(path)
-    assert remembered("robot")[0] == "/dev/my board"
-    assert os.listdir(path) == ["last"]
-    assert stat.S_IMODE(os.stat(instance.last_path(path)).st_mode) == 0o644
-    assert remembered("other") == NO_RUN
-    with pytest.raises(NoService, match=r"start it with `failstop run --device '/dev/my board'`$"):
-        instance.find("robot")
+        words = ("/dev/my board", "failstop run --device '/dev/my board'", servos)
+        before = open_fds(on)
+        on.instance.remember(path, on.instance.Last(*words))
+        assert remembered(on, "robot") == words
+        assert open_fds(on) == before
+    on.instance.clear(path)
+    assert remembered(on, "robot")[0] == "/dev/my board"
+    assert on.os.listdir(path) == ["last"]
+    assert mode(on, on.instance.last_path(path)) == 0o644
+    assert remembered(on, "other") == NO_RUN
+    with pytest.raises(on.instance.NoService, match=r"start it with `failstop run --device '/dev/my board'`$"):
+        on.instance.find("robot")
+    on.instance.remember(path, on.instance.Last("/dev/x", "failstop run --config '\x1b[2J'"))
+    assert remembered(on, "robot") == ("/dev/x", "", ()), "what would write on the terminal is not shown"
 
 
-def test_of_two_places_the_newer_run_counts(bases: list[str]) -> None:
-    for at, base in enumerate(bases):
-        path = os.path.join(base, "robot")
-        os.makedirs(path)
-        instance.remember(path, instance.Last(f"/dev/{at}", "failstop run"))
-        os.utime(instance.last_path(path), ns=(1000, 1000 + at))
-    assert remembered("robot")[0] == f"/dev/{len(bases) - 1}"
-    os.utime(instance.last_path(os.path.join(bases[0], "robot")), ns=(1000, 2000))
-    assert remembered("robot")[0] == "/dev/0"
+def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str]) -> None:
+    for base in (*bases, bases[0]):
+        on.os.makedirs(f"{base}/robot")
+        own(on, f"{base}/robot")
+        on.instance.remember(f"{base}/robot", on.instance.Last(base, "failstop run"))
+        assert remembered(on, "robot")[0] == base
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0one", b"\0" * 99])
-def test_nonsense_is_no_run(bases: list[str], junk: bytes) -> None:
-    Path(instance.last_path(instances.make_runtime_dir("robot"))).write_bytes(junk)
-    assert remembered("robot") == NO_RUN
+def test_nonsense_is_no_run(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
+    put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), junk)
+    assert remembered(on, "robot") == NO_RUN
 
 
-@pytest.mark.parametrize("name", ["no/slash", "", "robot"])
-def test_a_last_run_is_not_looked_for_where_none_can_be(bases: list[str], name: str) -> None:
-    assert remembered(name) == NO_RUN
-
-
-def test_a_last_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:
-    (tmp_path / "planted").write_bytes(b"/dev/x\0failstop run")
-    os.symlink(tmp_path / "planted", instance.last_path(instances.make_runtime_dir("robot")))
-    assert remembered("robot") == NO_RUN
-
-
-def test_a_command_that_would_write_on_the_terminal_is_not_shown(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-    instance.remember(path, instance.Last("/dev/x", "failstop run --config '\x1b[2J'"))
-    assert remembered("robot") == ("/dev/x", "", ())
-
-
-def test_a_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:
-    path = instances.make_runtime_dir("robot")
-    (tmp_path / "planted").write_text("0000000000000007")
-    os.symlink(tmp_path / "planted", instance.run_path(path))
-    with pytest.raises(InstanceError, match="run is a link: remove it"):
-        instance.run(path)
+def test_what_somebody_has_planted_is_not_believed(on: SimpleNamespace, bases: list[str]) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    put(on, "/tmp/planted", b"/dev/x\0failstop run")
+    on.os.symlink("/tmp/planted", on.instance.last_path(path))
+    assert remembered(on, "robot") == NO_RUN
+    on.os.symlink("/tmp/planted", on.instance.run_path(path))
+    with pytest.raises(on.instance.InstanceError, match="run is a link: remove it"):
+        on.instance.run(path)
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])
-def test_a_run_that_can_not_be_read_is_no_service(bases: list[str], junk: bytes) -> None:
-    path = instances.make_runtime_dir("robot")
-    Path(instance.run_path(path)).write_bytes(junk)
-    with pytest.raises(NoService):
-        instance.run(path)
+def test_a_run_that_can_not_be_read_is_no_service(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    put(on, on.instance.run_path(path), junk)
+    before = open_fds(on)
+    with pytest.raises(on.instance.NoService):
+        on.instance.run(path)
+    assert open_fds(on) == before
 
 
-@needs_root
-def test_root_takes_over_no_directory_of_another_user(bases: list[str]) -> None:
+def test_root_takes_over_no_directory_of_another_user(on: SimpleNamespace) -> None:
     """That one could neither use what root leaves there nor remove it."""
-    path = instances.make_runtime_dir("robot")
-    os.chown(bases[0], NOBODY, NOBODY)
-    os.chown(path, NOBODY, NOBODY)
-    with pytest.raises(InstanceError, match=rf"; {path} belongs to .*uid 65534.*choose another --name"):
-        instances.make_runtime_dir("robot")
+    path = on.instances.make_runtime_dir("robot")
+    for each in (path, os.path.dirname(path)):
+        on.os.chown(each, OTHER, OTHER)
+    before = open_fds(on)
+    with pytest.raises(
+        on.instance.InstanceError,
+        match=rf"; {path} belongs to uid {OTHER}: start it as that user.*choose another --name",
+    ):
+        on.instances.make_runtime_dir("robot")
+    assert open_fds(on) == before
 
 
-def test_a_directory_that_others_may_write_is_not_taken_over(bases: list[str]) -> None:
-    path = instances.make_runtime_dir("robot")
-    os.chmod(path, 0o777)
-    with pytest.raises(InstanceError, match=rf"; {path} may be written by others"):
-        instances.make_runtime_dir("robot")
+def test_a_directory_that_others_may_write_is_not_taken_over(on: SimpleNamespace) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    on.os.chmod(path, 0o777)
+    with pytest.raises(on.instance.InstanceError, match=rf"; {path} may be written by others"):
+        on.instances.make_runtime_dir("robot")

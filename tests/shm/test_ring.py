@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from failstop.shm import cell
@@ -22,12 +20,10 @@ from .rings import (
     place,
     put,
     reader_of,
+    ring,
     ring_memory,
     writer_of,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 def test_empty() -> None:
@@ -39,19 +35,8 @@ def test_empty() -> None:
         assert reader.lost == 0
 
 
-def test_order_over_many_laps() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
-    for _ in range(5 * CELLS):
-        put(writer, 3)
-        assert drain(reader) == [writer.seq - 2, writer.seq - 1, writer.seq]
-        assert reader.next() is None
-    assert reader.lost == 0
-
-
 def test_one_store_a_put_and_one_copy_a_look() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     memory.copies.clear()
     put(writer, 2)
     put(writer, 1, size=5)
@@ -63,8 +48,7 @@ def test_one_store_a_put_and_one_copy_a_look() -> None:
 
 def test_an_idle_ring_costs_one_copy_a_look() -> None:
     """Looking through the whole ring is for damage only, not for a ring in which nothing is new."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     for _ in range(3 * CELLS):
         memory.copies.clear()
         assert reader.next() is None
@@ -74,8 +58,7 @@ def test_an_idle_ring_costs_one_copy_a_look() -> None:
 
 
 def test_too_large_a_payload_changes_nothing() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, 3)
     held = bytes(memory.data)
     with pytest.raises(cell.PayloadTooLarge):
@@ -88,8 +71,7 @@ def test_too_large_a_payload_changes_nothing() -> None:
 @pytest.mark.parametrize("read", range(CELLS + 2))
 @pytest.mark.parametrize("ahead", [*range(1, 3 * CELLS + 2), 10 * CELLS])
 def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    _, writer, reader = ring()
     put(writer, read)
     drained = drain(reader)
     reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
@@ -113,28 +95,8 @@ def test_where_readers_start(written: int) -> None:
     assert RingReader(memory, AT, CAPACITY, CELLS, SEED).next() is None, "unless told"
 
 
-def test_many_readers_do_not_know_of_each_other() -> None:
-    memory = ring_memory()
-    writer = writer_of(memory)
-    readers = [reader_of(memory) for _ in range(20)]
-    seen: list[list[int]] = [[] for _ in readers]
-    for turn in range(200):
-        put(writer, 1 + turn % 3)
-        for i, reader in enumerate(readers):
-            if turn % (i + 1) == 0:
-                seen[i] += drain(reader)
-    for i, reader in enumerate(readers):
-        seen[i] += drain(reader)
-        assert seen[i] == sorted(set(seen[i]))
-        assert seen[i][-1] == writer.seq
-        assert len(seen[i]) + reader.lost == writer.seq
-    assert readers[0].lost == 0
-    assert readers[-1].lost > 0
-
-
 def test_a_lone_cell_is_a_ring_too() -> None:
-    memory = ring_memory(1)
-    writer, reader = writer_of(memory, 1), reader_of(memory, 1)
+    _, writer, reader = ring(1)
     put(writer)
     assert drain(reader) == [1]
     put(writer, 5)
@@ -161,8 +123,7 @@ def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
 
 
 def test_a_chain_of_deaths_in_one_cell() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, CELLS + 2)
     drain(reader)
     for cut in range(SIZE):
@@ -173,24 +134,12 @@ def test_a_chain_of_deaths_in_one_cell() -> None:
     assert drain(reader) == [CELLS + 3]
 
 
-def test_from_the_oldest_after_a_death_in_mid_write() -> None:
-    """The death tore the very cell in which the oldest entry was: all the others must be read before a successor
-    has written anything."""
-    memory = ring_memory()
-    writer = writer_of(memory)
-    put(writer, 2 * CELLS)
-    die_writing(memory, writer)
-    reader = reader_of(memory, from_oldest=True)
-    assert drain(reader) == list(range(CELLS + 2, 2 * CELLS + 1))
-
-
-def test_a_slow_reader_after_a_death_in_mid_write() -> None:
-    """The same, for a reader that was a whole lap behind."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+def test_a_death_in_mid_write_costs_a_reader_that_is_a_lap_behind_the_oldest_entry_alone() -> None:
+    """Its very cell is torn: all the others must be read before a successor has written anything."""
+    memory, writer, reader = ring()
     put(writer, CELLS)
     die_writing(memory, writer)
-    assert drain(reader) == list(range(2, CELLS + 1))
+    assert drain(reader) == drain(reader_of(memory, from_oldest=True)) == list(range(2, CELLS + 1))
     assert reader.lost == 1
 
 
@@ -214,8 +163,7 @@ def test_damage_loses_only_what_was_damaged(spoiled: tuple[int, ...], first: int
 
 def test_a_zeroed_cell_of_the_first_lap_holds_up_no_longer_than_that_lap() -> None:
     """The one damage that looks like a cell never used; the next lap ends it, and it is counted."""
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, 4)
     damage(memory, 2, zero=True)
     assert drain(reader) == [1]
@@ -225,8 +173,7 @@ def test_a_zeroed_cell_of_the_first_lap_holds_up_no_longer_than_that_lap() -> No
 
 
 def test_damage_to_the_newest_waits_for_what_comes() -> None:
-    memory = ring_memory()
-    writer, reader = writer_of(memory), reader_of(memory)
+    memory, writer, reader = ring()
     put(writer, CELLS + 3)
     drain(reader)
     lost = reader.lost
@@ -245,8 +192,7 @@ def test_a_cell_copied_over_another_is_damage() -> None:
         for target in range(2, 6):
             if source == target:
                 continue
-            memory = ring_memory()
-            writer, reader = writer_of(memory), reader_of(memory)
+            memory, writer, reader = ring()
             put(writer, 6)
             memory.data[place(target) : place(target) + SIZE] = memory.data[place(source) : place(source) + SIZE]
             assert drain(reader) == [seq for seq in range(1, 7) if seq != target]
@@ -303,8 +249,7 @@ def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
 @pytest.mark.parametrize("cells", [1, 2, 3, 8, 64])
 def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(cells: int, puts: int) -> None:
     """While the reader copies one cell the writer overwrites the oldest ones: one call must still come to an end."""
-    memory = ring_memory(cells)
-    writer, reader = writer_of(memory, cells), reader_of(memory, cells)
+    memory, writer, reader = ring(cells)
     put(writer, 5 * cells)
     memory.before_copy = lambda: put(writer, puts)
     last = 0

@@ -153,18 +153,3 @@ def test_a_writer_at_full_speed(capacity: int, cells: int, pause: int) -> None:
         late = reader_of(memory, cells, capacity, from_oldest=True)
         read_all_the_while(late, capacity, 50, 0)
     assert seen == 2_000
-
-
-def test_readers_in_several_processes() -> None:
-    memory = mmap.mmap(-1, AT + 64 * cell_bytes(320))
-    with Child(flat_out(writer_of(memory, 64, 320), 320)):
-
-        def read(send: object, wait: object) -> tuple[int, int]:
-            return read_all_the_while(reader_of(memory, 64, 320), 320, 1_000, 50)
-
-        readers = [Child(read) for _ in range(3)]
-        try:
-            assert [reader.result()[0] for reader in readers] == [1_000] * 3
-        finally:
-            for reader in readers:
-                reader.close()

@@ -13,7 +13,8 @@ from failstop.shm.layout import SEGMENTS
 from failstop.shm.segment import AttachError
 from tests.support.amounts import amount
 
-from .written import NAMES, Written, path_of
+from .segments import NAMES, path_of
+from .written import Written
 
 ROUNDS = amount(120, 1500)
 

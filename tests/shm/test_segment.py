@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import gc
 import os
 import stat
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.shm import segment
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
-from failstop.shm.segment import AttachError
-from tests.support.children import NOBODY, Child, call, group, needs_root, umask
-from tests.support.waiting import until
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, PROCESSES
+from failstop.shm.segment import Segment
+from tests.support.children import NOBODY, Child
 
-from .segments import (
-    NAMES,
-    PRIVATE_NAMES,
-    RUN,
-    SERVICE,
-    content,
-    create_all,
-    path_of,
-    refusal,
-    write_header,
-)
+from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
+from .simulated import content, kill, living, open_fds, put, refusing, user
 
 
 @pytest.mark.parametrize("of", SERVICE + PRIVATE_NAMES)
@@ -59,80 +50,55 @@ def test_a_new_segment_is_empty(name: str) -> None:
                 assert seen.ring_reader(record.name, from_oldest=True).next() is None
 
 
-@needs_root
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
-def test_modes_are_the_layout_s_whatever_the_umask(name: str, mask: int) -> None:
-    with umask(mask):
+@pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
+def test_modes_are_the_layout_s_and_only_a_client_s_segment_is_of_the_group_that_is_told(
+    on: SimpleNamespace, mask: int, own: int, gid: int, group: int
+) -> None:
+    on.own.umask = mask
+    with user(on, 0, own):
         for of in NAMES:
-            segment.create(name, of, RUN, client_gid=NOBODY).close()
+            on.segment.create("r", of, RUN, *([gid] if gid >= 0 else []))
     for of in NAMES:
-        found = os.stat(path_of(name, of))
+        found = on.os.stat(path_of("r", of))
         assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
-        assert found.st_uid == 0
-        assert found.st_gid == (NOBODY if BY_NAME[of].mode & 0o060 == 0o060 else 0)
+        assert (found.st_uid, found.st_gid) == (0, group if BY_NAME[of].mode & 0o060 == 0o060 else own)
 
 
-@needs_root
-def test_a_client_s_segment_is_of_the_group_that_is_told(name: str) -> None:
-    for of, own, gid, wanted in (
-        ("client.0", NOBODY, 0, 0),
-        ("client.1", NOBODY, -1, NOBODY),
-        ("gate", NOBODY, 0, NOBODY),
-    ):
-        with group(own):
-            segment.create(name, of, RUN, client_gid=gid).close()
-        assert os.stat(path_of(name, of)).st_gid == wanted
-
-
-@needs_root
-def test_nobody_reads_the_service_and_writes_nothing(name: str) -> None:
-    create_all(name)
-
-    def attempts() -> list[str]:
-        kinds = []
-        for of in NAMES:
-            client = of.startswith("client.")
-            for write in (False, True):
-                try:
-                    if client and not write:
-                        segment.read_client_slot(name, int(of[-1]), RUN)
-                    else:
-                        segment.attach(name, of, RUN, write=write, owner=0)
-                    kinds.append("attached")
-                except AttachError as error:
-                    kinds.append(f"{error.kind}: {'join the group `failstop`' in str(error)}")
-        return kinds
-
-    expected = []
+def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
     for of in NAMES:
-        expected += ["attached" if of in SERVICE else "permission: True", "permission: True"]
-    assert call(attempts, NOBODY) == expected
+        on.segment.create("r", of, RUN)
+    with user(on, NOBODY):
+        for of in NAMES:
+            for write in (False, True):
+                if of in SERVICE and not write:
+                    on.segment.attach("r", of, RUN, owner=0)
+                    continue
+                with pytest.raises(on.segment.AttachError, match="join the group `failstop`") as refused:
+                    on.segment.attach("r", of, RUN, write=write, owner=0)
+                assert refused.value.kind == "permission"
+        with pytest.raises(on.segment.AttachError, match="join the group `failstop`"):
+            on.segment.read_client_slot("r", 0, RUN)
     assert len(SERVICE) == 5
 
 
-@needs_root
-def test_a_member_of_the_group_has_a_client_slot_and_no_more(name: str) -> None:
+def test_a_member_of_the_group_has_a_client_slot_and_no_more(on: SimpleNamespace) -> None:
     for of in NAMES:
-        segment.create(name, of, RUN, client_gid=NOBODY).close()
-
-    def attempts() -> tuple[int, str]:
-        own = segment.attach(name, "client.0", RUN, owner=0, write=True)
-        seq = own.latest_writer("hello").write(b"hello", 1)
-        try:
-            segment.attach(name, "gate", RUN, write=True, owner=0)
-        except AttachError as error:
-            return seq, error.kind
-        return seq, "attached"
-
-    assert call(attempts, NOBODY) == (1, "permission")
-    assert segment.read_client_slot(name, 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
+        on.segment.create("r", of, RUN, client_gid=NOBODY)
+    with user(on, NOBODY):
+        own = on.segment.attach("r", "client.0", RUN, owner=0, write=True)
+        assert own.latest_writer("hello").write(b"hello", 1) == 1
+        with pytest.raises(on.segment.AttachError) as refused:
+            on.segment.attach("r", "gate", RUN, write=True, owner=0)
+        assert refused.value.kind == "permission"
+    assert on.segment.read_client_slot("r", 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
 
 
 @pytest.mark.parametrize("of", SERVICE)
 def test_a_reader_s_mapping_can_not_be_written(name: str, of: str) -> None:
     segment.create(name, of, RUN).close()
     seen = segment.attach(name, of, RUN)
-    before = content(path_of(name, of))
+    before = Path(path_of(name, of)).read_bytes()
     for record in seen.spec.records.values():
         attempt: Callable[[], object] = {
             "word": lambda record=record: seen.word(record.name).set(1),
@@ -144,25 +110,27 @@ def test_a_reader_s_mapping_can_not_be_written(name: str, of: str) -> None:
     assert seen.mapped is not None
     with pytest.raises(TypeError):
         memoryview(seen.mapped)[200] = 1
-    assert content(path_of(name, of)) == before
+    assert Path(path_of(name, of)).read_bytes() == before
 
 
-def test_a_reader_of_a_client_s_segment_can_not_write_it(name: str) -> None:
+Slot = tuple[Segment, Segment]
+
+
+@pytest.fixture
+def slot(name: str) -> Iterator[Slot]:
+    """A client's segment, as the client has it and as the service does."""
     segment.create(name, "client.0", RUN).close()
-    seen = segment.read_client_slot(name, 0, RUN)
-    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
-        seen.latest_writer("hello").write(b"x")
+    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    yield own, seen
+    own.close()
     seen.close()
 
 
-def test_client_segments_are_not_mapped(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    for seen in (segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)):
-        assert seen.mapped is None
-        path = os.path.realpath(path_of(name, "client.0"))
-        with open("/proc/self/maps") as maps:
-            assert path not in maps.read()
-        seen.close()
+def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: str, slot: Slot) -> None:
+    assert path_of(name, "client.0") not in Path("/proc/self/maps").read_text()
+    assert [each.mapped for each in slot] == [None, None]
+    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+        slot[1].latest_writer("hello").write(b"x")
 
 
 CLIENT_RECORDS = [
@@ -170,31 +138,25 @@ CLIENT_RECORDS = [
 ]
 
 
-def test_a_goodbye_outlives_the_next_holder_s_begin(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+def test_a_goodbye_outlives_the_next_holder_s_begin(slot: Slot) -> None:
+    own, seen = slot
     own.latest_writer("left").write(b"goodbye", 1)
     own.wipe()
     assert seen.latest_reader("left").read() == (1, 1, b"goodbye")
     assert own.latest_writer("left").write(b"another", 2) == 2
-    own.close()
-    seen.close()
 
 
-def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    new = content(path_of(name, "client.0"))
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str, slot: Slot) -> None:
+    new = Path(path_of(name, "client.0")).read_bytes()
+    own, seen = slot
     for record in CLIENT_RECORDS:
         own.latest_writer(record).write(b"before", 1)
     own.wipe()
-    assert content(path_of(name, "client.0")) == new
+    assert Path(path_of(name, "client.0")).read_bytes() == new
     for record in CLIENT_RECORDS:
         assert seen.latest_reader(record).read() is None
         assert own.latest_writer(record).write(b"new", 1) == 1
         assert seen.latest_reader(record).read() == (1, 1, b"new")
-    own.close()
-    seen.close()
 
 
 def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
@@ -210,9 +172,8 @@ def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
         none.close()
 
 
-def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    own = segment.attach(name, "client.0", RUN, write=True)
+def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(slot: Slot) -> None:
+    own, _ = slot
     writer, number = own.latest_writer("hello"), own.fileno()
     own.close()
     assert own.fileno() == -1
@@ -254,176 +215,121 @@ def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
     assert oldest.next() == (1, 1, b"before")
 
 
-def test_create_takes_nothing_that_is_there(name: str) -> None:
+def test_create_takes_nothing_that_is_there(on: SimpleNamespace) -> None:
     """A run's names are its own: what has one was made by somebody else."""
-    with open(path_of(name, "gate"), "wb") as file:
-        file.write(b"not a segment")
-    kind, message = refusal(lambda: segment.create(name, "gate", RUN))
-    assert kind == "damaged"
-    assert path_of(name, "gate") in message
-    assert content(path_of(name, "gate")) == b"not a segment"
-
-
-def test_a_link_in_the_way_is_not_followed(name: str, tmp_path: object) -> None:
-    victim = os.path.join(str(tmp_path), "victim")
-    with open(victim, "w") as file:
-        file.write("precious")
-    os.symlink(victim, path_of(name, "gate"))
-    for attempt in (lambda: segment.attach(name, "gate", RUN), lambda: segment.create(name, "gate", RUN)):
-        refusal(attempt)
-    with open(victim) as file:
-        assert file.read() == "precious"
-
-
-def test_a_pipe_in_the_way_is_not_waited_for(name: str) -> None:
-    os.mkfifo(path_of(name, "supervisor"))
-    with pytest.raises(segment.AttachError, match=r"not a regular file"):
-        segment.attach(name, "supervisor", RUN)
-    assert not segment.living(name)
-
-
-@needs_root
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: str) -> None:
-    """To root as to everyone: what somebody else has put there is somebody else's to change."""
-    create_all(name)
-    os.chown(path_of(name, of), NOBODY, -1)
-    for write in (False, True) if of == "gate" else (True,):
-        if of == "gate":
-            kind, message = refusal(lambda write=write: segment.attach(name, of, RUN, write=write, owner=0))  # type: ignore[misc]
+    for there in ("file", "link"):
+        if there == "file":
+            put(on, path_of("r", "gate"), "precious")
         else:
-            kind, message = refusal(lambda: segment.attach(name, "client.0", RUN, owner=0, write=True))
-        assert kind == "owner"
-        assert path_of(name, of) in message
-        assert f"uid {NOBODY}" in message
-        assert "remove it" in message
-    if of == "gate":
-        segment.attach(name, of, RUN, owner=NOBODY).close()
-    else:
-        segment.attach(name, "client.0", RUN, owner=NOBODY, write=True).close()
+            on.os.rename(path_of("r", "gate"), "/tmp/victim")
+            on.os.symlink("/tmp/victim", path_of("r", "gate"))
+        for attempt in (on.segment.create, on.segment.attach):
+            with pytest.raises(on.segment.AttachError) as refused:
+                attempt("r", "gate", RUN)
+            assert refused.value.kind == "damaged"
+            assert attempt is on.segment.attach or path_of("r", "gate") in str(refused.value)
+        assert content(on, path_of("r", "gate")) == b"precious"
 
 
-@needs_root
-def test_a_dead_run_is_one_s_own(name: str) -> None:
+def test_a_pipe_in_the_way_is_not_waited_for(on: SimpleNamespace) -> None:
+    on.os.mkfifo(path_of("r", "supervisor"))
+    with pytest.raises(on.segment.AttachError, match=r"not a regular file"):
+        on.segment.attach("r", "supervisor", RUN)
+    assert not on.segment.living("r")
+    assert open_fds(on) == 0
+
+
+@pytest.mark.parametrize(("of", "write"), [("gate", False), ("gate", True), ("client.0", True)])
+def test_what_is_not_the_service_s_is_refused_by_path_and_owner(on: SimpleNamespace, of: str, write: bool) -> None:
+    """To root as to everyone: what somebody else has put there is somebody else's to change."""
+    on.segment.create("r", of, RUN)
+    on.os.chown(path_of("r", of), NOBODY, -1)
+    with pytest.raises(on.segment.AttachError) as refused:
+        on.segment.attach("r", of, RUN, owner=0, write=write)
+    assert refused.value.kind == "owner"
+    for part in (path_of("r", of), f"uid {NOBODY}", "the service to root (uid 0)", "remove it"):
+        assert part in str(refused.value)
+    on.segment.attach("r", of, RUN, owner=NOBODY, write=write)
+
+
+def test_a_dead_run_is_one_s_own(on: SimpleNamespace) -> None:
     """Of what others have put there nothing is read, and nothing removed."""
-    run, other = segment.memory(name, RUN), segment.memory(name, RUN + 1)
-    create_all(run)
-    create_all(other)
-    try:
-        assert sorted(segment.dead_runs(name)) == [run, other]
+    mine, other = on.segment.memory("r", RUN), on.segment.memory("r", RUN + 1)
+    for run in (mine, other):
         for of in NAMES:
-            os.chown(path_of(other, of), NOBODY, -1)
-        assert segment.dead_runs(name) == [run]
-        assert segment.open_all(other) == {}
-    finally:
-        segment.unlink_all(run)
-        segment.unlink_all(other)
+            on.segment.create(run, of, RUN).close()
+    assert on.segment.dead_runs("r") == [mine, other]
+    for of in NAMES:
+        on.os.chown(path_of(other, of), NOBODY, -1)
+    assert on.segment.dead_runs("r") == [mine]
+    assert on.segment.open_all(other) == {}
 
 
-def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    older, newer = segment.memory(name, RUN + 1), segment.memory(name, RUN)
-    strange = [f"/dev/shm/{name}.gate", f"/dev/shm/failstop.{name}.gate", f"/dev/shm/failstop.{name}.1234.unknown"]
-    listed = os.listdir
-    monkeypatch.setattr(os, "listdir", lambda path: [f"failstop.{name}.gone.gate", *listed(path)])
-    try:
-        for path in strange:
-            open(path, "w").close()
-        assert segment.dead_runs(name) == []
-        segment.create(older, "client.3", RUN + 1).close()
-        segment.create(newer, "client.0", RUN).close()
-
-        def touched() -> bool:
-            os.utime(path_of(newer, "client.0"))
-            return os.stat(path_of(newer, "client.0")).st_ctime_ns > os.stat(path_of(older, "client.3")).st_ctime_ns
-
-        until(touched, "the clock of the file system has gone on")
-        assert segment.dead_runs(name) == [older, newer]
-    finally:
-        for path in strange:
-            os.unlink(path)
-        segment.unlink_all(older)
-        segment.unlink_all(newer)
+def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: SimpleNamespace) -> None:
+    older, newer = on.segment.memory("r", RUN + 1), on.segment.memory("r", RUN)
+    gone = path_of("r.gone", "gate")
+    for strange in ("r.gate", "failstop.r.gate", "failstop.r.1234.unknown"):
+        put(on, f"/dev/shm/{strange}")
+    assert on.segment.dead_runs("r") == []
+    for run, client in ((older, 3), (newer, 0), (older, 1), (newer, 2)):
+        on.segment.create(run, f"client.{client}", RUN).close()
+    put(on, gone)
+    with refusing(on, "stat", FileNotFoundError(errno.ENOENT, "gone"), of=gone) as asked:
+        assert on.segment.dead_runs("r") == [older, newer]
+    assert asked
 
 
-def test_what_is_left_of_a_run_is_opened_whatever_is_missing(name: str, fds: list[int]) -> None:
-    create_all(name)
-    segment.unlink(name, PROCESSES[0])
-    segment.unlink(name, PROCESSES[2])
-    found = segment.open_all(name)
-    fds += found.values()
-    assert list(found) == [PROCESSES[1], *PROCESSES[3:]]
+def test_what_is_left_of_a_run_is_opened_whatever_is_missing(on: SimpleNamespace) -> None:
+    for of in PROCESSES[1:2] + PROCESSES[3:]:
+        on.segment.create("r", of, RUN)
+    assert list(on.segment.open_all("r")) == [PROCESSES[1], *PROCESSES[3:]]
 
 
-def test_a_run_without_its_supervisor_s_segment_does_not_live(name: str) -> None:
-    assert not segment.living(name)
+def test_a_lock_that_can_not_be_asked_for_is_nobody_s(on: SimpleNamespace) -> None:
+    on.segment.create("r", "supervisor", RUN)
+    assert on.segment.living("r")
+    before = open_fds(on)
+    with refusing(on, "fcntl", errno.ENOLCK):
+        assert not on.segment.living("r")
+    assert open_fds(on) == before
 
 
-def test_a_lock_that_can_not_be_asked_for_is_nobody_s(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    segment.create(name, "supervisor", RUN).close()
-    monkeypatch.setattr(fcntl, "fcntl", refuse)
-    assert not segment.living(name)
-
-
-def test_a_run_lives_as_long_as_its_supervisor(name: str) -> None:
-    run = segment.memory(name, RUN)
-
-    def work(send: Callable[[object], None], wait: Callable[[], None]) -> None:
-        made = [segment.create(run, of, RUN) for of in NAMES]
-        send(len(made))
-        wait()
-
-    try:
-        with Child(work) as child:
-            child.receive()
-            assert segment.living(run)
-            assert segment.dead_runs(name) == []
-            child.kill()
-        assert not segment.living(run)
-        assert segment.dead_runs(name) == [run]
-    finally:
-        segment.unlink_all(run)
+def test_a_run_lives_as_long_as_its_supervisor(on: SimpleNamespace) -> None:
+    run = on.segment.memory("r", RUN)
+    assert not on.segment.living(run)
+    supervisor = living(on, lambda: [on.segment.create(run, of, RUN) for of in NAMES])
+    assert on.segment.living(run)
+    assert on.segment.dead_runs("r") == []
+    kill(on, supervisor)
+    assert not on.segment.living(run)
+    assert on.segment.dead_runs("r") == [run]
 
 
-def test_it_is_the_supervisor_s_segment_that_tells_so(name: str) -> None:
+def test_it_is_the_supervisor_s_segment_that_tells_so(on: SimpleNamespace) -> None:
     """Each is made and held by this process; its copies for other names are not asked."""
-    made = {of: segment.create(name, of, RUN) for of in ("gate", "supervisor")}
-    assert segment.living(name)
+    made = {of: on.segment.create("r", of, RUN) for of in ("gate", "supervisor")}
+    assert on.segment.living("r")
     made["supervisor"].close()
-    assert not segment.living(name)
-    os.rename(path_of(name, "gate"), path_of(name, "supervisor"))
-    assert not segment.living(name), "the gate's is not locked"
+    assert not on.segment.living("r")
+    on.os.rename(path_of("r", "gate"), path_of("r", "supervisor"))
+    assert not on.segment.living("r"), "the gate's is not locked"
 
 
 @pytest.mark.parametrize(("number", "look"), [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "df /dev/shm")])
-def test_what_keeps_a_segment_from_its_size_is_told(
-    name: str, monkeypatch: pytest.MonkeyPatch, number: int, look: str
-) -> None:
-    def fallocate(*_: int) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(os, "posix_fallocate", fallocate)
-    with pytest.raises(AttachError, match=rf"\({os.strerror(number)}\): look at `{look}`$"):
-        segment.create(name, "gate", RUN)
-    assert not os.path.exists(path_of(name, "gate"))
+def test_what_keeps_a_segment_from_its_size_is_told(on: SimpleNamespace, number: int, look: str) -> None:
+    expected = rf"no room in /dev/shm for \d+ bytes \({os.strerror(number)}\): look at `{look}`$"
+    with refusing(on, "fallocate", number), pytest.raises(on.segment.AttachError, match=expected) as refused:
+        on.segment.create("r", "gate", RUN)
+    assert refused.value.kind == "damaged"
+    assert on.os.listdir("/dev/shm") == []
+    assert open_fds(on) == 0
 
 
 @pytest.mark.parametrize(("number", "kind"), [(errno.EMFILE, "descriptors"), (errno.EIO, "damaged")])
-def test_a_program_without_descriptors_is_no_damage(
-    name: str, monkeypatch: pytest.MonkeyPatch, number: int, kind: str
-) -> None:
-    create_all(name)
-
-    def refused(*_: object) -> int:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(os, "open", refused)
-    with pytest.raises(AttachError, match="can't be opened") as told:
-        segment.attach(name, "gate", RUN)
+def test_a_program_without_descriptors_is_no_damage(on: SimpleNamespace, number: int, kind: str) -> None:
+    on.segment.create("r", "gate", RUN)
+    with refusing(on, "open", number), pytest.raises(on.segment.AttachError, match="can't be opened") as told:
+        on.segment.attach("r", "gate", RUN)
     assert told.value.kind == kind
 
 
@@ -443,15 +349,14 @@ def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
     assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
 
 
-@needs_root
-def test_what_can_not_be_unlinked_stays(name: str) -> None:
+def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     """Another user's, or a directory that somebody has put there: nobody needs the name again."""
-    segment.create(name, "gate", RUN).close()
-    os.mkdir(path_of(name, "stopper"))
-    call(lambda: segment.unlink(name, "gate"), NOBODY)
-    segment.unlink(name, "stopper")
-    assert os.path.exists(path_of(name, "gate"))
-    os.rmdir(path_of(name, "stopper"))
+    on.segment.create("r", "gate", RUN)
+    on.os.mkdir(path_of("r", "stopper"))
+    with user(on, NOBODY):
+        on.segment.unlink("r", "gate")
+    on.segment.unlink("r", "stopper")
+    assert len(on.os.listdir("/dev/shm")) == 2
 
 
 def test_instances_do_not_see_each_other(name: str) -> None:
@@ -468,33 +373,25 @@ def test_instances_do_not_see_each_other(name: str) -> None:
         segment.unlink_all(longer)
 
 
-def open_fds() -> set[int]:
-    return {int(fd) for fd in os.listdir("/proc/self/fd")}
+def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
+    for of in ("gate", "telemetry", "client.0", "client.1"):
+        on.segment.create("r", of, RUN)
+    for of in ("telemetry", "client.1"):
+        on.os.pwrite(on.os.open(path_of("r", of), os.O_RDWR), bytes(HEADER_BYTES), 0)
+    before = open_fds(on)
+    for of, run in (("client.1", RUN), ("client.0", RUN + 1), ("telemetry", RUN), ("gate", RUN + 1)):
+        with pytest.raises(on.segment.AttachError):
+            on.segment.attach("r", of, run, write=True)
+    assert open_fds(on) == before
 
 
-def test_refused_attempts_leave_no_descriptor_open(name: str) -> None:
-    create_all(name)
-    write_header(name, "client.1", layout=0)
-    write_header(name, "telemetry", layout=0)
-    gc.collect()  # what other tests have dropped
-    before = len(open_fds())
-    for _ in range(20):
-        refusal(lambda: segment.attach(name, "client.1", RUN, write=True))
-        refusal(lambda: segment.attach(name, "client.0", RUN + 1, write=True))
-        refusal(lambda: segment.attach(name, "telemetry", RUN))
-        refusal(lambda: segment.attach(name, "gate", RUN + 1))
-    assert len(open_fds()) == before
-
-
-def test_close_is_idempotent_and_frees_the_descriptor(name: str) -> None:
-    before = len(open_fds())
-    made = segment.create(name, "client.0", RUN)
-    own = segment.attach(name, "client.0", RUN, write=True)
-    assert len(open_fds()) == before + 2
+def test_close_is_idempotent_and_frees_the_descriptor(on: SimpleNamespace) -> None:
+    both = on.segment.create("r", "client.0", RUN), on.segment.attach("r", "client.0", RUN, write=True)
+    assert open_fds(on) == 2
     for _ in range(2):
-        made.close()
-        own.close()
-    assert len(open_fds()) == before
+        for each in both:
+            each.close()
+    assert open_fds(on) == 0
 
 
 def test_no_descriptor_crosses_an_exec(name: str) -> None:

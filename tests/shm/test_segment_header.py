@@ -10,18 +10,15 @@ from failstop.shm import cell, segment
 from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH
 from failstop.version import VERSION
 
-from .segments import (
-    NAMES,
-    RUN,
-    attach_any,
-    path_of,
-    refusal,
-    write_header,
-)
+from .segments import HEADER, HEADER_SEED, NAMES, RUN, attach_any, content, path_of, refusal, write_header
 
 
-def test_the_header_fits_its_place() -> None:
-    assert cell.HEADER_BYTES + segment._HEADER.size <= HEADER_BYTES
+def test_the_header_fits_its_place(name: str) -> None:
+    assert cell.HEADER_BYTES + HEADER.size <= HEADER_BYTES
+    segment.create(name, "gate", RUN).close()
+    before = content(path_of(name, "gate"))
+    write_header(name, "gate")
+    assert content(path_of(name, "gate")) == before, "it is what a segment is made with"
     assert len(VERSION.encode()) <= 24
     assert all(len(name) <= 24 for name in NAMES)
 
@@ -55,7 +52,7 @@ def test_a_damaged_header(name: str, of: str, damage: str) -> None:
             file.seek(90)
             file.write(bytes([byte ^ 1]))
         elif damage == "short header":
-            file.write(cell.build(1, 0, segment.MAGIC, segment._HEADER_SEED, 104))
+            file.write(cell.build(1, 0, segment.MAGIC, HEADER_SEED, 104))
         elif damage == "empty":
             file.truncate(0)
         elif damage == "cut":

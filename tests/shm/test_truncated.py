@@ -9,7 +9,6 @@ import random
 import signal
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,11 +19,8 @@ from failstop.shm.segment import AttachError, Segment
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
-
-if TYPE_CHECKING:
-    pass
-
-from .written import CLIENT_NAMES, RUN, Written, path_of
+from .segments import RUN, path_of
+from .written import CLIENT_NAMES, Written
 
 
 @pytest.mark.parametrize("of", CLIENT_NAMES)
@@ -33,17 +29,8 @@ def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
     written = Written(name, of, dice)
     try:
         resident = written.readers()
-        sizes = [
-            0,
-            1,
-            23,
-            24,
-            127,
-            128,
-            129,
-            written.spec.size - 1,
-            *(dice.randrange(written.spec.size) for _ in range(60)),
-        ]
+        sizes = [0, 1, 23, 24, 127, 128, 129, written.spec.size - 1]
+        sizes += [dice.randrange(written.spec.size) for _ in range(60)]
         for size in sizes:
             os.ftruncate(written.fd, size)
             written.read_all(resident)
@@ -120,7 +107,9 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     own = segment.attach(name, of, RUN, write=True)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
-    writers = [own.latest_writer(name) for name, record in own.spec.records.items() if record.kind == "latest"]
+    writers = {
+        own.latest_writer(name): record.capacity for name, record in own.spec.records.items() if record.kind == "latest"
+    }
     fd = os.open(path_of(name, of), os.O_RDWR)
     watch = os.pidfd_open(child.pid)
     try:
@@ -128,9 +117,8 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
         limit = time.monotonic() + 30
         while time.monotonic() < limit and os.waitid(os.P_PIDFD, watch, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             seq += 1
-            for writer in writers:
-                payload = payload_of(writer._seq + 1, min(40, writer._capacity))
-                writer.write(payload, time_of(writer._seq + 1))
+            for writer, capacity in writers.items():
+                assert writer.write(payload_of(seq, min(40, capacity)), time_of(seq)) == seq
             if dice.random() < 0.3:
                 os.ftruncate(fd, dice.choice([0, 0, size, dice.randrange(size)]))
             if dice.random() < 0.3:

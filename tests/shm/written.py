@@ -8,21 +8,16 @@ from typing import TYPE_CHECKING
 
 from failstop.shm import segment
 from failstop.shm.cell import LatestReader, RingReader
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SEGMENTS, SegmentSpec
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SegmentSpec
 from failstop.shm.segment import Segment
 
 from .memory import payload_of, time_of
+from .segments import RUN, path_of
 
 if TYPE_CHECKING:
     from failstop.shm.cell import Entry
 
-RUN = 0xFEEDFACE
-NAMES = [spec.name for spec in SEGMENTS]
 CLIENT_NAMES = [f"client.{i}" for i in range(CLIENT_SLOTS)]
-
-
-def path_of(instance: str, of: str) -> str:
-    return segment.path_of(instance, of)
 
 
 class Written:

@@ -145,27 +145,6 @@ def reachable(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def group(gid: int) -> Iterator[None]:
-    """Run in this group."""
-    before = os.getegid()
-    os.setegid(gid)
-    try:
-        yield
-    finally:
-        os.setegid(before)
-
-
-@contextlib.contextmanager
-def umask(mask: int) -> Iterator[None]:
-    """Run with this umask."""
-    before = os.umask(mask)
-    try:
-        yield
-    finally:
-        os.umask(before)
-
-
-@contextlib.contextmanager
 def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
     """Run with this scheduling."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)

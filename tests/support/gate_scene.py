@@ -1,50 +1,219 @@
-"""A gate at work, turn by turn: the test is its supervisor, its client and its port owner."""
+"""A gate at work, turn by turn: the test is its supervisor and its clients, and its port owner and its arm's board are
+the port owner's own rules and the simulated board's own servos, without processes between them."""
 
 from __future__ import annotations
 
+import heapq
 import os
-from pathlib import Path
+from collections.abc import Callable
+from typing import Any
 
-import pytest
+import msgpack
 
+from failstop.board import decoder, servos
+from failstop.board.framing import BUS_SERVO
+from failstop.lab.sim.servos import Servos
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.reply import unpack
-from failstop.procs.gate.main import Gate
-from failstop.shm import bell, claim, instance, layout, records, segment
-from failstop.shm.bell import EventBell
+from failstop.procs.loop import NEVER
+from failstop.procs.port_owner.admission import ServoBus
+from failstop.shm import instance, layout, records
 from failstop.shm.packing import Note
-from failstop.shm.segment import Segment
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
-from tests.support.stage import INCARNATION, MS, Stage
-from tests.support.why import said, why
+from tests.support.arm_settings import SERVOS
+from tests.support.stage import MS, RUNTIME_DIR, Stage
+from tests.support.why import why
 
 SESSION = 11
+OTHER = 12
+"""The second client's session."""
+CLAIMS = instance.claims_path(RUNTIME_DIR)
+BELL = instance.bell_path(RUNTIME_DIR)
+NAMESPACE = "/proc/self/ns/pid"
+ANSWER_NS = 1 * MS
+"""From the board through port owner and telemetry."""
 
 
-class GateStage(Stage):
-    """What a gate finds when it starts: its supervisor's records, its clients' slots and bell."""
+class Client:
+    """A client as far as memory and claims go."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        super().__init__(layout.GATE, directory)
-        self.runtime_dir = str(directory)
-        bell.make_pipe(instance.bell_path(self.runtime_dir), 0o600)
-        self._fds["client_bell"] = bell.open_pipe(instance.bell_path(self.runtime_dir))
-        self._bells["port_owner_bell"] = EventBell.create()
-        self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
-        self._clients: list[Segment] = []
-        supervisor = self.views[layout.SUPERVISOR]
+    def __init__(self, stage: Stage, index: int, session: int, name: str, pid: int, namespace: int | None) -> None:
+        self.session, self.pid, self.number = session, pid, 0
+        self._stage, self._index = stage, index
+        claim = stage.load("failstop.shm.claim")
+        self._claims: int = claim.open_claims(CLAIMS)
+        self.segment = stage.owned(f"client.{index}")
+        assert claim.take(self._claims, index)
+        self.hello(session, name, pid, namespace)
+
+    def hello(self, session: int, name: str, pid: int = 0, namespace: int | None = None) -> None:
+        """`namespace`: that of the pid; None for the gate's own."""
+        if namespace is None:
+            namespace = self._stage.load("failstop.shm.lifeline").pid_namespace()
+        self.write("hello", records.HELLO.pack(session, pid, namespace, name))
+
+    def succeed(self, session: int, name: str) -> None:
+        """Another session takes the slot, and counts its requests from the first again."""
+        self.session, self.number = session, 0
+        self.hello(session, name)
+
+    def goodbye(self) -> None:
+        self.write("left", records.LEFT.pack(self.session))
+
+    def write(self, record: str, payload: bytes, t_ns: int | None = None) -> None:
+        """Leave something in its slot, without a ring."""
+        self.segment.latest_writer(record).write(payload, t_ns)
+
+    def command(
+        self, vx: float = 0.1, *, session: int | None = None, t_ns: int | None = None, manual: bool = False
+    ) -> None:
+        whose = self.session if session is None else session
+        self.write("command", records.COMMAND.pack(whose, vx, 0.0, 0.0, manual, "cmd_vel"), t_ns)
+
+    def request(self, verb: int = records.ENABLE, *, session: int | None = None, asked_ns: int | None = None) -> int:
+        self.number += 1
+        whose = self.session if session is None else session
+        self.write("request", records.REQUEST.pack(whose, self.number, verb), asked_ns)
+        return self.number
+
+    def ring(self) -> None:
+        """The client bell, with the hint at its slot."""
+        bell = self._stage.os.open(BELL, os.O_WRONLY | os.O_NONBLOCK)
+        self._stage.os.write(bell, bytes((self._index,)))
+        self._stage.os.close(bell)
+
+    def leave(self) -> None:
+        """The process dies: its claim goes, its memory stays."""
+        self._stage.os.close(self._claims)
+        self.segment.close()
+
+
+class Scene(Stage):
+    """The gate on its stage. With turn() it is rung by its first client; with run() time passes as the gate asks for
+    it. What wheels and servos are told is judged by the board."""
+
+    def __init__(self, changed: dict[str, Any] | None = None, *, clients: int = 2) -> None:
+        """`changed`: settings that are not the defaults."""
+        super().__init__(layout.GATE, **(changed or {}))
+        self.os.makedirs(os.path.dirname(NAMESPACE))
+        for fd in (
+            self.load("failstop.shm.claim").open_claims(CLAIMS, create=True),
+            self.os.open(NAMESPACE, os.O_RDWR | os.O_CREAT),
+        ):
+            self.os.close(fd)
+        bell = self.load("failstop.shm.bell")
+        bell.make_pipe(BELL, 0o600)
+        self._fds["client_bell"] = bell.open_pipe(BELL)
+        supervisor, telemetry = self.views[layout.SUPERVISOR], self.views[layout.TELEMETRY]
         self._latch_record, self._reset_record = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
         self._resets_word = supervisor.word("resets")
         self._made, self._told = self.own.ring_reader("frames"), self.own.ring_reader("notes")
+        self._stops = self.own.ring_reader("stops")
+        self._servo_answers, self._pad = telemetry.ring_writer("servos"), telemetry.latest_writer("pad_arm")
+        self.epoch, self.latch = 1, Latch()
+        self.servos = Servos(self.clock(), seed=0)
+        self.bus = ServoBus(SERVOS)
+        self.wheels_move = False
+        self.on_motion: Callable[[bytes], None] = lambda frame: None
+        """Called with each frame for the wheels."""
+        self.said: dict[int, list[int]] = {servo: [] for servo in SERVOS}
+        """The last answers about each servo's position."""
+        self.moves: list[tuple[int, bytes]] = []
+        """When, and the data of each frame that moved servos."""
+        self.dropped = 0
+        self._answers: list[tuple[int, bytes]] = []
+        self.asked: list[int] = []
+        """Kinds of the frames that the last ask() led to."""
+        self.ready(1)
+        self.start_gate()
+        self.clients: list[Client] = []
+        for index in range(clients):
+            self.join(index, (SESSION, OTHER)[index], ("test", "other")[index])
 
-    def ready(self, word: int) -> None:
-        """What the supervisor says of the service: 1 when motion may be enabled."""
-        self.views[layout.SUPERVISOR].word("ready").set(word)
+    def join(self, index: int, session: int, name: str, pid: int = 0, namespace: int | None = None) -> Client:
+        """A client takes that slot."""
+        self.clients.append(Client(self, index, session, name, pid, namespace))
+        return self.clients[-1]
 
     def start_gate(self) -> None:
         """For the first time, or after its death."""
-        self.gate = Gate(self)  # type: ignore[arg-type]
+        self.gate = self.load("failstop.procs.gate.main").Gate(self)
+
+    # The supervisor.
+
+    def ready(self, word: int) -> None:
+        """What it says of the service: 1 when motion may be enabled."""
+        self.views[layout.SUPERVISOR].word("ready").set(word)
+
+    def stop(self, cause: Cause | str) -> None:
+        """It latches and raises the epoch; the port owner's burst stops wheels and servos."""
+        self.epoch += 1
+        now_ns, stopped = self.clock(), why(cause) if isinstance(cause, str) else cause
+        self.latch.add([Stop(now_ns, layout.SUPERVISOR, stopped)], self.epoch, now_ns)
+        self._latch_record.write(self.latch.as_record())
+        self.raise_epoch(self.epoch)
+        self._burst()
+
+    def decide(self) -> None:
+        """It hears of a reset that the gate passes on, and the gate of what became of it."""
+        while (number := self.own.word("resets_asked").get()) != self._resets_word.get():
+            reply = self.latch.reset(self.gate.epoch, self.own.word("reset_asked_ns").get())
+            if self.latch.newest:
+                self._latch_record.write(self.latch.as_record())
+            self._reset_record.write(reply.pack(0, number))
+            self._resets_word.set(number)
+            self.gate.turn({})
+
+    # What the gate does.
+
+    def turn(self, elapsed_ns: int = 0, *, supervisor_beats: bool = True) -> list[int]:
+        """Time passes, the client rings; returns the kinds of the frames that the gate made."""
+        self.clock.now_ns += elapsed_ns
+        self.clients[0].ring()
+        made = self._turn(supervisor_beats=supervisor_beats)
+        assert self.gate.loop.due_ns() > self.clock(), "a timer was left behind: the loop would spin"
+        return made
+
+    def tick(self) -> str | None:
+        """Time passes, a tick of the gate, which nobody rang; returns the latched reason."""
+        self.clock.now_ns += 20 * MS
+        self._turn()
+        return self.latched()
+
+    def run(self, seconds: float) -> None:
+        """Let time pass, as the gate asks for it."""
+        until_ns = self.clock() + round(seconds * 1e9)
+        while self.clock() < until_ns:
+            self.wake(until_ns)
+
+    def wake(self, until_ns: int = NEVER) -> None:
+        """One wake-up of the gate, when it asks for it."""
+        due_ns = max(min(self.clock() + 20 * MS, self.gate.loop.due_ns()), self.clock() + 10_000)
+        if self._answers:
+            due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
+        self.clock.now_ns = min(due_ns, until_ns)
+        while self._answers and self._answers[0][0] <= self.clock():
+            t_ns, answer = heapq.heappop(self._answers)
+            self._servo_answers.put(answer, t_ns)
+        self._turn()
+
+    def _turn(self, *, supervisor_beats: bool = True) -> list[int]:
+        if supervisor_beats:
+            self.beat(layout.SUPERVISOR)
+        self.gate.turn(self.gate.loop.wait(0))
+        self.decide()
+        return self._carry_out()
+
+    def latched(self) -> str | None:
+        """What the gate takes to be latched."""
+        return str(self.gate.core.latch) if self.gate.core.latch else None
+
+    def stopped(self) -> str:
+        """The reason of a stop that it has published."""
+        entry = self._stops.next()
+        return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
 
     def told(self) -> list[str]:
         """What people were told since the last look."""
@@ -53,142 +222,137 @@ class GateStage(Stage):
             found.append(Note.unpack(entry[2]).text)
         return found
 
-    def join(self, session: int, who: str) -> Segment:
-        """A client takes the next slot."""
-        index = len(self._clients)
-        found = segment.attach(self.name, f"client.{index}", INCARNATION, write=True)
-        assert claim.take(self._claims, index)
-        found.latest_writer("hello").write(records.HELLO.pack(session, 0, 0, who))
-        self._clients.append(found)
+    def state(self) -> dict[str, Any]:
+        """The arm's part of the gate's state."""
+        entry = self.own.latest_reader("state").read()
+        assert entry
+        found: dict[str, Any] = msgpack.unpackb(entry[2])["arm"]
         return found
 
-    def close(self) -> None:
-        for fd in (self._claims, self._fds["client_bell"]):
-            os.close(fd)
-        for client in self._clients:
-            client.close()
-        super().close()
+    # Clients.
 
+    def ask_for(self, verb: int, client: int = 0, asked_ns: int | None = None) -> None:
+        """A client asks, now or for what was asked for then, and does not ring."""
+        self.clients[client].request(verb, asked_ns=asked_ns)
 
-class Scene(GateStage):
-    """The gate on a stage, and one client of it."""
-
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        super().__init__(directory, monkeypatch)
-        self.latch = Latch()
-        self._reply = self.own.latest_reader("reply.0")
-        self._stops = self.own.ring_reader("stops")
-        self.session, self._number = SESSION, 0
-        self.asked: list[int] = []
-        """Kinds of the frames that the last ask() led to."""
-        self.ready(1)
-        self.start_gate()
-        self._client = self.join(SESSION, "test")
-
-    def succeed(self, session: int) -> None:
-        """Another session has the client's slot, and counts its requests from the first again."""
-        self.session, self._number = session, 0
-        self._client.latest_writer("hello").write(records.HELLO.pack(session, 0, 0, "heir"))
-
-    def pad_resets(self) -> None:
-        """The reset of the gamepad, which telemetry passes on."""
-        request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
-        self.views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
-
-    def stop(self, epoch: int, text: str) -> None:
-        """The supervisor raises the epoch."""
-        self.latch.add([Stop(self.clock(), layout.SUPERVISOR, why(text))], epoch, self.clock())
-        self._latch_record.write(self.latch.as_record(), self.clock())
-        self.raise_epoch(epoch)
-
-    def decide(self) -> None:
-        """The supervisor hears of a reset that the gate passes on, and the gate of what became of it."""
-        while (number := self.own.word("resets_asked").get()) != self._resets_word.get():
-            reply = self.latch.reset(self.gate.epoch, self.own.word("reset_asked_ns").get())
-            if self.latch.newest:
-                self._latch_record.write(self.latch.as_record(), self.clock())
-            self._reset_record.write(reply.pack(0, number), self.clock())
-            self._resets_word.set(number)
-            self.gate.turn({})
-
-    def tick(self) -> str | None:
-        """Time passes, a tick of the gate, which nobody rang; returns the latched reason."""
-        self.clock.now_ns += 20 * MS
-        self.beat(layout.SUPERVISOR)
-        self.gate.turn({})
-        self.decide()
-        return self.latched()
-
-    def latched(self) -> str | None:
-        """What the gate takes to be latched."""
-        return said(self.gate.core.latch) if self.gate.core.latch else None
-
-    def turn(self, elapsed_ns: int = 0, *, supervisor_beats: bool = True) -> list[int]:
-        """Time passes, the client rings; returns the kinds of the frames that the gate made."""
-        self.clock.now_ns += elapsed_ns
-        if supervisor_beats:
-            self.beat(layout.SUPERVISOR)
-        self.gate.clients.rung(b"\0", self.clock())
-        self.gate.turn({})
-        self.decide()
-        assert self.gate.loop.due_ns() > self.clock(), "a timer was left behind: the loop would spin"
-        found = []
-        while entry := self._made.next():
-            found.append(records.FRAME.unpack(entry[2])[1])
-        return found
-
-    def stopped(self) -> str:
-        """The reason of a stop that it has published."""
-        entry = self._stops.next()
-        return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
-
-    def request(self, verb: int, asked_ns: int | None = None) -> None:
-        """The client asks, and does not ring."""
-        self._number += 1
-        request = records.REQUEST.pack(self.session, self._number, verb)
-        self._client.latest_writer("request").write(request, asked_ns or self.clock())
-
-    def replied(self) -> tuple[int, bool, str]:
-        """The last reply to the client: to which request, done, the text."""
-        entry = self._reply.read()
-        assert entry is not None
+    def replied(self, client: int = 0) -> tuple[int, int, str]:
+        """The last reply to a client: to which request (0: none yet), done, the text."""
+        entry = self.own.latest_reader(f"reply.{client}").read()
+        if entry is None:
+            return 0, records.UNDER_WAY, ""
         _, number, reply = unpack(entry[2])
-        return number, bool(reply.done), reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
+        return number, reply.done, str(reply)
 
-    def no_reply(self) -> bool:
-        """True when nothing was said to the client."""
-        return self._reply.read() is None
+    def answered(self, client: int = 0) -> tuple[int, str]:
+        """(done, text) of the last request."""
+        number, done, text = self.replied(client)
+        return (done, text) if number == self.clients[client].number else (records.UNDER_WAY, "")
 
-    def answer(self) -> tuple[bool, str]:
-        number, done, text = self.replied()
-        assert number == self._number
-        return done, text
-
-    def own_supervisor(self) -> Segment:
-        """The supervisor's segment, which is the test's to write."""
-        return self.views[layout.SUPERVISOR]
-
-    def ask(self, verb: int, asked_ns: int | None = None) -> tuple[bool, str]:
-        """The client asks and rings; returns the answer."""
-        self.request(verb, asked_ns)
+    def ask(self, verb: int, asked_ns: int | None = None) -> tuple[int, str]:
+        """The client asks and rings; returns the answer, which comes at once."""
+        self.ask_for(verb, asked_ns=asked_ns)
         self.asked = self.turn()
-        return self.answer()
+        answer = self.answered()
+        assert answer[0] != records.UNDER_WAY
+        return answer
+
+    def finish(self, client: int = 0, most_s: float = 10.0) -> tuple[int, str]:
+        """Let time pass until the last request is answered for good."""
+        for _ in range(round(most_s / 0.02)):
+            self.run(0.02)
+            if (answer := self.answered(client))[0] != records.UNDER_WAY:
+                return answer
+        raise AssertionError(f"no answer in {most_s:g} s, the last: {self.answered(client)}")
 
     def drive(self, vx_mps: float) -> list[int]:
         """A person's command; returns the kinds of the frames that it led to."""
         self.command(vx_mps)
         return self.turn(10 * MS)
 
+    def command(self, vx_mps: float) -> None:
+        """A person's command, without a ring."""
+        self.clients[0].command(vx_mps, manual=True)
+
     def limit(self, percent: int) -> None:
         """The client leaves a speed limit for its request."""
-        payload = records.SPEED_LIMIT.pack(self.session, percent)
-        self._client.latest_writer("speed_limit").write(payload, self.clock())
+        self.clients[0].write("speed_limit", records.SPEED_LIMIT.pack(SESSION, percent))
 
     def saw(self, epoch: int) -> None:
         """The client leaves the epoch that its person saw for its request."""
-        self._client.latest_writer("seen").write(records.SEEN.pack(self.session, epoch), self.clock())
+        self.clients[0].write("seen", records.SEEN.pack(SESSION, epoch))
 
-    def command(self, vx_mps: float) -> None:
-        """A person's command, without a ring."""
-        payload = records.COMMAND.pack(self.session, vx_mps, 0.0, 0.0, True, "cmd_vel")
-        self._client.latest_writer("command").write(payload, self.clock())
+    def assert_lid(self) -> None:
+        """The interlock `lid`, which a test's settings may have, holds now."""
+        self.clients[1].write("interlocks", records.HELD.pack(OTHER, ["lid"]))
+
+    def goal(self, mode: int, values: dict[int, float], client: int = 0) -> None:
+        """A goal of a stream."""
+        whose = self.clients[client]
+        whose.write("arm_goal", records.ARM_GOAL.pack(whose.session, mode, values))
+
+    def travel(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
+        """A trajectory to one point, and the request for it."""
+        self.go(1.0, list(values), [(over_s, list(values.values()))], client)
+
+    def go(self, share: float, joints: list[int], rows: list[tuple[float, list[float]]], client: int = 0) -> None:
+        """A trajectory of any kind, and the request for it."""
+        whose = self.clients[client]
+        whose.write("arm_path", records.ARM_PATH.pack(whose.session, share, joints, rows))
+        self.ask_for(records.ARM_MOVE, client)
+
+    # The gamepad, by telemetry.
+
+    def pad(self, joint: int, share: float) -> None:
+        """In its joint mode."""
+        self._pad.write(records.PAD_ARM.pack(joint, share))
+
+    def pad_resets(self) -> None:
+        """Its reset."""
+        request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
+        self.views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
+
+    # Port owner and board.
+
+    def at(self, servo: int) -> float:
+        """Where it is in truth."""
+        return self.servos.by_id[servo].leg.at(self.clock())
+
+    def _burst(self) -> None:
+        self.wheels_move = False
+        for servo in SERVOS:
+            self.servos.execute(bytes((servos.STOP, 1, servo)), self.clock())
+
+    def _carry_out(self) -> list[int]:
+        now_ns, kinds = self.clock(), []
+        while entry := self._made.next():
+            _, kind, body = records.FRAME.unpack(entry[2])
+            kinds.append(kind)
+            if kind == records.STOP:
+                self._burst()
+            elif kind == records.MOTION:
+                self.wheels_move = True
+                self.on_motion(body)
+            elif kind == records.ARM:
+                assert not self.bus.check(body), body.hex()
+                due_ns = self.bus.due_ns(body, now_ns, wheels_move=self.wheels_move)
+                if due_ns < NEVER:
+                    # On this clock the gate is never late, so no frame has to wait for the one before it.
+                    assert due_ns == now_ns
+                    self.bus.wrote(body, now_ns)
+                    self._execute(body[4:-1])
+                else:
+                    self.dropped += 1
+        return kinds
+
+    def _execute(self, data: bytes) -> None:
+        now_ns = self.clock()
+        done_ns = now_ns + self.servos.holds_ns(data)
+        if data[0] == servos.MOVE:
+            self.moves.append((now_ns, data))
+        if answer := self.servos.execute(data, done_ns):
+            found = decoder.servo_reply(BUS_SERVO, answer[4:-1])
+            assert found
+            servo, what, value = found
+            if what == servos.POSITION:
+                self.said[servo] = [*self.said[servo][-1:], -1 if value is None else value]
+            heapq.heappush(self._answers, (done_ns + ANSWER_NS, records.SERVO.pack(*found)))

@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 
 from failstop.lab.machine.files import IN, OUT, Open, Pidfd, Port
 from failstop.lab.machine.kernel import Machine, Thread
-from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.loading import File, Loader, Patches
 from failstop.shm import heartbeat, layout, records
 
 MS = 1_000_000
 MOST_LATE = 3
 """Turns in a row that are due at once: one for each thing that is overdue."""
 INCARNATION = 0xFA11_5709
-BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
+BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell", "gate_bell")
 RUNTIME_DIR = "/run/failstop/stage"
 
 
@@ -303,3 +303,13 @@ class Stage(PortMachine):
         self.wire = self.wire.replug()
         self.send_port(self.wire, number)
         return self.wire
+
+    def write_text(self, path: str, text: str) -> None:
+        """A file of the machine, in a folder that is there."""
+        with File(self.os, path, "w", None) as file:
+            file.write(text)
+
+    def read_text(self, path: str) -> str:
+        """The text of a file of the machine."""
+        with File(self.os, path, "r", None) as file:
+            return str(file.read())

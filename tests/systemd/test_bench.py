@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 from bench import service
-from bench.container import ContainerMissing
+from bench.container import Container, ContainerMissing
 from bench.service_scene import Scene
 from failstop.lab.trial import Stopped
 
 MS = 1_000_000
 
 
-def test_one_round_has_every_row(shared_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_round_has_every_row(shared_scene: Scene, tmp_path: Path) -> None:
     """Whether the bars are met is for a quiet machine to say; no stop is missed anywhere."""
     out = tmp_path / "out" / "rows.json"
-    monkeypatch.setattr(sys, "argv", ["service", "--kills", "1", "--json", str(out)])
-    service.main()
+    service.main(["--kills", "1", "--json", str(out)])
     rows = {row["measure"]: row for row in json.loads(out.read_text())["rows"]}
     for fault in service.FAULTS:
         assert rows[f"systemd: {fault.label} -> stop frame"]["numbers"]["samples"] == 1
@@ -33,7 +31,7 @@ def test_a_missed_stop_and_motion_after_one_miss_their_bars() -> None:
     fault = service.FAULTS[0]
     samples = service.Samples()
     samples.stops = [Stopped(0, None, None, None, 0, True), Stopped(0, 6 * MS, MS, MS, 2, False)]
-    rows = {row.measure: row for row in service._rows({fault: samples}, [MS])}
+    rows = {row.measure: row for row in service.rows_of({fault: samples}, [MS])}
     missed = {measure for measure, row in rows.items() if row.met is False}
     assert missed == {
         f"systemd: {fault.label} -> stop frame",
@@ -43,10 +41,9 @@ def test_a_missed_stop_and_motion_after_one_miss_their_bars() -> None:
     }
 
 
-def test_where_there_can_be_no_container_the_row_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: object) -> Scene:
-        raise ContainerMissing("no root here")
-
-    monkeypatch.setattr(service, "Scene", missing)
+def test_where_there_can_be_no_container_the_row_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ContainerMissing) as missing:
+        Container()
     [row] = service.measure(1, 1, lambda text: None)
-    assert (row.result, row.met) == ("skipped: no root here", None)
+    assert (row.result, row.met) == (f"skipped: {missing.value}", None)

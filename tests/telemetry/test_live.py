@@ -1,76 +1,70 @@
-"""Telemetry in a running service, in front of the simulated board."""
+"""Telemetry in a running service, in front of the board's model."""
 
 from __future__ import annotations
 
 import math
-import os
-import signal
-from pathlib import Path
 
 import pytest
 
-from failstop.api.client import attach
 from failstop.board.framing import BUZZER
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.machine.robot import Robot
 from failstop.procs.telemetry import pad
-from failstop.shm import records
 from failstop.shm.layout import TELEMETRY
+from tests.support.simulated import Simulated
 
 MODE = 0x2000
+FOLDER = "/state"
+SETTINGS = {"battery.directory": FOLDER, "battery.log_s": 1.0, "buzzer.tones": "on"}
 
 
-def battery(trial: Trial) -> tuple[int, int]:
-    """The published (millivolts, plugged)."""
-    entry = attach(trial.name, TELEMETRY).latest_reader("battery").read()
-    return records.BATTERY.unpack(entry[2]) if entry else (0, 0)
+def test_bias_charger_log_and_tones_on_a_running_service() -> None:
+    service = Simulated(SETTINGS, imu_hz=110.0)
+    robot, model, wait_for = service.robot, service.lab.board.model, service.wait_for
+    model.imu.bias_rad_s = (0.0, 0.0, math.radians(0.4))
+    model.battery_mv = 11_800
+
+    def lines() -> list[str]:
+        names = service.os.listdir(FOLDER) if service.os.path.exists(FOLDER) else []
+        return "".join(service.lab.read(f"{FOLDER}/{name}") for name in names if name.endswith("csv")).splitlines()
+
+    def bias_dps() -> float:
+        return math.degrees(robot.state.gyro_bias.bias_radps[2])
+
+    service.board.pad(MODE)
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.MODES[1][4:-1])
+    service.board.pad(0x0100)
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.LATCH[4:-1])
+    wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in service.said)
+
+    service.wait(2.5)
+    wait_for("the calibration", lambda: robot.state.gyro_bias.calibrated)
+    assert "gyro bias [" in service.said
+    wait_for("the bias", lambda: bias_dps() == pytest.approx(0.4, abs=0.15))
+
+    service.wait(2.0)
+    wait_for("five lines and their header", lambda: len(lines()) >= 6)
+    model.battery_mv += 249
+    wait_for("the charger", lambda: robot.state.plugged == "plugged")
+    assert service.lab.read(f"{FOLDER}/charger") == "plugged\n"
+    pid = service.pids()[TELEMETRY]
+    service.die(TELEMETRY)
+    service.recover(TELEMETRY, pid)
+    wait_for("a reading of the successor", lambda: robot.state.battery_v > 12.0)
+    assert robot.state.plugged == "plugged", "the last state survives a restart"
+    assert bias_dps() == pytest.approx(0.4, abs=0.15), "and so does the bias"
+    assert lines()[0] == "unix_s,battery_mv,enabled"
+    assert all(len(line.split(",")) == 3 for line in lines())
 
 
-def bias_dps(trial: Trial) -> float | None:
-    """The published bias on z, once it is calibrated."""
-    entry = attach(trial.name, TELEMETRY).latest_reader("bias").read()
-    *bias, _, calibrated = records.BIAS.unpack(entry[2]) if entry else (0.0, 0.0, 0.0, False, False)
-    return math.degrees(bias[2]) if calibrated else None
-
-
-@pytest.mark.slow
-def test_bias_charger_log_and_tones_on_a_running_service(tmp_path: Path) -> None:
-    """One service for all, since each takes seconds of its own: the calibration 3, the charger 8."""
-    folder = tmp_path / "state"
-    config = tmp_path / "robot.toml"
-    config.write_text(f'[battery]\ndirectory = "{folder}"\nlog_s = 1.0\n[buzzer]\ntones = "on"\n')
-    with Trial(f"telemetry-{os.getpid()}", ("--config", str(config))) as trial:
-        trial.board.gyro_bias(0.0, 0.0, math.radians(0.4))
-        trial.board.battery(11_800)
-
-        trial.board.pad(MODE)
-        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == pad.MODES[1][4:-1], 5.0)
-        trial.board.pad(0x0100)
-        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == pad.LATCH[4:-1], 5.0)
-        wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in trial.service.said())
-
-        wait_for("the calibration", lambda: bias_dps(trial) is not None)
-        assert "gyro bias [" in trial.service.said()
-        wait_for("the bias", lambda: bias_dps(trial) == pytest.approx(0.4, abs=0.15))
-
-        wait_for("two lines", lambda: sum(path.read_text().count("\n") for path in folder.glob("*.csv")) >= 6, 20.0)
-        trial.board.battery(11_800 + 249)
-        wait_for("the charger", lambda: battery(trial)[1] == 1, 20.0)
-        wait_for("its file", lambda: (folder / "charger").exists())
-        pid = trial.service.pids()[TELEMETRY]
-        os.kill(pid, signal.SIGKILL)
-        trial.recover(TELEMETRY, pid)
-        wait_for("a reading of the successor", lambda: battery(trial)[0] > 12_000)
-        assert battery(trial)[1] == 1, "the last state survives a restart"
-        assert bias_dps(trial) == pytest.approx(0.4, abs=0.15), "and so does the bias"
-        lines = "".join(path.read_text() for path in folder.glob("*.csv")).splitlines()
-        assert lines[0] == "unix_s,battery_mv,enabled"
-        assert all(len(line.split(",")) == 3 for line in lines)
-
-
-def test_pipes_in_the_place_of_its_files_hold_nothing_up(tmp_path: Path) -> None:
+def test_pipes_in_the_place_of_its_files_hold_nothing_up() -> None:
     """Telemetry comes up, and what it can't keep is told."""
-    os.mkfifo(tmp_path / "charger")
-    (tmp_path / "robot.toml").write_text(f'[battery]\ndirectory = "{tmp_path}"\n')
-    with Trial(f"telemetry-pipe-{os.getpid()}", ("--config", str(tmp_path / "robot.toml"))) as trial:
-        wait_for("the remark", lambda: "charger state can't be read" in trial.service.said())
-        assert "a FIFO, not a regular file" in trial.service.said()
+    lab = Robot(settings=SETTINGS)
+    lab.join("test")
+    system = lab.loader.system["os"]
+    system.mkdir(FOLDER)
+    system.mkfifo(f"{FOLDER}/charger")
+    lab.start()
+    lab.connect().close()
+    said = " ".join(lab.said.split())
+    assert "charger state can't be read" in said
+    assert "a FIFO, not a regular file" in said

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import select
-import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from failstop.board import framing
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
-from failstop.board.port import open_port
 from failstop.lab.sim import upward
-from failstop.lab.sim.client import SimBoard
+from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
 from failstop.shm import layout, records
-from tests.support.telemetry_scene import DEADLINE_S, MS, S, Scene
+from tests.support.stage import MS
+from tests.support.telemetry_scene import S, Scene
 
 STOP_DATA = BOARD.stop[4:-1]
 DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)
@@ -85,30 +78,15 @@ def test_other_frames_answer_none(frame: bytes) -> None:
     assert BOARD.pong(frame[2], frame[4:-1]) is None
 
 
-def test_the_board_answers_every_ping_in_order_with_no_servo_connected(tmp_path: Path) -> None:
-    with SimBoard(tmp_path / "board", imu_hz=0) as board:
-        descriptor = open_port(board.link, exclusive=True)
-        os.write(descriptor, b"".join(BOARD.pings))
-        decoder = Decoder()
-        answered: list[Any] = []
-        end_s = time.monotonic() + DEADLINE_S
-        while len(answered) < layout.PINGS and time.monotonic() < end_s:
-            if select.select([descriptor], [], [], 0.5)[0]:
-                found = (BOARD.pong(*frame) for frame in decoder.feed(os.read(descriptor, 512)))
-                answered += [index for index in found if index is not None]
-        os.close(descriptor)
-        assert answered == list(ALL)
-        assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
+def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None:
+    board = BoardModel(0, imu_hz=0)
+    board.receive(b"".join(BOARD.pings), 0)
+    answers = Decoder().feed(b"".join(board.advance(S)))
+    assert [BOARD.pong(*frame) for frame in answers] == list(ALL)
+    assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 
 # Telemetry: the port owner's ring is fed by the test.
-
-
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
 
 
 def told(scene: Scene) -> tuple[int, int]:
@@ -121,23 +99,23 @@ def test_an_answer_is_published_with_the_time_it_was_read_and_rings_the_supervis
     for index in (0, 1, 2, 3, 0):
         scene.rung("supervisor_bell")
         scene.turn(answer(index), elapsed_ns=500 * MS)
-        assert told(scene) == (scene.now_ns, index)
+        assert told(scene) == (scene.clock(), index)
         assert scene.rung("supervisor_bell")
 
 
 def test_the_time_is_the_port_owners_and_not_that_of_the_decoding(scene: Scene) -> None:
-    read_ns = scene.now_ns - 30 * MS
-    scene._received.put(upward.pwm_servo_position(3, 1500), read_ns)
+    read_ns = scene.clock() - 30 * MS
+    scene.receive(upward.pwm_servo_position(3, 1500), read_ns)
     scene.turn()
     assert told(scene) == (read_ns, 2)
 
 
 def test_an_answer_in_pieces_arrives_with_its_last_piece(scene: Scene) -> None:
     frame = upward.pwm_servo_position(2, 1500)
-    for piece, read_ns in ((frame[:5], scene.now_ns), (frame[5:], scene.now_ns + MS)):
-        scene._received.put(piece, read_ns)
+    for piece, read_ns in ((frame[:5], scene.clock()), (frame[5:], scene.clock() + MS)):
+        scene.receive(piece, read_ns)
         scene.turn()
-    assert told(scene) == (scene.now_ns + MS, 1)
+    assert told(scene) == (scene.clock() + MS, 1)
 
 
 def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
@@ -151,8 +129,8 @@ def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
 
 
 def reopen(scene: Scene, generation: int) -> None:
-    port = scene.owned(layout.PORT_OWNER).latest_writer("port")
-    port.write(records.PORT.pack(generation, scene.now_ns, records.PORT_OPEN, "/dev/board"), scene.now_ns)
+    port = scene.views[layout.PORT_OWNER].latest_writer("port")
+    port.write(records.PORT.pack(generation, scene.clock(), records.PORT_OPEN, "/dev/board"), scene.clock())
 
 
 @pytest.mark.parametrize("reopened", [True, False])
@@ -160,26 +138,26 @@ def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(sce
     """Control: without a reopening the halves are one frame. So the frame is not made twice by luck."""
     reopen(scene, 1)
     frame = upward.pwm_servo_position(2, 1500)
-    scene._received.put(frame[:5], scene.now_ns)
+    scene.receive(frame[:5], scene.clock())
     scene.turn()
     scene.turn(elapsed_ns=3 * S)
     if reopened:
         reopen(scene, 2)
-    scene._received.put(frame[5:], scene.now_ns)
+    scene.receive(frame[5:], scene.clock())
     scene.turn()
-    assert told(scene) == ((0, 0) if reopened else (scene.now_ns, 1))
+    assert told(scene) == ((0, 0) if reopened else (scene.clock(), 1))
 
 
 def test_what_the_lost_port_had_sent_still_belongs_together(scene: Scene) -> None:
     """News of the port and what came before and after it, all found in one turn."""
     reopen(scene, 1)
     whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)
-    before_ns = scene.now_ns
-    scene.now_ns += 3 * S
+    before_ns = scene.clock()
+    scene.clock.now_ns += 3 * S
     reopen(scene, 2)
-    for piece, read_ns in ((whole[:5], before_ns), (whole[5:] + torn[:5], before_ns + MS), (torn[5:], scene.now_ns)):
-        scene._received.put(piece, read_ns)
+    for piece, read_ns in ((whole[:5], before_ns), (whole[5:] + torn[:5], before_ns + MS), (torn[5:], scene.clock())):
+        scene.receive(piece, read_ns)
     scene.turn()
     assert told(scene) == (before_ns + MS, 1)
     scene.turn(answer(3))
-    assert told(scene) == (scene.now_ns, 3)
+    assert told(scene) == (scene.clock(), 3)

@@ -2,28 +2,61 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from failstop.procs.telemetry import state_files
-from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
-from failstop.shm import root
-from tests.support.waiting import until
+from failstop.procs.telemetry.state_files import MOST_WAITING, StateFiles, append_line, state_directory, write_whole
+from failstop.shm import layout, root
+from tests.support.stage import Stage
+from tests.support.telemetry_scene import FOLDER, S
 
 HEADER = "a,b\n"
+LOG, CHARGER = f"{FOLDER}/log.csv", f"{FOLDER}/charger"
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> Iterator[StateFiles]:
+def stage() -> Stage:
+    return Stage(layout.TELEMETRY, open_port=False)
+
+
+@pytest.fixture
+def module(stage: Stage) -> Any:
+    """state_files as a process of the machine has it."""
+    return stage.load("failstop.procs.telemetry.state_files")
+
+
+@pytest.fixture
+def files(module: Any) -> Any:
     """Files in a directory that is not there yet."""
-    made = StateFiles(str(tmp_path / "state"))
-    yield made
-    made.close()
-    until(lambda: not made.running, "the end of the thread")
+    return module.StateFiles(FOLDER)
+
+
+@contextmanager
+def longest(size: int) -> Iterator[None]:
+    """No file may grow beyond that: how this machine's kernel itself refuses a write."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def refused(wanted: str, error: Exception) -> Callable[..., None]:
+    """For a machine's at_seam: each call of this name raises."""
+
+    def refuse(thread: object, call: str, about: object) -> None:
+        if call == wanted:
+            raise error
+
+    return refuse
 
 
 @pytest.fixture
@@ -70,26 +103,17 @@ def test_a_line_that_a_power_cut_tore_spoils_no_other(tmp_path: Path) -> None:
     assert path.read_text() == "a,b\n1,\n3,4\n"
 
 
-def test_a_line_that_does_not_fit_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("a,b\n1,2\n")
-    write = os.write
-    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:2]))
+def test_a_line_that_does_not_fit_is_not_written(stage: Stage, module: Any) -> None:
+    module.append_line(LOG, HEADER, "1,2\n")
+    stage.machine.shortened = True
     with pytest.raises(OSError, match="No space left"):
-        append_line(str(path), HEADER, "3,4\n")
-    monkeypatch.undo()
-    assert path.read_text() == "a,b\n1,2\n"
+        module.append_line(LOG, HEADER, "3,4\n")
+    assert stage.read_text(LOG) == "a,b\n1,2\n"
 
 
 def test_a_full_disk_is_an_os_error(tmp_path: Path) -> None:
-    """The kernel's own word for it: the file may not grow beyond two bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2, before[1]))
-    try:
-        with pytest.raises(OSError, match="No space left"):
-            append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with longest(2), pytest.raises(OSError, match="No space left"):
+        append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
     assert (tmp_path / "log.csv").read_bytes() == b""
 
 
@@ -102,90 +126,72 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
     assert victim.read_text() == "precious\n"
 
 
-def test_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "charger"
-    write_whole(str(path), "plugged\n")
-    write_whole(str(path), "unplugged\n")
-    assert path.read_text() == "unplugged\n"
-    assert os.listdir(path.parent) == ["charger"]
+def test_replaced_whole(stage: Stage, module: Any) -> None:
+    module.write_whole(CHARGER, "plugged\n")
+    module.write_whole(CHARGER, "unplugged\n")
+    assert stage.read_text(CHARGER) == "unplugged\n"
+    assert stage.os.listdir(FOLDER) == ["charger"]
 
 
 @pytest.mark.parametrize("step", ["fsync", "rename"])
-def test_whatever_fails_the_old_content_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    path = tmp_path / "charger"
-    path.write_text("plugged\n")
-
-    def fail(*_: object) -> int:
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(os, step, fail)
+def test_whatever_fails_the_old_content_is_there(stage: Stage, module: Any, step: str) -> None:
+    module.write_whole(CHARGER, "plugged\n")
+    stage.machine.at_seam = refused(step, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OSError, match="Input/output error"):
-        write_whole(str(path), "unplugged\n")
-    monkeypatch.undo()
-    assert path.read_text() == "plugged\n"
-    assert os.listdir(tmp_path) == ["charger"]
+        module.write_whole(CHARGER, "unplugged\n")
+    assert stage.read_text(CHARGER) == "plugged\n"
+    assert stage.os.listdir(FOLDER) == ["charger"]
 
 
 def test_a_disk_that_is_full_within_a_file_leaves_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "charger"
     path.write_text("plugged\n")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4, before[1]))
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            write_whole(str(path), "unplugged\n")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with longest(4), pytest.raises(OSError, match="File too large"):
+        write_whole(str(path), "unplugged\n")
     assert path.read_text() == "plugged\n"
     assert os.listdir(tmp_path) == ["charger"]
 
 
-def test_it_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_on_the_disk_before_it_has_its_name(stage: Stage, module: Any) -> None:
     done: list[str] = []
-    real_fsync, real_rename = os.fsync, os.rename
+    stage.os.mkdir(FOLDER)
+    folder: Any = stage.machine.root.names[FOLDER[1:]]
 
-    def fsync(fd: int) -> None:
-        done.append(os.readlink(f"/proc/self/fd/{fd}"))
-        real_fsync(fd)
+    def noted(thread: Any, call: str, about: Any) -> None:
+        if call == "fsync":
+            names = {node: name for name, node in (*folder.names.items(), (FOLDER, folder))}
+            done.append(names[thread.process.files[about[0]].node])
+        elif call == "rename":
+            done.append(call)
 
-    def rename(old: str, new: str) -> None:
-        done.append("rename")
-        real_rename(old, new)
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr(os, "rename", rename)
-    write_whole(str(tmp_path / "charger"), "plugged\n")
-    assert done == [str(tmp_path / "charger.new"), "rename", str(tmp_path)]
+    stage.machine.at_seam = noted
+    module.write_whole(CHARGER, "plugged\n")
+    assert done == ["charger.new", "rename", FOLDER]
 
 
-def test_the_thread_writes_in_order(files: StateFiles, tmp_path: Path) -> None:
+def test_the_thread_writes_in_order(stage: Stage, files: Any) -> None:
     for i in range(20):
         files.append("log", "log.csv", HEADER, f"{i},0\n")
     files.replace("charger state", "charger", "plugged\n")
-    until(lambda: (tmp_path / "state" / "charger").exists(), "the last job")
-    assert (tmp_path / "state" / "log.csv").read_text() == HEADER + "".join(f"{i},0\n" for i in range(20))
+    stage.clock.now_ns += 1
+    assert stage.read_text(LOG) == HEADER + "".join(f"{i},0\n" for i in range(20))
     assert files.read("charger state", "charger") == "plugged\n"
     assert files.notes() == []
 
 
-def test_a_missing_directory_is_a_note_once_and_its_return_another(files: StateFiles, tmp_path: Path) -> None:
-    (tmp_path / "state").write_text("a file is in the way")
-    notes: list[str] = []
-
-    def said(count: int) -> bool:
-        notes.extend(files.notes())
-        return len(notes) >= count
-
+def test_a_missing_directory_is_a_note_once_and_its_return_another(stage: Stage, files: Any) -> None:
+    stage.write_text(FOLDER, "a file is in the way")
     for _ in range(3):
         files.append("battery log", "log.csv", HEADER, "1,2\n")
-    until(lambda: said(1) and files._jobs.empty(), "the note")
-    os.unlink(tmp_path / "state")
-    files.append("battery log", "log.csv", HEADER, "3,4\n")
-    until(lambda: said(2), "the second note")
-    assert len(notes) == 2
-    assert notes[0].startswith("battery log can't be written: ")
-    assert str(tmp_path / "state") in notes[0]
-    assert notes[1] == "battery log is written again"
+    stage.clock.now_ns += 1
+    (note,) = files.notes()
+    assert note.startswith("battery log can't be written: ")
+    assert note.endswith(f"look at the disk and at {FOLDER}")
+    stage.os.unlink(FOLDER)
+    for _ in range(2):
+        files.append("battery log", "log.csv", HEADER, "3,4\n")
+    stage.clock.now_ns += 1
+    assert files.notes() == ["battery log is written again"]
 
 
 def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp_path: Path) -> None:
@@ -205,16 +211,27 @@ def test_a_pipe_in_a_file_s_place_is_not_waited_for(tmp_path: Path) -> None:
     assert "a FIFO, not a regular file" in files.notes()[0]
 
 
-def test_a_disk_that_hangs_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
     """The jobs that wait are bounded; what comes on top is dropped."""
-    monkeypatch.setattr(StateFiles, "_work", lambda self: None)
-    files = StateFiles(str(tmp_path))
+    loop = stage.machine.current
+
+    def hang(thread: object, call: str, about: object) -> None:
+        if thread is not loop:
+            stage.machine.block(stage.clock() + S)
+
+    stage.machine.at_seam = hang
+    files.append("log", "log.csv", HEADER, "the first\n")
+    stage.clock.now_ns += 1
+    began_ns = stage.clock()
     for _ in range(500):
         files.append("log", "log.csv", HEADER, "1,2\n")
-    assert files._jobs.qsize() == state_files.MOST_WAITING
+    assert stage.clock() == began_ns
+    stage.machine.at_seam = None
+    stage.clock.now_ns += S
+    assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_WAITING
 
 
-def test_closing_writes_what_waits_and_ends_the_thread(files: StateFiles, tmp_path: Path) -> None:
+def test_closing_writes_what_waits_and_ends_the_thread(stage: Stage, files: Any) -> None:
     files.close()
     states = [files.running]
     for _ in range(50):
@@ -222,16 +239,13 @@ def test_closing_writes_what_waits_and_ends_the_thread(files: StateFiles, tmp_pa
         states.append(files.running)
     assert states == [False] + [True] * 50
     files.close()
-    until(lambda: not files.running, "the end of the thread")
-    assert (tmp_path / "state" / "log.csv").read_text().count("1,2\n") == 50
+    stage.clock.now_ns += 1
+    assert not files.running
+    assert stage.read_text(LOG).count("1,2\n") == 50
 
 
-def test_no_thread_is_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> int:
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr("_thread.start_new_thread", refuse)
-    files = StateFiles(str(tmp_path))
+def test_no_thread_is_a_note(stage: Stage, files: Any) -> None:
+    stage.machine.at_seam = refused("thread", RuntimeError("can't start new thread"))
     files.append("log", "log.csv", HEADER, "1,2\n")
     files.append("log", "log.csv", HEADER, "1,2\n")
     assert len(files.notes()) == 1

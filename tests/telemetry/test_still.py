@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-import os
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from random import Random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.api.client import attach
 from failstop.lab.sim.imu import Imu
-from failstop.lab.trial import Trial, wait_for
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from tests.support.telemetry_scene import MS, Scene
+from tests.support.simulated import Simulated
+from tests.support.stage import MS
+from tests.support.telemetry_scene import S, Scene
 
-S = 1_000 * MS
 STEP_NS = 10 * MS
 STD_RADPS = 0.0035
 REST = (0.0, 0.0, 0.0, 0.0)
@@ -274,13 +270,6 @@ def test_it_is_rarely_wrong() -> None:
 # Published.
 
 
-@pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
-    yield made
-    made.close()
-
-
 def words(scene: Scene) -> tuple[int, int]:
     return scene.own.word("still_ns").get(), scene.own.word("judged_ns").get()
 
@@ -299,13 +288,13 @@ def test_both_words_follow_each_sample_and_a_change_of_the_verdict_rings_the_sup
     scene.gate["body_vel"] = [0.1, 0.0, 0.0]
     scene.turn()
     scene.rung("supervisor_bell")
-    begun_ns = scene.now_ns + STEP_NS
+    begun_ns = scene.clock() + STEP_NS
     assert words(scene) == (0, 0)
     assert shake(scene, FULL + HELD + 20, 0.1) == 1
-    assert words(scene) == (begun_ns, scene.now_ns)
+    assert words(scene) == (begun_ns, scene.clock())
     assert shake(scene, 20, 0.5) == 1
-    assert words(scene) == (0, scene.now_ns)
-    last_ns = scene.now_ns
+    assert words(scene) == (0, scene.clock())
+    last_ns = scene.clock()
     scene.turn(elapsed_ns=S)
     assert words(scene) == (0, last_ns), "nothing is judged without samples"
 
@@ -313,44 +302,40 @@ def test_both_words_follow_each_sample_and_a_change_of_the_verdict_rings_the_sup
 def test_a_successor_begins_with_knowing_nothing(scene: Scene) -> None:
     shake(scene, FULL + HELD + 20, 0.1)
     assert words(scene)[0]
-    scene.start()
+    scene.start_telemetry()
     assert words(scene) == (0, 0)
 
 
-@pytest.mark.slow
-def test_on_a_running_service(tmp_path: Path) -> None:
+def test_on_a_running_service() -> None:
     """Still, driving, still again; a board that does not stop; an IMU that falls silent."""
-    with Trial(f"still-{os.getpid()}") as trial:
-        own = attach(trial.name, layout.TELEMETRY)
-        still, judged = own.word("still_ns"), own.word("judged_ns")
+    service = Simulated(imu_hz=110.0)
+    model, wait_for, now_ns = service.lab.board.model, service.wait_for, service.now_ns
+    own = service.load("failstop.api.client").attach(service.name, layout.TELEMETRY)
+    still, judged = own.word("still_ns"), own.word("judged_ns")
+    wait_for("the wheels to be seen still", still.get)
+    service.enable()
+    service.drive(1.0)
+    assert service.moving()
+    assert still.get() == 0
+    disabled_ns = now_ns()
+    service.robot.disable()
+    wait_for("the wheels to be seen still again", still.get)
+    assert judged.get() - disabled_ns < 1500 * MS
+    assert abs(still.get() - disabled_ns) < 500 * MS
 
-        def age_ns() -> int:
-            return time.monotonic_ns() - judged.get()
+    service.enable()
+    service.drive(1.0)
+    model.refuse_stop = True
+    refused_ns = now_ns()
+    service.robot.disable()
+    wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
+    assert service.moving()
+    assert still.get() == 0
+    model.refuse_stop = False
+    wait_for("the next stop to be obeyed and seen", still.get)
 
-        wait_for("the wheels to be seen still", lambda: still.get() > 0)
-        trial.enable()
-        trial.drive(1.0)
-        assert trial.moving()
-        assert still.get() == 0
-        disabled_ns = time.monotonic_ns()
-        trial.robot.disable()
-        wait_for("the wheels to be seen still again", lambda: still.get() > 0)
-        assert judged.get() - disabled_ns < 1500 * MS
-        assert abs(still.get() - disabled_ns) < 500 * MS
-
-        trial.enable()
-        trial.drive(1.0)
-        trial.board.refuse_stop(True)
-        refused_ns = time.monotonic_ns()
-        trial.robot.disable()
-        wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
-        assert trial.moving()
-        assert still.get() == 0
-        trial.board.refuse_stop(False)
-        wait_for("the next stop to be obeyed and seen", lambda: still.get() > 0)
-
-        assert age_ns() < 500 * MS
-        trial.board.imu(False)
-        wait_for("a judgement that is old", lambda: age_ns() > 600 * MS)
-        trial.board.imu(True)
-        wait_for("a new one", lambda: still.get() > 0 and age_ns() < 500 * MS)
+    assert now_ns() - judged.get() < 500 * MS
+    model.imu_on = False
+    wait_for("a judgement that is old", lambda: now_ns() - judged.get() > 600 * MS)
+    model.imu_on = True
+    wait_for("a new one", lambda: still.get() and now_ns() - judged.get() < 500 * MS)

@@ -30,20 +30,18 @@ def test_the_payload_is_this_checkout_and_the_script(tmp_path: Path) -> None:
     assert {"asked.sh", "pyproject.toml", "failstop/procs", "tests/conftest.py"} <= set(names)
 
 
-def test_what_a_guest_prints_is_passed_on_until_it_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_guest_prints_is_passed_on_until_it_has_ended() -> None:
     chatter = [sys.executable, "-c", "print('one'); print('two')"]
     assert list(arm64.lines(chatter)) == ["one", "two"]
-    monkeypatch.setattr(arm64, "WHOLE_S", 0.0)
     with pytest.raises(image.ImageError, match="has not ended within 0 s"):
-        list(arm64.lines([sys.executable, "-c", "print('one', flush=True); input()"]))
+        list(arm64.lines([sys.executable, "-c", "print('one', flush=True); input()"], 0.0))
 
 
 def test_without_its_programs_it_names_the_packages(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(image.shutil, "which", lambda _: None)
-    monkeypatch.setattr(sys, "argv", ["arm64"])
-    assert arm64.main() == 2
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert arm64.main([]) == 2
     assert "apt-get install --no-install-recommends e2fsprogs kmod mmdebstrap qemu-system-arm util-linux" in (
         capsys.readouterr().err
     )

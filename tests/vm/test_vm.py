@@ -184,7 +184,7 @@ def silent(tmp_path: Path) -> Iterator[tuple[guest.Guest, socket.socket]]:
     (made.logs / guest.CONSOLE).write_text("Kernel panic")
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        made._agent = ours
+        made.agent = ours
         yield made, theirs
 
 
@@ -221,8 +221,8 @@ def test_a_state_is_of_one_machine() -> None:
     assert image.key("a", "b") != image.key("ab")
 
 
-def test_what_is_missing_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(image.shutil, "which", lambda program: None)
+def test_what_is_missing_is_named_with_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(image.ImageError, match=r"apt-get install .*mmdebstrap .*qemu-system-x86"):
         image.check()
 

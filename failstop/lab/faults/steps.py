@@ -23,9 +23,11 @@ STOPPED_ON_S = (0.04, 0.14)
 class Steps:
     """The steps of one injection: together or within 5 ms, in any order; what is continued was stopped for longer."""
 
-    def __init__(self, fault: Fault, chance: random.Random) -> None:
+    def __init__(self, fault: Fault, chance: random.Random, kill: Callable[[int, int], None] = os.kill) -> None:
+        """`kill`: what sends a signal."""
         self._fault = fault
         self._chance = chance
+        self._kill = kill
         self._order = list(fault.steps)
         chance.shuffle(self._order)
         self._order.sort(key=lambda step: step[0] == CONTINUE)
@@ -39,24 +41,23 @@ class Steps:
                 wait((self._fault.bar_ms or 0.0) / 1000 + self._chance.uniform(*STOPPED_ON_S))
             elif number and spread_s:
                 time.sleep(self._chance.uniform(0.0, spread_s))
-            _do(action, pids[process])
+            self._do(action, pids[process])
         return begun_ns
 
     def undo(self, pids: dict[str, int]) -> None:
         """Continue what is still stopped."""
         for process in self._fault.struck(HANG):
             if process in pids and is_ours(pids[process]):
-                _do(CONTINUE, pids[process])
+                self._do(CONTINUE, pids[process])
 
-
-def _do(action: str, pid: int) -> None:
-    if pid <= 0:  # it has just died by itself; to a signal, 0 is everybody here
-        raise ProcessLookupError(errno.ESRCH, "the process is not running")
-    if action == SPIN:
-        ptrace.spin(pid)
-    elif action == CONTINUE:
-        # It may have been fenced.
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGCONT)
-    else:
-        os.kill(pid, SIGNALS[action])
+    def _do(self, action: str, pid: int) -> None:
+        if pid <= 0:  # it has just died by itself; to a signal, 0 is everybody here
+            raise ProcessLookupError(errno.ESRCH, "the process is not running")
+        if action == SPIN:
+            ptrace.spin(pid)
+        elif action == CONTINUE:
+            # It may have been fenced.
+            with contextlib.suppress(ProcessLookupError):
+                self._kill(pid, signal.SIGCONT)
+        else:
+            self._kill(pid, SIGNALS[action])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import Any
 
+from failstop.lab.machine import users
 from failstop.lab.machine.files import Directory, Node, Open
 from failstop.lab.machine.kernel import Machine, Process
 
@@ -36,25 +37,43 @@ class Calls:
         """Begin a call on a descriptor; returns what it is open on."""
         return self.opened(self.process(name, fd, *about), fd)
 
-    def walk(self, process: Process, path: str, dir_fd: int | None = None) -> tuple[Directory, str]:
+    def walk(
+        self, process: Process, path: str, dir_fd: int | None = None, start: Node | None = None
+    ) -> tuple[Directory, str]:
         """The directory that a path's last part is in, and that part. Raises OSError."""
         path = os.fspath(path)
         here: Node = self.machine.root
-        if dir_fd is not None and not path.startswith("/"):
-            here = self.opened(process, dir_fd).node
+        if not path.startswith("/"):
+            here = self.opened(process, dir_fd).node if dir_fd is not None else start or here
         parts = [part for part in path.split("/") if part not in ("", ".")]
         for part in parts[:-1]:
-            here = _step(here, part, path)
+            here = self.step(process, here, part, path)
         if not isinstance(here, Directory):
-            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+            raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
+        users.check(process, here, users.PASS, path)
         return here, parts[-1] if parts else "."
 
-    def node(self, process: Process, path: Any, dir_fd: int | None = None) -> Node:
+    def node(self, process: Process, path: Any, dir_fd: int | None = None, *, follow: bool = True) -> Node:
         """What a path leads to, or a descriptor is open on. Raises OSError."""
         if isinstance(path, int):
             return self.opened(process, path).node
         above, name = self.walk(process, path, dir_fd)
-        return _step(above, name, path)
+        return self.step(process, above, name, path, follow=follow)
+
+    def step(self, process: Process, here: Node, part: str, path: str, *, follow: bool = True) -> Node:
+        """What has this name in a directory, or, where it's a link, what that leads to. Raises OSError."""
+        if not isinstance(here, Directory):
+            raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
+        users.check(process, here, users.PASS, path)
+        if part in (".", ".."):
+            return here if part == "." else here.above
+        found = here.found().get(part)
+        if found is None:
+            raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
+        if follow and isinstance(found, users.Link):
+            above, name = self.walk(process, found.target, start=here)
+            return self.step(process, above, name, path)
+        return found
 
     def wait_for(self, opened: Iterable[Open], ready: Callable[[], Any], timeout_s: float | None) -> Any:
         """Block until ready() is true or the time is over; returns what it said last. None, or below 0: for ever."""
@@ -76,16 +95,6 @@ class Calls:
             found = ready()
             if found or not woken:
                 return found
-
-
-def _step(here: Node, part: str, path: str) -> Node:
-    if not isinstance(here, Directory):
-        raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
-    if part in (".", ".."):
-        return here if part == "." else here.above
-    if part not in here.names:
-        raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
-    return here.names[part]
 
 
 class Module(ModuleType):

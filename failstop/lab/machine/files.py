@@ -111,9 +111,11 @@ class Regular(Node):
         return len(self.data)
 
     def resize(self, size: int) -> None:
+        now = len(self.data)
+        if size == now:
+            return
         if isinstance(self.data, mmap.mmap):
             raise OSError(errno.EBUSY, "a mapped file keeps its size here")
-        now = len(self.data)
         self.data[size:] = b""
         self.data.extend(bytes(max(0, size - now)))
 
@@ -152,6 +154,10 @@ class Directory(Node):
         super().__init__(mode)
         self.names: dict[str, Node] = {}
         self.above = above or self
+
+    def found(self) -> dict[str, Node]:
+        """The names that are looked up."""
+        return self.names
 
     def put(self, name: str, node: Node) -> None:
         self.names[name] = node

@@ -21,6 +21,7 @@ from failstop.lab.machine.files import Directory, Open
 
 STEP_NS = 2_000
 """Of a call of the system."""
+START_NS = 40_000_000
 LOOK_NS = 50
 """Of a look at the clock."""
 LATE_NS = 400_000
@@ -31,6 +32,7 @@ IGNORED = (SIGCHLD, SIGCONT)
 LAND_NS = 100_000
 """From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
+SCHED_FIFO = 1
 FOREVER_NS = 1 << 61
 
 
@@ -49,7 +51,10 @@ class Death(BaseException):
 class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
-    __slots__ = ("body", "greenlet", "number", "process", "ready", "robust", "started", "token", "waiting", "woken")
+    __slots__ = (
+        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "started", "token", "waiting"),
+        "woken",
+    )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
         """`hub`: the greenlet of a thread that runs inline."""
@@ -61,6 +66,8 @@ class Thread:
         """Of a thread that runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
+        self.scheduling = (SCHED_FIFO, 10)
+        """Policy and priority: every process of a service has real-time rights here."""
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
         self.waiting = False
@@ -105,9 +112,11 @@ class Process:
         self.parked: list[Thread] = []
         self.watchers: list[Open] = []
         """Pidfds."""
+        self.uid: int = parent.uid if parent else 0
+        self.gid: int = parent.gid if parent else 0
+        self.umask: int = parent.umask if parent else 0o22
         self.sys_path: list[str] = []
         self.argv: list[str] = []
-        self.umask = 0o22
         self.most_files = 1 << 20
         """A descriptor is below this (RLIMIT_NOFILE)."""
         self._random = pid
@@ -141,9 +150,11 @@ class Machine:
 
     def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
-        passes by the timers alone, and a loop that only looks at the clock never ends."""
+        passes by the timers alone, a loop that only looks at the clock never ends, and a program starts at once."""
         self.now_ns = 1_000_000_000_000
         self.step_ns, self.look_ns = step_ns, look_ns
+        self.start_ns = START_NS if step_ns else 0
+        """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
         """The time of day when the clock stood at zero."""
@@ -370,6 +381,11 @@ class Machine:
             pidfd.notify()
         if process.parent:
             self.kill(process.parent, SIGCHLD)
+
+    def threads(self) -> dict[int, Thread]:
+        """All threads of all living processes, by number."""
+        living = [each for each in self.processes.values() if not each.dead]
+        return {thread.number: thread for process in living for thread in process.threads}
 
     def living(self, pid: int) -> Process:
         """The process with this number, until it is reaped. Raises ProcessLookupError."""

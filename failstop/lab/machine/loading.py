@@ -12,6 +12,7 @@ import functools
 import importlib.util
 import os
 import sys
+from importlib.machinery import SourceFileLoader
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -22,25 +23,12 @@ from failstop.lab.machine.stand_ins import stand_ins
 from failstop.lab.machine.system import modules
 
 HOME = os.path.dirname(os.path.abspath(failstop.__file__))
-HARMLESS = frozenset(
-    (
-        *(
-            "__future__",
-            "abc",
-            "argparse",
-            "asyncio",
-            "bisect",
-            "collections",
-            "contextlib",
-            "copy",
-            "dataclasses",
-            "difflib",
-        ),
-        *("enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex", "stat"),
-        *("string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "zlib"),
-    )
-)
-"""Python's own modules that ask no machine."""
+HARMLESS = {
+    *("__future__", "abc", "argparse", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses"),
+    *("difflib", "enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex"),
+    *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
+}
+"""Modules that ask no machine: Python's own, and those of a tool that changes what is loaded."""
 _CODE: dict[str, tuple[CodeType, bool]] = {}
 
 
@@ -51,20 +39,23 @@ place."""
 
 def _compiled(name: str, patches: Patches = ()) -> tuple[CodeType, bool]:
     """A module's code, and whether it is a package. Raises ValueError for a patch of what is not there."""
-    if name not in _CODE or any(module == name for module, _, _ in patches):
-        path = os.path.join(HOME, *name.split(".")[1:])
-        package = os.path.isdir(path)
-        path = os.path.join(path, "__init__.py") if package else f"{path}.py"
+    path = os.path.join(HOME, *name.split(".")[1:])
+    package = os.path.isdir(path)
+    path = os.path.join(path, "__init__.py") if package else f"{path}.py"
+    changes = [(old, new) for module, old, new in patches if module == name]
+    if changes:
         with open(path, encoding="utf-8") as file:
             source = file.read()
-        for module, old, new in patches:
-            if module == name and source.count(old) != 1:
+        for old, new in changes:
+            if source.count(old) != 1:
                 raise ValueError(f"{name} has {source.count(old)} times {old!r}, not once")
-            source = source.replace(old, new) if module == name else source
-        found = compile(source, path, "exec"), package
-        if any(module == name for module, _, _ in patches):
-            return found
-        _CODE[name] = found
+            source = source.replace(old, new)
+        return compile(source, path, "exec"), package
+    if name not in _CODE:
+        # Python's own loader: it takes the compiled copy that is kept beside the source.
+        code = SourceFileLoader(name, path).get_code(name)
+        assert code is not None
+        _CODE[name] = code, package
     return _CODE[name]
 
 
@@ -80,7 +71,7 @@ class Loader:
         self._loaded: dict[str, ModuleType] = stand_ins(calls)
         self._unnamed = set(self._loaded)
         """Stand-ins that their package does not know yet."""
-        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open}
+        self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open, "print": self._print}
 
     def load(self, name: str) -> Any:
         """A module of failstop's by its name."""
@@ -135,6 +126,9 @@ class Loader:
             return builtins.__import__(name, globals, locals, fromlist, level)
         raise ImportError(f"the simulated machine has no {name}")
 
+    def _print(self, *values: object, **options: Any) -> None:
+        builtins.print(*values, **{"file": self.system["sys"].stdout, **options})
+
     def _open(self, path: Any, mode: str = "r", *_: Any, opener: Any = None, **__: Any) -> Any:
         return File(self.system["os"], path, mode, opener)
 
@@ -155,7 +149,11 @@ class File:
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)
         self.system, self._text = system, "b" not in mode
-        self._fd: int = opener(path, flags) if opener else system.open(path, flags)
+        self._fd: int
+        if isinstance(path, int):
+            self._fd = path
+        else:
+            self._fd = opener(path, flags) if opener else system.open(path, flags)
 
     def fileno(self) -> int:
         return self._fd

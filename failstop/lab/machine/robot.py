@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgpack
@@ -18,6 +18,8 @@ from failstop.lab.sim.model import BoardModel, Frame
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
 MS = 1_000_000
 CLICKED = 0x20
+COMMAND_EVERY_S = 0.02
+ENVIRON = {"HOME": "/root"}
 
 
 class Board:
@@ -30,19 +32,20 @@ class Board:
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self._told = 0
         self._due_ns = 1 << 62
-        self._plan()
+        self.plan()
 
     def receive(self, data: bytes) -> None:
         """Bytes of the port, now."""
         self.model.receive(data, self.machine.now_ns)
-        self._plan()
+        self.plan()
 
     def press(self, key: int) -> None:
         """A key is clicked."""
         self.model.key(key, CLICKED, self.machine.now_ns)
-        self._plan()
+        self.plan()
 
-    def _plan(self) -> None:
+    def plan(self) -> None:
+        """Have the time pass when something is due: call it after a change of the model."""
         due_ns = self.model.next_ns
         if due_ns < self._due_ns:
             self._due_ns = due_ns
@@ -58,7 +61,7 @@ class Board:
             for frame in self.model.executed(self._told):
                 self.on_frame(frame)
             self._told = total
-        self._plan()
+        self.plan()
 
 
 class Robot:
@@ -75,6 +78,7 @@ class Robot:
         Node.count = 0
         self.machine = Machine(seed)
         self.loader = Loader(self.machine, patches)
+        self.time: Any = self.loader.system["time"]
         self.board = Board(self.machine, imu_hz)
         self.stderr = Null()
         self._numbers = 0
@@ -86,9 +90,7 @@ class Robot:
         for path in ("/dev/shm", "/run", "/var/lib/failstop", "/root", "/sys/dev/char", "/proc"):
             self.machine.root.folder(path)
         self.machine.root.folder("/dev").put("null", Null())
-        file = Regular(0o644)
-        file.put("".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items()).encode(), 0)
-        self.machine.root.folder("/etc").put("failstop.toml", file)
+        self.write(SETTINGS, "".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items()))
 
     def plug(self) -> Port:
         """Plug the board in, under its own name."""
@@ -110,6 +112,28 @@ class Robot:
         """Give a process its standard streams."""
         for _ in range(3):
             process.descriptor(Open(self.stderr), 0)
+
+    @property
+    def said(self) -> str:
+        """What its processes have written to their standard streams."""
+        return b"".join(self.stderr.heard).decode("utf-8", "replace")
+
+    def write(self, path: str, text: str) -> None:
+        """A file of people's, instead of one that was there."""
+        above, _, name = path.rpartition("/")
+        file = Regular(0o644)
+        file.put(text.encode(), 0)
+        folder = self.machine.root.folder(above)
+        if name in folder.names:
+            folder.drop(name)
+        folder.put(name, file)
+
+    def read(self, path: str) -> str:
+        """The text of a file."""
+        above, _, name = path.rpartition("/")
+        file = self.machine.root.folder(above).names[name]
+        assert isinstance(file, Regular)
+        return bytes(file.data).decode()
 
     def _child(self, process: Process, argv: list[str]) -> int:
         process.argv = argv
@@ -137,7 +161,7 @@ class Robot:
                 return 1
             return 0
 
-        return self.machine.process("supervisor", body, {"HOME": "/root"})
+        return self.machine.process("supervisor", body, dict(ENVIRON))
 
     def program(self, name: str, body: Callable[[Any], object]) -> Process:
         """Start a client's program: `body` is called with the module `failstop` of that machine."""
@@ -148,7 +172,63 @@ class Robot:
             body(self.loader.load("failstop"))
             return 0
 
-        return self.machine.process(name, run, {"HOME": "/root"})
+        return self.machine.process(name, run, dict(ENVIRON))
+
+    def join(self, name: str) -> Process:
+        """A program that is the caller's own: its calls are made inline (Machine.join)."""
+        me = self.machine.join(name, dict(ENVIRON))
+        self.streams(me)
+        return me
+
+    def command(self, words: Sequence[str], each: Callable[[], object] = lambda: None) -> tuple[int, str, str]:
+        """Run `failstop ...` beside the inline program, which calls `each` every 20 ms meanwhile; the exit code, what
+        it printed, its errors."""
+        out, err = Null(), Null()
+
+        def run(process: Process) -> object:
+            for node in (Null(), out, err):
+                process.descriptor(Open(node), 0)
+            process.argv = ["failstop", *words]
+            return self.loader.load("failstop.cli.main").main(list(words))
+
+        process = self.machine.process(words[0], run, dict(ENVIRON))
+        while process.code is None:
+            each()
+            self.time.sleep(COMMAND_EVERY_S)
+        printed, errors = (b"".join(node.heard).decode() for node in (out, err))
+        return process.code, printed, errors
+
+    def connect(self, **options: Any) -> Any:
+        """A client of the run that is there, once nothing of it is waited for."""
+        failstop = self.loader.load("failstop")
+        while True:
+            with contextlib.suppress(failstop.NoService):
+                client = failstop.Robot(**options)
+                while client.state.waiting_for is not None:
+                    self.time.sleep(0.002)
+                return client
+            self.time.sleep(0.002)
+
+    def drive(
+        self,
+        client: Any,
+        seconds: float,
+        velocity: tuple[float, float, float],
+        each: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Command a velocity for so long, with news of the sensor and what `each` does."""
+        until_s = self.time.monotonic() + seconds
+        while self.time.monotonic() < until_s:
+            client.sensed()
+            client.drive(*velocity)
+            each()
+            self.time.sleep(COMMAND_EVERY_S)
+
+    def kill(self, name: str) -> Process | None:
+        """SIGKILL a process of the service."""
+        if found := self.named(name):
+            self.machine.die(found, -9)
+        return found
 
     def named(self, name: str) -> Process | None:
         """The living process of that name."""

@@ -20,12 +20,32 @@ from failstop.lab.machine.system_threads import threads
 from failstop.lab.machine.system_waiting import Select, Time
 
 
+class Stream:
+    """Standard output or error of the process that writes, which is no terminal."""
+
+    encoding = "utf-8"
+
+    def __init__(self, system: Os, fd: int) -> None:
+        self._system, self._fd = system, fd
+
+    def write(self, text: str) -> int:
+        self._system.write(self._fd, text.encode())
+        return len(text)
+
+    def flush(self) -> None:
+        """Nothing is kept back."""
+
+    def isatty(self) -> bool:
+        return False
+
+
 class Sys(Module):
     """The module `sys`: a search path and arguments of each process."""
 
-    def __init__(self, calls: Calls) -> None:
+    def __init__(self, calls: Calls, system: Os) -> None:
         plain = {name: getattr(sys, name) for name in ("version_info", "flags", "byteorder", "platform")}
         super().__init__("sys", calls, executable="/usr/bin/python3", **plain)
+        self.stdout, self.stderr = Stream(system, 1), Stream(system, 2)
 
     @property
     def path(self) -> list[str]:
@@ -49,7 +69,7 @@ class Weakref(Module):
 
 
 class Users(Module):
-    """`grp` and `pwd`: there is no group `failstop`, and users have numbers only."""
+    """`grp` and `pwd`: there is no group `failstop`, and users but root have numbers only."""
 
     def getgrnam(self, name: str) -> NoReturn:
         raise KeyError(name)
@@ -57,7 +77,9 @@ class Users(Module):
     getgrgid = getgrnam
 
     def getpwuid(self, uid: int) -> SimpleNamespace:
-        return SimpleNamespace(pw_name=f"user{uid}")
+        if uid:
+            raise KeyError(uid)
+        return SimpleNamespace(pw_name="root")
 
 
 class Collector(Module):
@@ -81,12 +103,13 @@ def modules(calls: Calls) -> dict[str, Any]:
         "os.path": system.path,
         "select": Select(calls),
         "time": Time(calls),
-        "sys": Sys(calls),
+        "sys": Sys(calls, system),
         "stat": stat,
         "weakref": Weakref("weakref", calls, **plain),
         "grp": Users("grp", calls),
         "pwd": Users("pwd", calls),
         "gc": Collector("gc", calls),
+        "resource": Module("resource", calls, RLIMIT_NOFILE=7, getrlimit=lambda which: (1024, 1024)),
         **threads(calls),
         **devices(calls),
     }

@@ -10,6 +10,7 @@ import struct
 import termios
 from typing import Any
 
+from failstop.lab.machine import users
 from failstop.lab.machine.calls import Calls, Module, constants
 from failstop.lab.machine.files import IN, Directory, Fifo, Open, Port, Regular, Socket
 from failstop.lab.machine.kernel import Process
@@ -199,7 +200,7 @@ class SharedMemory:
         process, folder = calls.process("shm_open", name), shared_folder(calls)
         if name.lstrip("/") in folder.names:
             raise Error("there is one of this name")
-        made = Regular(mode & ~process.umask)
+        made = users.made(process, Regular(mode))
         folder.put(name.lstrip("/"), made)
         self.fd = process.descriptor(Open(made))
 
@@ -223,10 +224,14 @@ class PosixIpc(Module):
         return SharedMemory(self._calls, name, mode)
 
     def unlink_shared_memory(self, name: str) -> None:
-        self._calls.process("unlink", name)
+        process = self._calls.process("unlink", name)
         folder = shared_folder(self._calls)
         if name.lstrip("/") not in folder.names:
             raise Error("no such name")
+        node = folder.names[name.lstrip("/")]
+        users.check_drop(process, folder, node, name)
+        if isinstance(node, Directory):
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", name)
         folder.drop(name.lstrip("/"))
 
 

@@ -9,9 +9,10 @@ from collections.abc import Iterable
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
+from failstop.lab.machine import users
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
-from failstop.lab.machine.kernel import Machine, Process, Replaced
+from failstop.lab.machine.kernel import Machine, Process, Replaced, Thread
 
 PLAIN = (
     *("WNOHANG", "devnull", "pathsep", "sep", "linesep", "strerror", "fspath", "fsencode", "fsdecode", "name", "error"),
@@ -20,8 +21,6 @@ PLAIN = (
 """Names of `os` that ask no machine."""
 CHILD = "child.py"
 """The script that becomes whichever process its first word names."""
-START_NS = 40_000_000
-"""From a spawn to the first line of the program: an interpreter starts."""
 NOBODY_YET = 999
 """The descriptor of the listing itself, in /proc/self/fd."""
 
@@ -90,34 +89,42 @@ class Paths(Module):
     def open(self, path: str, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
         process = self._calls.process("open", path, flags)
         above, name = self._calls.walk(process, path, dir_fd)
-        node = self._found(above, name, flags, path)
+        node = self._found(process, above, name, flags, path)
         if node is None:
-            node = Regular(mode & 0o777 & ~process.umask)
-            above.put(name, node)
+            users.check(process, above, users.WRITE, path)
+            above.put(name, node := users.made(process, Regular(mode & 0o777)))
+        else:
+            users.check(process, node, users.wanted(flags), path)
         if flags & os.O_DIRECTORY and not isinstance(node, Directory):
-            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
+            raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
+        if isinstance(node, Directory) and flags & 3:
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", path)
         if isinstance(node, Fifo) and flags & 3 == os.O_WRONLY and not node.ends(os.O_RDONLY, os.O_RDWR):
             raise OSError(errno.ENXIO, "nobody reads", path)
         if isinstance(node, Regular) and flags & os.O_TRUNC:
             node.resize(0)
         return process.descriptor(Open(node, flags))
 
-    def _found(self, above: Directory, name: str, flags: int, path: str) -> Node | None:
+    def _found(self, process: Process, above: Directory, name: str, flags: int, path: str) -> Node | None:
         """What is there to open; None: it is to be created."""
         if name in (".", ".."):
             return above if name == "." else above.above
-        if name in above.names:
+        if name in above.found():
             if flags & os.O_CREAT and flags & os.O_EXCL:
-                raise FileExistsError(errno.EEXIST, "file exists", path)
-            return above.names[name]
+                raise FileExistsError(errno.EEXIST, "File exists", path)
+            found = self._calls.step(process, above, name, path, follow=not flags & os.O_NOFOLLOW)
+            if isinstance(found, users.Link) and not flags & os.O_PATH:
+                raise OSError(errno.ELOOP, "Too many levels of symbolic links", path)
+            return found
         if not flags & os.O_CREAT:
-            raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
+            raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
         return None
 
     def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> Status:
-        return Status(self._calls.node(self._calls.process("stat", path), path, dir_fd))
+        return Status(self._calls.node(self._calls.process("stat", path), path, dir_fd, follow=follow_symlinks))
 
-    lstat = stat
+    def lstat(self, path: Any, *, dir_fd: int | None = None) -> Status:
+        return self.stat(path, dir_fd=dir_fd, follow_symlinks=False)
 
     def access(self, path: str, mode: int) -> bool:
         try:
@@ -132,16 +139,17 @@ class Paths(Module):
             return [str(fd) for fd in (*sorted(process.files), NOBODY_YET)]
         node = self._calls.node(process, path)
         if not isinstance(node, Directory):
-            raise NotADirectoryError(errno.ENOTDIR, "not a directory", path)
-        return list(node.names)
+            raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
+        users.check(process, node, users.READ, path)
+        return list(node.found())
 
     def _put(self, call: str, path: str, node: Node, dir_fd: int | None) -> None:
         process = self._calls.process(call, path)
         above, name = self._calls.walk(process, path, dir_fd)
         if name in above.names:
-            raise FileExistsError(errno.EEXIST, "file exists", path)
-        node.mode &= ~process.umask
-        above.put(name, node)
+            raise FileExistsError(errno.EEXIST, "File exists", path)
+        users.check(process, above, users.WRITE, path)
+        above.put(name, users.made(process, node))
         if isinstance(node, Directory):
             node.above = above
 
@@ -151,6 +159,9 @@ class Paths(Module):
     def mkfifo(self, path: str, mode: int = 0o666, *, dir_fd: int | None = None) -> None:
         self._put("mkfifo", path, Fifo(mode & 0o777), dir_fd)
 
+    def symlink(self, target: str, path: str) -> None:
+        self._put("symlink", path, users.Link(os.fspath(target)), None)
+
     def makedirs(self, path: str, mode: int = 0o777, exist_ok: bool = False) -> None:
         self._calls.process("mkdir", path)
         here = self._machine.root
@@ -159,13 +170,27 @@ class Paths(Module):
                 here.put(part, Directory(0o755, here))
             child = here.names[part]
             if not isinstance(child, Directory):
-                raise FileExistsError(errno.EEXIST, "file exists", path)
+                raise FileExistsError(errno.EEXIST, "File exists", path)
             here = child
 
+    def rmdir(self, path: str, *, dir_fd: int | None = None) -> None:
+        process = self._calls.process("rmdir", path)
+        above, name = self._calls.walk(process, path, dir_fd)
+        node = self._calls.step(process, above, name, path, follow=False)
+        users.check_drop(process, above, node, path)
+        if not isinstance(node, Directory):
+            raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
+        if node.found():
+            raise OSError(errno.ENOTEMPTY, "Directory not empty", path)
+        above.drop(name)
+
     def unlink(self, path: str, *, dir_fd: int | None = None) -> None:
-        above, name = self._calls.walk(self._calls.process("unlink", path), path, dir_fd)
-        if name not in above.names:
-            raise FileNotFoundError(errno.ENOENT, "no such file or directory", path)
+        process = self._calls.process("unlink", path)
+        above, name = self._calls.walk(process, path, dir_fd)
+        node = self._calls.step(process, above, name, path, follow=False)
+        users.check_drop(process, above, node, path)
+        if isinstance(node, Directory):
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", path)
         above.drop(name)
 
     remove = unlink
@@ -173,10 +198,11 @@ class Paths(Module):
     def rename(self, old: str, new: str, *, src_dir_fd: int | None = None, dst_dir_fd: int | None = None) -> None:
         process = self._calls.process("rename", old)
         above, name = self._calls.walk(process, old, src_dir_fd)
-        if name not in above.names:
-            raise FileNotFoundError(errno.ENOENT, "no such file or directory", old)
+        node = self._calls.step(process, above, name, old, follow=False)
         below, other = self._calls.walk(process, new, dst_dir_fd)
-        node = above.names.pop(name)
+        users.check_drop(process, above, node, old)
+        users.check_drop(process, below, below.names.get(other, node), new)
+        del above.names[name]
         if other in below.names:
             below.drop(other)
         below.names[other] = node
@@ -184,13 +210,20 @@ class Paths(Module):
     replace = rename
 
     def chmod(self, path: Any, mode: int, *, dir_fd: int | None = None) -> None:
-        self._calls.node(self._calls.process("chmod", path), path, dir_fd).mode = mode
+        process = self._calls.process("chmod", path)
+        node = self._calls.node(process, path, dir_fd)
+        users.check_owner(process, node)
+        node.mode = mode
 
     fchmod = chmod
 
     def chown(self, path: Any, uid: int, gid: int, *, dir_fd: int | None = None) -> None:
-        node = self._calls.node(self._calls.process("chown", path), path, dir_fd)
-        node.uid, node.gid = (new if new >= 0 else old for new, old in ((uid, node.uid), (gid, node.gid)))
+        process = self._calls.process("chown", path)
+        node = self._calls.node(process, path, dir_fd)
+        if min(uid, gid) < -1:
+            raise OverflowError("a number below -1 is no user's and no group's")
+        users.check_owner(process, node, gid, uid)
+        node.uid, node.gid = uid if uid >= 0 else node.uid, gid if gid >= 0 else node.gid
 
     fchown = chown
 
@@ -216,8 +249,12 @@ class Descriptors(Module):
 
     def write(self, fd: int, data: bytes) -> int:
         opened = self._calls.begin("write", fd, data)
-        most, self._machine.shortened = self._machine.shortened, False
-        return opened.node.write(opened, bytes(data[: max(1, len(data) // 2)] if most else data))
+        return opened.node.write(opened, self._taken(data))
+
+    def _taken(self, data: bytes) -> bytes:
+        """What a write takes of its data."""
+        short, self._machine.shortened = self._machine.shortened, False
+        return bytes(data[: max(1, len(data) // 2)] if short else data)
 
     def pread(self, fd: int, most: int, at: int) -> bytes:
         node = self._calls.begin("pread", fd).node
@@ -227,8 +264,9 @@ class Descriptors(Module):
         node = self._calls.begin("pwrite", fd).node
         if not isinstance(node, Regular):
             raise OSError(errno.ESPIPE, "not a file")
-        node.put(bytes(data), at)
-        return len(data)
+        taken = self._taken(data)
+        node.put(taken, at)
+        return len(taken)
 
     def _regular(self, call: str, fd: int) -> Regular:
         node = self._calls.begin(call, fd).node
@@ -240,7 +278,8 @@ class Descriptors(Module):
         self._regular("ftruncate", fd).resize(size)
 
     def posix_fallocate(self, fd: int, at: int, size: int) -> None:
-        self._regular("fallocate", fd).mapped(at + size)
+        node = self._regular("fallocate", fd)
+        node.resize(max(node.size(), at + size))
 
     def fsync(self, fd: int) -> None:
         self._calls.begin("fsync", fd)
@@ -301,7 +340,7 @@ class Processes(Module):
         def run(child: Process) -> int:
             return program(child, words) if program else 0
 
-        made = self._machine.process(called, run, dict(environ), process, START_NS)
+        made = self._machine.process(called, run, dict(environ), process, self._machine.start_ns)
         made.argv = words
         made.group = made.pid if setsid else process.group
         self._inherit(process, made, process.inheritable)
@@ -324,14 +363,6 @@ class Processes(Module):
     def _exit(self, code: int) -> None:
         self._machine.die(self._calls.process("exit"), code)
 
-    def umask(self, mask: int) -> int:
-        process = self._calls.process("umask")
-        before, process.umask = process.umask, mask
-        return before
-
-    def get_terminal_size(self, fd: int = 1) -> NoReturn:
-        raise OSError(errno.ENOTTY, "not a terminal")
-
     def getpid(self) -> int:
         return self._machine.current.process.pid if self._machine.current else 0
 
@@ -339,12 +370,38 @@ class Processes(Module):
         parent = self._machine.current.process.parent if self._machine.current else None
         return parent.pid if parent else 1
 
+    def get_terminal_size(self, fd: int = 1) -> NoReturn:
+        self._calls.begin("ioctl", fd)
+        raise OSError(errno.ENOTTY, "not a terminal")
+
+    def umask(self, mask: int) -> int:
+        process = self._calls.process("umask")
+        before = process.umask
+        process.umask = mask
+        return before
+
+    def _thread(self, number: int) -> Thread:
+        found = self._machine.threads().get(number) if number else self._machine.current
+        if found is None:
+            raise ProcessLookupError(errno.ESRCH, "no such thread")
+        return found
+
+    def sched_getscheduler(self, number: int) -> int:
+        return self._thread(number).scheduling[0]
+
+    def sched_getparam(self, number: int) -> os.sched_param:
+        return os.sched_param(self._thread(number).scheduling[1])
+
+    def sched_setscheduler(self, number: int, policy: int, param: os.sched_param) -> None:
+        self._calls.process("sched_setscheduler", number, policy, param.sched_priority)
+        self._thread(number).scheduling = policy, param.sched_priority
+
     def urandom(self, most: int) -> bytes:
         return self._calls.process("urandom").random_bytes(most)
 
 
 class Os(Paths, Descriptors, Processes):
-    """The module. Its one user is root, and every scheduling is granted."""
+    """The module. Every scheduling is granted."""
 
     def __init__(self, calls: Calls) -> None:
         fixed = constants(os, "O_", "EFD_", "SCHED_", "SEEK_") | {
@@ -353,13 +410,12 @@ class Os(Paths, Descriptors, Processes):
         super().__init__("os", calls, **fixed)
         self.environ = Environ(calls.machine)
         self.path = make_path(calls)
-        for name in ("getuid", "geteuid", "getgid", "getegid"):
-            setattr(self, name, lambda: 0)
-        self.getgroups = lambda: [0]
+        for name in ("getuid", "geteuid"):
+            setattr(self, name, lambda: self._machine.current.process.uid if self._machine.current else 0)
+        for name in ("getgid", "getegid"):
+            setattr(self, name, lambda: self._machine.current.process.gid if self._machine.current else 0)
+        self.getgroups = lambda: [self.getgid()]
         self.uname = lambda: SimpleNamespace(machine="x86_64", sysname="Linux", release="6.1", nodename="simulated")
-        self.sched_getscheduler = lambda pid: os.SCHED_FIFO
-        self.sched_getparam = lambda pid: os.sched_param(10)
-        self.sched_setscheduler = lambda pid, policy, param: None
         self.isatty = lambda fd: False
         self.register_at_fork = lambda **_: None
 
@@ -368,18 +424,18 @@ def make_path(calls: Calls) -> Module:
     """os.path: what asks no machine is Python's own."""
     plain = {name: value for name, value in vars(posixpath).items() if not name.startswith("_")}
 
-    def looked_at(where: Any, kind: type[Node] = Node) -> bool:
+    def looked_at(where: Any, kind: type[Node] = Node, *, follow: bool = True) -> bool:
         try:
-            return isinstance(calls.node(calls.process("stat", where), where), kind)
+            return isinstance(calls.node(calls.process("stat", where), where, follow=follow), kind)
         except OSError:
             return False
 
     asking = {
         "exists": looked_at,
-        "lexists": looked_at,
+        "lexists": lambda where: looked_at(where, follow=False),
         "isdir": lambda where: looked_at(where, Directory),
         "isfile": lambda where: looked_at(where, Regular),
-        "islink": lambda where: False,
+        "islink": lambda where: looked_at(where, users.Link, follow=False),
         "abspath": posixpath.normpath,
         "realpath": posixpath.normpath,
         "expanduser": lambda where: where.replace("~", "/root", 1),

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, Refused
@@ -37,11 +38,15 @@ STAYS = 6
 class ArmRun:
     """From the middle of the swing to a whole service with nothing latched."""
 
-    def __init__(self, stand: Stand, path: Path, velocity: Velocity) -> None:
+    def __init__(
+        self, stand: Stand, path: Path, velocity: Velocity, request: Callable[[str, str], None] = send_stop
+    ) -> None:
+        """`request`: what asks the service of this name for a stop."""
         assert path.arm
         self.stand = stand
         self.path = path
         self.fault = path.arm
+        self._request = request
         self.result = Result(path, velocity, stand.board is not None)
         self._swing: Swing | None = None
         self._way = 1
@@ -92,7 +97,7 @@ class ArmRun:
         number = signal.SIGKILL if fault.what in (table.KILL, table.CLIENT_KILL) else signal.SIGSTOP
         self._cause_ns = time.monotonic_ns()
         if fault.what == table.REQUEST:
-            send_stop(stand.name, "prove")
+            self._request(stand.name, "prove")
         else:
             os.kill(pids[fault.process] if fault.process else program.pid, number)
         self._struck = pids.get(fault.process, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 from failstop.policy import causes
@@ -23,10 +24,26 @@ BUSY = (causes.STARVED, causes.HELD_UP)
 """The service's own word that the machine did not run it."""
 
 
+def now() -> Mark:
+    """The mark of this moment."""
+    return time.monotonic_ns(), waited_ns()
+
+
+def waited_ns() -> int:
+    """For how long this process's main thread has waited for a processor; 0 where the kernel does not count it."""
+    try:
+        with open("/proc/self/schedstat", encoding="ascii") as file:
+            return int(file.read().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
 class Held:
     """A context manager: within it a thread sleeps and notes how late it is woken."""
 
-    def __init__(self) -> None:
+    def __init__(self, mark: Callable[[], Mark] = now) -> None:
+        """`mark`: the moment, and the waiting until then."""
+        self.mark = mark
         self._late: list[tuple[int, int]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sleep, name="held", daemon=True)
@@ -56,10 +73,6 @@ class Held:
         if now_ns - due_ns >= LATE_NS:
             self._late.append((now_ns, now_ns - due_ns))
 
-    def mark(self) -> Mark:
-        """Now."""
-        return time.monotonic_ns(), waited_ns()
-
     def longest_ns(self, since_ns: int) -> int:
         """How late it was woken at worst since then; 0: never by LATE_NS."""
         return max((late_ns for woken_ns, late_ns in self._late if woken_ns >= since_ns), default=0)
@@ -74,15 +87,6 @@ class Held:
         now_ns, waited = self.mark()
         share = (waited - since[1]) / max(1, now_ns - since[0])
         return f"this test waited for a processor for {share:.0%} of the time" if share >= WAITED_SHARE else ""
-
-
-def waited_ns() -> int:
-    """For how long this process's main thread has waited for a processor; 0 where the kernel does not count it."""
-    try:
-        with open("/proc/self/schedstat", encoding="ascii") as file:
-            return int(file.read().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 def repeat(starved: str) -> str:

@@ -116,7 +116,8 @@ class Run:
         self.result = Result(path, velocity, stand.board is not None)
         self._steps = Steps(path.fault, chance) if path.fault else None
         self._pids: dict[str, int] = {}
-        self._cause_ns = 0
+        self.cause_ns = 0
+        """When the stop was brought about."""
         self._rest_seen_ns = 0
         self._verdict = Verdict(character.limit_radps)
 
@@ -133,10 +134,10 @@ class Run:
                 result.starved = self.stand.held.starved(begun, before)
                 raise TrialError(f"a stop came before the cause: {before}")
             try:
-                self._cause_ns = self._strike()
-                self._verdict = Verdict(self.character.limit_radps, self._cause_ns)
+                self.cause_ns = self._strike()
+                self._verdict = Verdict(self.character.limit_radps, self.cause_ns)
                 self.stand.run(MOST_S, self._settled)
-                self._judge()
+                self.judge()
                 if self.path.kind == table.SCAN and not result.runaway:
                     self._sense_again()
             except Skipped as reason:
@@ -192,7 +193,7 @@ class Run:
             self._rest_seen_ns = 0
             return False
         self._rest_seen_ns = self._rest_seen_ns or now_ns
-        waited = now_ns > max(self._cause_ns + LEAST_S * NS, self._rest_seen_ns + STAYS_S * NS)
+        waited = now_ns > max(self.cause_ns + LEAST_S * NS, self._rest_seen_ns + STAYS_S * NS)
         return waited and self._acknowledged() is not None
 
     def _follow_to_port(self) -> None:
@@ -201,18 +202,19 @@ class Run:
             self.stand.watch.take_port()
 
     def _after(self) -> list[Sample]:
-        return [sample for sample in self.stand.watch.samples if sample[0] >= self._cause_ns]
+        return [sample for sample in self.stand.watch.samples if sample[0] >= self.cause_ns]
 
     def _acknowledged(self) -> int | None:
-        return acknowledged_ns(self.stand.watch, self._cause_ns, by_gate=self.path.by_gate)
+        return acknowledged_ns(self.stand.watch, self.cause_ns, by_gate=self.path.by_gate)
 
-    def _judge(self) -> None:
+    def judge(self) -> None:
+        """Whether all was as it should be, by what was seen since the cause."""
         result, path = self.result, self.path
-        result.samples = [(t_ns - self._cause_ns, x, y) for t_ns, x, y in self.stand.watch.samples]
-        before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self._cause_ns < 0]
+        result.samples = [(t_ns - self.cause_ns, x, y) for t_ns, x, y in self.stand.watch.samples]
+        before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self.cause_ns < 0]
         if not shake.turning(before, self.character.limit_radps):
             result.doubt("the wheels were not seen turning before the stop")
-        judge_written(result, self.stand.watch, self._cause_ns)
+        judge_written(result, self.stand.watch, self.cause_ns)
         self._judge_rest(before)
         if self.stand.board:
             self._judge_board()
@@ -231,9 +233,9 @@ class Run:
         if rest_ns is None:
             result.doubt("no moment of rest in the IMU's samples")
             return
-        rest_ns = max(rest_ns, self._cause_ns)
-        result.rest_s = (rest_ns - self._cause_ns) / NS
-        result.blind_s = shake.blind_ns(before + after, self._cause_ns, rest_ns) / NS
+        rest_ns = max(rest_ns, self.cause_ns)
+        result.rest_s = (rest_ns - self.cause_ns) / NS
+        result.blind_s = shake.blind_ns(before + after, self.cause_ns, rest_ns) / NS
         bar_s = self.path.rest_bar_s(self.velocity)
         if result.rest_s - result.blind_s > bar_s:
             result.doubt(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
@@ -241,14 +243,14 @@ class Run:
     def _judge_board(self) -> None:
         assert self.stand.board is not None
         result = self.result
-        after = [event for event in self.stand.board.events() if event.arrival_ns >= self._cause_ns]
+        after = [event for event in self.stand.board.events() if event.arrival_ns >= self.cause_ns]
         stop = next((event for event in after if event.is_stop), None)
         if stop is None:
             result.wrong.append("the board has seen NO STOP")
             return
-        result.board_ms = (stop.arrival_ns - self._cause_ns) / 1e6
+        result.board_ms = (stop.arrival_ns - self.cause_ns) / 1e6
         # A simulated board without real-time priority is held up itself, its IMU with it, on a busy machine.
-        held_ns = shake.longest_silence_ns(self.stand.watch.samples, self._cause_ns, stop.arrival_ns)
+        held_ns = shake.longest_silence_ns(self.stand.watch.samples, self.cause_ns, stop.arrival_ns)
         bar_ms = self.path.reaction_bar_ms(simulated=True) + held_ns / 1e6
         if result.board_ms > bar_ms:
             result.doubt(f"at the board after {result.board_ms:.1f} ms, the bar is {bar_ms:.0f}")
@@ -280,7 +282,7 @@ class Run:
         """To wheels at rest, nothing enabled, every process running."""
         stand, path = self.stand, self.path
         if path.ends or path.process == SUPERVISOR:
-            self._check_end()
+            self.check_end()
             stand.bury()
             stand.start()
             return
@@ -289,7 +291,8 @@ class Run:
         stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)
         stand.driver.robot.disable()
 
-    def _check_end(self) -> None:
+    def check_end(self) -> None:
+        """A service that was told to end has ended well."""
         if self.path.kind == table.END and self.stand.service.process:
             try:
                 code = self.stand.service.process.wait(WHOLE_S)

@@ -108,10 +108,11 @@ def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) 
         raise
 
 
-def check_free(device: str, *names: str) -> None:
+def check_free(device: str, *names: str, system: System | None = None) -> None:
     """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
     ends whoever does."""
-    node = System().node(device)
+    system = system or System()
+    node = system.node(device)
     for name in names:
         with contextlib.suppress(NoService):
             served = Robot(name).state.device.path
@@ -121,7 +122,7 @@ def check_free(device: str, *names: str) -> None:
                 raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there
-    holders, _ = System().holders(node.resolved)
+    holders, _ = system.holders(node.resolved)
     for holder in holders:
         raise Refused(f"{holder} has {device} open: {holder.end()}")
 

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import IO, Any
 
-from failstop.board.framing import MOTOR
 from failstop.lab.sim.control import MESSAGE_SIZE, SUFFIX, connect
-from failstop.lab.sim.model import Speeds, commands_stop
+from failstop.lab.sim.model import Executed, Speeds
 from failstop.lab.sim.options import BATTERY_MV, IMU_HZ
 from failstop.lab.sim.servos import Leg
 
@@ -36,7 +35,7 @@ class SimBoardError(Exception):
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(Executed):
     """A frame the board has executed. At `arrival_ns` its last byte was read from the pty, at `executed_ns` it had come
     through the wire and took effect. `speeds` are the wheels' after it, in rps; `wild` are writes outside the motor
     table, (id, rps) each."""
@@ -48,21 +47,6 @@ class Event:
     data: bytes
     speeds: Speeds
     wild: tuple[tuple[int, float], ...] = ()
-
-    @property
-    def is_motor(self) -> bool:
-        """A motor frame of any content."""
-        return self.func == MOTOR
-
-    @property
-    def is_stop(self) -> bool:
-        """A motor frame that tells all four wheels to stop, whether or not they do."""
-        return commands_stop(self.func, self.data)
-
-    @property
-    def is_motion(self) -> bool:
-        """A motor frame that sets a wheel to a speed or leaves one turning, and is not a stop."""
-        return self.is_motor and not self.is_stop and any(self.speeds)
 
     def __str__(self) -> str:
         wheels = " ".join(f"{speed:+.3f}" for speed in self.speeds)

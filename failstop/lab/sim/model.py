@@ -42,8 +42,32 @@ PWM_SERVOS = 4
 NEVER = 1 << 63
 
 
+class Executed:
+    """What a frame that the board has executed asked for."""
+
+    __slots__ = ()
+    func: int
+    data: bytes
+    speeds: Speeds
+
+    @property
+    def is_motor(self) -> bool:
+        """A motor frame of any content."""
+        return self.func == MOTOR
+
+    @property
+    def is_stop(self) -> bool:
+        """A motor frame that tells all four wheels to stop, whether or not they do."""
+        return commands_stop(self.func, self.data)
+
+    @property
+    def is_motion(self) -> bool:
+        """A motor frame that sets a wheel to a speed or leaves one turning, and is not a stop."""
+        return self.is_motor and not self.is_stop and any(self.speeds)
+
+
 @dataclass(slots=True)
-class Frame:
+class Frame(Executed):
     """A frame the board has executed. `speeds` are the wheels' after it, in rps; `wild` are writes that went outside
     the motor table, (id, rps) each; `arrival_ns` is when its last byte was read, `executed_ns` when it took effect."""
 

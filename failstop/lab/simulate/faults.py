@@ -48,9 +48,7 @@ def line_of(call: str, about: tuple[Any, ...]) -> str:
     return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
 
 
-def faults(
-    stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS
-) -> Iterator[Fault]:
+def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS) -> Iterator[Fault]:
     """The faults that may happen at this call, with their names."""
     process = thread.process
     told = "" if held_ns == HELD_NS else f" for {held_ns // MS} ms"

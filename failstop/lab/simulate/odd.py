@@ -164,9 +164,7 @@ class Odd:
         self._stage.witness.tell(f"ODD: {event.fault}, at {event.where}")
         self.events.append(event)
 
-    def _possible(
-        self, thread: Thread, call: str, about: tuple[Any, ...], dice: Random
-    ) -> Iterator[tuple[str, Fault]]:
+    def _possible(self, thread: Thread, call: str, about: tuple[Any, ...], dice: Random) -> Iterator[tuple[str, Fault]]:
         """Kind and fault of each that may happen at this call."""
         stage, process = self._stage, thread.process
         long_ns, short_ns = spread(dice, 20 * MS, 1_500 * MS), spread(dice, 1_000, 50 * MS)
@@ -223,4 +221,3 @@ def places(machine: Machine) -> Where:
 
     machine.at_seam = at
     return found
-

@@ -12,7 +12,7 @@ from typing import Any
 
 from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
-from failstop.lab.machine.robot import MS, Robot
+from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 
@@ -29,7 +29,6 @@ ARM_NS = 8_000 * MS
 """An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
-PERIOD_S = 0.02
 DRIVER_NS = 500 * MS
 STOP_PIPE = "/run/failstop/failstop/stop"
 
@@ -47,7 +46,7 @@ class Stage:
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
-        self.time: Any = self.robot.loader.system["time"]
+        self.time = self.robot.time
         self.take(play)
         self.hang_up_ns: Callable[[Any], int] = lambda opened: 0
         """How much later a descriptor tells of the loss of the port."""
@@ -100,11 +99,7 @@ class Stage:
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
-        until_s = self.time.monotonic() + seconds
-        while self.time.monotonic() < until_s:
-            robot.sensed()
-            robot.drive(speed_mps, 0.0, 0.0)
-            self.time.sleep(PERIOD_S)
+        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0))
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -128,8 +123,7 @@ class Stage:
 
     def kill(self, name: str) -> None:
         """SIGKILL a process of the service."""
-        if found := self.robot.named(name):
-            self.machine.die(found, -9)
+        self.robot.kill(name)
 
     def freeze(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long."""
@@ -180,7 +174,7 @@ class Stage:
         began_ns = self.machine.now_ns
         driver = self.robot.program("driver.py", drive)
         while self.witness.moved_ns < began_ns and self.machine.now_ns < began_ns + DRIVER_NS:
-            self.time.sleep(PERIOD_S)
+            self.time.sleep(COMMAND_EVERY_S)
         return driver
 
     def kill_driver(self, driver: Process) -> None:
@@ -298,7 +292,7 @@ class Stage:
                     robot.reset()  # what is down starts again by it
                 self.enable(robot)
                 while robot.state.enabled:
-                    self.drive(robot, PERIOD_S)
+                    self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
                 self.witness.tell(f"the last program is told: {error}")
                 self.time.sleep(0.02)

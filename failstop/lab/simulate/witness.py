@@ -160,7 +160,6 @@ class Witness:
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
 
-
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for so long."""
         if process.name in WRITERS:

@@ -9,13 +9,15 @@ import socket
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from failstop.lab.machine.files import Node
+from failstop.lab.machine.files import Fifo, Null
 from failstop.shm import durable
-from tests.support.stage import PortMachine
+
+from .simulated import content, open_fds, put
 
 NOBODY = 65534
 FLAGS = {
@@ -40,11 +42,6 @@ PLANTED: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.fixture
-def machine() -> PortMachine:
-    return PortMachine()
-
-
-@pytest.fixture
 def victim(tmp_path: Path) -> Path:
     path = tmp_path / "victim"
     path.write_text("precious\n")
@@ -63,19 +60,25 @@ def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Pat
     assert victim.read_text() == "precious\n"
 
 
-def test_a_device_is_not_even_opened(machine: PortMachine) -> None:
-    opened: list[object] = []
-    machine.machine.at_seam = lambda thread, call, about: opened.append(about) if call == "open" else None
+def test_a_device_is_not_even_opened(on: SimpleNamespace) -> None:
+    calls = []
+    on.machine.root.names["dev"].put("zero", Null())
+    on.machine.at_seam = lambda thread, call, about: calls.append(call)
     with pytest.raises(OSError, match="a device, not a regular file"):
-        machine.load("failstop.shm.durable").open_regular(machine.wire.link)
-    assert opened == []
+        on.durable.open_regular("/dev/zero")
+    assert calls == ["stat"]
 
 
-def test_what_is_planted_after_the_look_is_seen_all_the_same(machine: PortMachine) -> None:
-    machine.at_next("open", lambda: machine.os.mkfifo("/file"))
+def test_what_is_planted_after_the_look_is_seen_all_the_same(on: SimpleNamespace) -> None:
+    def plant(thread: object, call: str, about: object) -> None:
+        if call == "open":
+            on.machine.root.names["tmp"].put("file", Fifo(0o666))
+
+    put(on, "/tmp/file")
+    before, on.machine.at_seam = open_fds(on), plant
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
-        machine.load("failstop.shm.durable").open_regular("/file")
-    assert machine.open_fds() == 0
+        on.durable.open_regular("/tmp/file")
+    assert open_fds(on) == before
 
 
 @pytest.mark.parametrize("how", FLAGS)
@@ -146,26 +149,28 @@ def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("folder", ["/dev/", ""], ids=["whole path", "bare name"])
-def test_a_draft_and_then_its_folder_are_on_the_disk(machine: PortMachine, folder: str) -> None:
-    """A power cut loses what was not synced: the content of the file, or its name."""
-    synced: list[tuple[Node, int]] = []
+@pytest.mark.parametrize("folder", ["/tmp", ""])
+def test_a_draft_and_then_its_folder_are_on_the_disk(on: SimpleNamespace, folder: str) -> None:
+    """A power cut loses what was not synced: the content of the file, or its name. A bare name is of the folder that
+    the process is in."""
+    synced = []
+    here = on.machine.root.names["tmp"] if folder else on.machine.root
 
-    def see(thread: object, call: str, about: tuple[int, ...]) -> None:
+    def seen(thread: object, call: str, about: tuple[Any, ...]) -> None:
         if call == "fsync":
-            node = machine.me.files[about[0]].node
-            synced.append((node, node.size()))
+            node = on.own.files[about[0]].node
+            synced.append((node is here, node is here.names.get("draft"), node.size()))
 
-    durable = machine.load("failstop.shm.durable")
-    durable.write_draft(f"{folder}file", b"old")
-    machine.machine.at_seam = see
-    durable.write_draft(f"{folder}draft", b"whole")
-    durable.publish(f"{folder}draft", f"{folder}file")
-    where = machine.machine.root.folder(folder)
-    file: Any = where.names["file"]
-    assert synced == [(file, len(b"whole")), (where, 0)]
-    assert (bytes(file.data), "draft" in where.names) == (b"whole", False)
-    assert machine.open_fds() == 0
+    place = f"{folder}/" if folder else ""
+    put(on, f"{place}file", "old")
+    before, names = open_fds(on), len(here.names)
+    on.machine.at_seam = seen
+    on.durable.write_draft(f"{place}draft", b"whole")
+    on.durable.publish(f"{place}draft", f"{place}file")
+    assert synced == [(False, True, 5), (True, False, 0)]
+    assert len(here.names) == names
+    assert content(on, f"{place}file") == b"whole"
+    assert open_fds(on) == before
 
 
 def test_a_draft_that_can_not_get_its_name_is_not_left(tmp_path: Path) -> None:

@@ -1,0 +1,14 @@
+"""A plugin of pytest for mutmut's copy: mutants of modules that are loaded on a simulated machine are tried as well.
+
+A mutated function asks mutmut at each call which mutant is meant, also in a copy of its module that a machine has
+loaded: there mutmut is the real one, which asks the real machine, and the code under test sees nothing of it. A mutant
+is named after its module, and all copies have the same name: whichever a test calls is noted, and mutated.
+"""
+
+from __future__ import annotations
+
+from failstop.lab.machine import loading
+
+
+def pytest_configure() -> None:
+    loading.HARMLESS.add("mutmut")

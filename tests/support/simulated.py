@@ -1,0 +1,318 @@
+"""The whole service on a simulated machine, its board and the test's own programs: what needs no kernel, in exact
+times. Blocking calls of the test let the machine run; nothing else does.
+
+`failstop` and what load() gives are of that machine. What a test imports itself asks the real one: it is fine for
+constants and pure functions.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
+from failstop.lab.machine.robot import DEVICE, MS, Robot
+from failstop.lab.sim import upward
+from failstop.lab.sim.model import Frame, Speeds
+from failstop.lab.sim.servos import Leg
+from failstop.lab.stopped import Stopped, judge
+from failstop.shm import layout
+
+FORWARD = (0.2, 0.0, 0.0)
+LOOK_S = 0.001
+PATIENCE_S = 10.0
+AFTERMATH_S = 0.25
+
+
+_before = sys.unraisablehook
+
+
+def _collected(found: sys.UnraisableHookArgs) -> None:
+    """What is collected of a machine that is over can make no call any more, and that is nobody's error."""
+    if not isinstance(found.exc_value, Death):
+        _before(found)
+
+
+sys.unraisablehook = _collected
+
+
+class Board:
+    """The board, as SimBoard has it; `link` is its port."""
+
+    link = DEVICE
+
+    def __init__(self, robot: Robot, wait_for: Callable[..., None]) -> None:
+        self._robot, self._model, self._wait_for = robot, robot.board.model, wait_for
+        self._cursor = 0
+
+    def events(self) -> list[Frame]:
+        """The frames executed since the last such call."""
+        found = self._model.executed(self._cursor)
+        self._cursor += len(found)
+        return found
+
+    def wait_for(self, wanted: Callable[[Frame], object], timeout_s: float = PATIENCE_S) -> Frame:
+        """The first such frame of those that events() has not returned; it returns them still."""
+        found: list[Frame] = []
+
+        def look() -> bool:
+            found[:] = filter(wanted, self._model.executed(self._cursor))
+            return bool(found)
+
+        self._wait_for("a frame of the board", look, timeout_s)
+        return found[0]
+
+    def wheels(self) -> Speeds:
+        return self._model.wheels
+
+    def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
+        """Until any wheel turns, or until all stand."""
+        self._wait_for("the wheels", lambda: any(self.wheels()) == moving, timeout_s)
+
+    def key(self, key_id: int, event: int) -> None:
+        self._model.key(key_id, event, self._robot.machine.now_ns)
+        self._robot.board.plan()
+
+    def pad(self, buttons: int = 0, *, ly: int = 0, hold: bool = False) -> None:
+        """One gamepad frame; with `hold` 20 a second."""
+        self._model.pad(upward.gamepad(buttons, ly=ly), self._robot.machine.now_ns, hold=hold)
+        self._robot.board.plan()
+
+    def pad_silent(self) -> None:
+        self._model.pad_silent()
+
+    def joints(self) -> dict[int, float]:
+        """Where each of the arm's servos stands now, in pulses."""
+        now_ns = self._robot.machine.now_ns
+        return {servo: found.leg.at(now_ns) for servo, found in self._model.servos.by_id.items()}
+
+    def joint_track(self) -> list[Leg]:
+        """What the arm's servos did."""
+        return list(self._model.servos.track)
+
+    def servo(self, servo: int, **values: bool | float) -> None:
+        """Change a servo, as SimBoard.servo."""
+        self._model.servos.change(servo, self._robot.machine.now_ns, **values)
+
+    def deaf(self, on: bool) -> None:
+        self._model.deaf = on
+
+    def refuse_stop(self, on: bool) -> None:
+        """A wheel that is told to stop turns on."""
+        self._model.refuse_stop = on
+
+    def imu(self, on: bool) -> None:
+        self._model.imu_on = on
+
+    def unplug(self) -> None:
+        self._robot.unplug()
+
+    def replug(self) -> None:
+        self._robot.plug()
+
+
+class Mistake(Exception):
+    """An error that a test's own program is to end by."""
+
+
+class Simulated:
+    """A service that runs, its board, and a client that drives it. Where a real one needs no kernel, its calls are
+    Trial's."""
+
+    name = "failstop"
+    link = DEVICE
+
+    def __init__(
+        self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0, *, deaf: bool = False
+    ) -> None:
+        """`deaf`: the board hears nothing, from the start."""
+        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}))
+        self.failed: list[BaseException] = []
+        self._kept: list[object] = []
+        """What dead programs leave behind: collected while another one runs, it would close that one's descriptors."""
+        self.lab.machine.told = self._told
+        self.me = self.lab.join("test")
+        self.pid = self.me.pid
+        self.load, self.os, self.time = self.lab.loader.load, self.lab.loader.system["os"], self.lab.time
+        self.failstop = self.load("failstop")
+        self.board = Board(self.lab, self.wait_for)
+        self.board.deaf(deaf)
+        self._robot: Any = None
+        self.start()
+
+    def _told(self, _kind: str, _process: Process, what: object) -> None:
+        self._kept.append(what)
+        if isinstance(what, BaseException) and not isinstance(what, Mistake):
+            self.failed.append(what)
+
+    # Time.
+
+    def now_ns(self) -> int:
+        return self.lab.machine.now_ns
+
+    def wait(self, seconds: float) -> None:
+        self.time.sleep(seconds)
+
+    def wait_for(self, what: str, check: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
+        """Look every millisecond until `check` is true."""
+        until_ns = self.now_ns() + round(timeout_s * 1e9)
+        while not check():
+            assert self.now_ns() <= until_ns, f"waited {timeout_s:g} s for {what}"
+            self.wait(LOOK_S)
+
+    # The service.
+
+    def start(self) -> None:
+        """Start the service; returns when nothing of it is waited for."""
+        self.lab.start()
+        self.leave()
+        self.lab.connect().close()
+
+    def end(self) -> int | None:
+        """SIGTERM; returns the exit code."""
+        supervisor = self._of("supervisor")
+        self.lab.machine.kill(supervisor, SIGTERM)
+        self.wait_for("the end of the service", lambda: supervisor.code is not None)
+        return supervisor.code
+
+    @property
+    def said(self) -> str:
+        """What the service wrote to stderr."""
+        return self.lab.said
+
+    def pids(self) -> dict[str, int]:
+        return {name: row.pid for name, row in self.robot.state.processes.items()}
+
+    def living(self) -> list[str]:
+        """The processes of the service that live."""
+        return [each.name for each in self.lab.machine.processes.values() if self._lives(each)]
+
+    @staticmethod
+    def _lives(process: Process) -> bool:
+        return process.name in layout.PROCESSES and process.code is None
+
+    def _of(self, name: str) -> Process:
+        found = self.lab.named(name)
+        assert found, f"no process {name} lives"
+        return found
+
+    def die(self, name: str) -> None:
+        """SIGKILL a process."""
+        self.lab.machine.die(self._of(name), -9)
+
+    def suspend(self, name: str) -> None:
+        """SIGSTOP."""
+        self.lab.machine.kill(self._of(name), SIGSTOP)
+
+    def resume(self, name: str) -> None:
+        """SIGCONT."""
+        self.lab.machine.kill(self._of(name), SIGCONT)
+
+    def hold(self, name: str, seconds: float, *, starved: bool = False) -> None:
+        """Run nothing of a process for so long."""
+        self.lab.machine.hold(self._of(name), round(seconds * 1000) * MS, starved=starved)
+
+    def kill(self, name: str, drive_s: float = 0.15) -> Stopped:
+        """SIGKILL a process while driving; the client goes on commanding."""
+        self.drive(drive_s)
+        self.board.events()
+        was_moving, fault_ns = self.moving(), self.now_ns()
+        self.die(name)
+        self.drive(AFTERMATH_S)
+        return judge(self.board.events(), fault_ns, was_moving)
+
+    def recover(self, name: str, pid: int) -> None:
+        """Wait until the service is whole again, with another process of this name; a supervisor is started here."""
+        if name == "supervisor":
+            self.wait_for("the last process to end", lambda: not self.living())
+            self.start()
+        else:
+            self.wait_for("another process", lambda: self.pids()[name] != pid)
+            self.wait_for("a whole service", lambda: self.robot.state.waiting_for is None)
+
+    # Its clients.
+
+    @property
+    def robot(self) -> Any:
+        """The driving client, connected to the run that is there now."""
+        if self._robot is None:
+            self._robot = self.failstop.Robot(client="trial", disable_on_exit=False)
+        return self._robot
+
+    def leave(self) -> None:
+        """Disconnect the driving client."""
+        if self._robot:
+            self._robot.close()
+            self._robot = None
+
+    def command(self, *words: str, each: Callable[[], object] = lambda: None) -> tuple[int, str, str]:
+        """Run `failstop ...`, calling `each` every 20 ms meanwhile; (exit code, what it printed, its errors)."""
+        return self.lab.command(words, each)
+
+    def printed(self, *words: str) -> str:
+        """What a command prints that has nothing to complain of, as one line."""
+        code, out, err = self.command(*words)
+        assert (code, err) == (0, "")
+        return " ".join(out.split())
+
+    def json(self, *words: str, each: Callable[[], object] = lambda: None) -> Any:
+        """What a command prints with --json."""
+        code, out, err = self.command(*words, "--json", each=each)
+        assert (code, err) == (0, "")
+        return json.loads(out)
+
+    def program(self, name: str, body: Callable[[Any], object]) -> Process:
+        """Another program, which is called with its `failstop`."""
+        return self.lab.program(name, body)
+
+    def driver(self, client: str, velocity: tuple[float, float, float] = FORWARD, **options: object) -> Process:
+        """Another program that drives until it is killed."""
+
+        def drive(failstop: Any) -> None:
+            with failstop.Robot(client=client) as robot:
+                while True:
+                    robot.sensed()
+                    robot.drive(*velocity, **options)
+                    self.time.sleep(0.02)
+
+        return self.program(client, drive)
+
+    def enable(self) -> None:
+        """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
+        if self.robot.state.estop:
+            self.wait_for("a reset to be taken", self.reset)
+        self.robot.enable()
+
+    def reset(self) -> bool:
+        """True once a reset was taken: one that a stop has come before is refused."""
+        try:
+            self.robot.reset()
+        except self.failstop.Refused:
+            return False
+        return True
+
+    def drive(
+        self,
+        seconds: float,
+        velocity: tuple[float, float, float] = FORWARD,
+        each: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Command a velocity every 20 ms, calling `each` every time; a service that is gone is commanded in vain."""
+        until_ns = self.now_ns() + round(seconds * 1e9)
+        while self.now_ns() < until_ns:
+            try:
+                self.lab.drive(self.robot, (until_ns - self.now_ns()) / 1e9, velocity, each)
+            except self.failstop.FailstopError:
+                self.wait(0.02)
+
+    def set_off(self) -> None:
+        """Drive forward; the board's past is forgotten."""
+        self.enable()
+        self.drive(0.2)
+        assert self.moving()
+        self.board.events()
+
+    def moving(self) -> bool:
+        return any(self.board.wheels())
