@@ -12,7 +12,6 @@ import failstop
 from failstop.lab.machine.kernel import Replaced
 from failstop.policy.settings import Settings
 from failstop.supervisor import starter
-from failstop.supervisor.starter import spawn
 from tests.support.supervisor_scene import Scene
 
 SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
