@@ -223,9 +223,7 @@ def test_a_dead_run_s_saver_copies_and_takes_processor_time_when_this_run_is_rea
     assert not hastened(live)
 
 
-def test_a_dead_run_s_saver_that_is_killed_costs_nothing_but_the_incident(
-    scene: Scene,
-) -> None:
+def test_a_dead_run_s_saver_that_is_killed_costs_nothing_but_the_incident(scene: Scene) -> None:
     """As the one process that the kernel takes when memory is short."""
     left_behind(scene, len(layout.PROCESSES))
     scene.supervisor.blackbox.begin()

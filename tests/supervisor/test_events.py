@@ -20,10 +20,7 @@ from tests.support.supervisor_scene import Scene
 
 @pytest.mark.parametrize(
     ("message", "line"),
-    [
-        ("STOP latched: key1", b"failstop: STOP latched: key1\n"),
-        ("\udcff \u2713", "failstop: ? \u2713\n".encode()),
-    ],
+    [("STOP latched: key1", b"failstop: STOP latched: key1\n"), ("\udcff \u2713", "failstop: ? \u2713\n".encode())],
 )
 def test_say_writes_one_line(pipe: tuple[int, int], message: str, line: bytes) -> None:
     with stderr_is(pipe[1]):

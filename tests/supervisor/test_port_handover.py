@@ -173,9 +173,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(scene: Scene, sign:
     assert scene.rung(layout.STOPPER)
 
 
-def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(
-    scene: Scene,
-) -> None:
+def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene: Scene) -> None:
     lose(scene)
     scene.gate_stops()
     noticed_ns = scene.now_ns

@@ -66,11 +66,7 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene, pro
 
 @pytest.mark.parametrize(
     ("code", "told"),
-    [
-        (-signal.SIGTERM, "killed by SIGTERM"),
-        (-(signal.SIGRTMIN + 2), "killed by 36"),
-        (0, "exited with code 0"),
-    ],
+    [(-signal.SIGTERM, "killed by SIGTERM"), (-(signal.SIGRTMIN + 2), "killed by 36"), (0, "exited with code 0")],
 )
 def test_a_process_is_told_of_with_how_it_ended(scene: Scene, gate: Any, code: int, told: str) -> None:
     scene.dies(scene.employ(layout.GATE), code)

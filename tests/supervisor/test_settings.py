@@ -51,7 +51,7 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
     assert setting.unit == unit.get(ending, ""), "the unit is in the name"
 
 
-APPROVED = {
+APPROVED: dict[str, dict[str, float]] = {
     "gate": {"period_s": 0.02, "command_timeout_s": 0.3, "refresh_s": 0.2, "lease_s": 0.06},
     "limits": {"vx_mps": 0.2, "vy_mps": 0.2, "wz_radps": 1.0, "acceleration_mps2": 0.5, "acceleration_radps2": 2.0},
     "wheels": {"diameter_m": 0.08, "wheelbase_m": 0.17706, "track_m": 0.17165},

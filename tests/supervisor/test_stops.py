@@ -59,12 +59,7 @@ TO_WRITE = ("supervisor", 0)
     ],
 )
 def test_table(
-    noticed_by: str,
-    written_ns: int,
-    answered: bool,
-    may_answer: bool,
-    port_owner_ns: int,
-    told: tuple[str, int] | None,
+    noticed_by: str, written_ns: int, answered: bool, may_answer: bool, port_owner_ns: int, told: tuple[str, int] | None
 ) -> None:
     cause = Stop(T, noticed_by, why("x"), written_ns)
     assert cause.who_wrote(answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
