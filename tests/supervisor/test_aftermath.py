@@ -120,7 +120,7 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> 
     assert scene.number("stop") == written, "what is known is not written again"
 
 
-def test_what_is_told_of_the_link(scene: Scene) -> None:
+def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     scene.pings(0)
     assert follow(scene, 2 * MS) == []
     assert scene.said() == [("link", "notice", "the board answers", {"state": "alive"})]
@@ -149,7 +149,7 @@ def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
     assert follow(scene, 600 * MS) == [], "nor for the ping whose answer nobody could hear"
 
 
-def test_what_is_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
+def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
     scene.stops("the first")
     scene.said()
     scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
@@ -197,7 +197,7 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -
 
 
 @pytest.mark.parametrize("answered", [False, True])
-def test_a_stop_that_the_kernel_holds_is_told_of_as_that_unless_the_board_has_answered(
+def test_aftermath_tells_of_a_stop_that_the_kernel_holds_unless_the_board_answered(
     scene: Scene, answered: bool
 ) -> None:
     scene.wire.hold()  # of a later write, where the board has answered

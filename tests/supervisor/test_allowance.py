@@ -14,11 +14,6 @@ from tests.support.supervisor_scene import Scene
 S = 10**9
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
 def flush(scene: Scene, *, end: bool = False) -> list[str]:
     """A turn's end; returns the lines that it brought."""
     scene.run.events.flush(0 if end else scene.now_ns)
@@ -97,7 +92,7 @@ def test_every_kind_is_bounded(scene: Scene, kind: str) -> None:
     )
 
 
-def test_what_is_critical_has_room_of_its_own(scene: Scene) -> None:
+def test_critical_events_have_room_of_their_own(scene: Scene) -> None:
     for number in range(1000):
         scene.run.events.tell("stop", f"{number:0190}")
         flush(scene)
@@ -105,7 +100,7 @@ def test_what_is_critical_has_room_of_its_own(scene: Scene) -> None:
     assert flush(scene) == ["failstop: stop frame NOT written"]
 
 
-def test_what_comes_at_one_time_is_bounded_and_counted_too(scene: Scene) -> None:
+def test_events_that_come_at_one_time_are_bounded_and_counted_too(scene: Scene) -> None:
     for number in range(MOST_WAITING + 7):
         scene.run.events.tell("note", str(number))
     lines = flush(scene, end=True)
@@ -113,7 +108,7 @@ def test_what_comes_at_one_time_is_bounded_and_counted_too(scene: Scene) -> None
     assert left_out(lines) == 7
 
 
-def test_once_it_is_spent_nothing_is_told_until_the_minute_is_over(scene: Scene) -> None:
+def test_a_spent_allowance_tells_nothing_until_the_minute_is_over(scene: Scene) -> None:
     line = len("failstop: \n")
     scene.run.events.tell("note", "x" * (OWN_BYTES - line))
     assert len(flush(scene)) == 1, "all of it may be spent"
@@ -134,7 +129,7 @@ SCENE = Scene()
 
 
 @given(spent=st.lists(st.tuples(st.integers(100, 3000), st.integers(0, 3 * 10**9)), max_size=100))
-def test_in_no_minute_more_than_two_allowances(spent: list[tuple[int, int]]) -> None:
+def test_a_minute_has_no_more_than_two_allowances(spent: list[tuple[int, int]]) -> None:
     SCENE.now_ns += 2 * MINUTE_NS
     flush(SCENE, end=True)
     told: list[tuple[int, int]] = []

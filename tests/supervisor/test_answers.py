@@ -39,7 +39,7 @@ def test_the_first_epoch_is_told_before_any_stop(scene: Scene) -> None:
     assert scene.word("epoch").get() == scene.supervisor.epoch == 1
 
 
-def test_its_own_death_is_told_by_its_futexes(scene: Scene) -> None:
+def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
     attach = scene.load("failstop.shm.segment").attach
     lifelines = attach(scene.run.memory, "lifelines", scene.run.incarnation)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
@@ -50,7 +50,7 @@ def test_its_own_death_is_told_by_its_futexes(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("granted", [0, REALTIME])
-def test_what_helps_a_starved_service_depends_on_its_rights(granted: int) -> None:
+def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> None:
     scene = Scene(granted=granted)
     advice = scene.load("failstop.supervisor.grant").advice
     scene.supervisor.processes.tell_starved("gate", MS, scene.now_ns)
@@ -60,7 +60,7 @@ def test_what_helps_a_starved_service_depends_on_its_rights(granted: int) -> Non
     assert expected != advice(realtime=not granted, managed=False)
 
 
-def test_what_people_are_told_goes_to_the_journal_where_there_is_one() -> None:
+def test_the_journal_gets_what_people_are_told_where_there_is_one() -> None:
     sent: list[bytes] = []
     scene = Scene(journal=SimpleNamespace(send=lambda datagram: not sent.append(datagram)))
     scene.run.events.tell("note", "from the test")
@@ -69,41 +69,26 @@ def test_what_people_are_told_goes_to_the_journal_where_there_is_one() -> None:
     assert scene.stderr.heard == []
 
 
-def test_a_stop_that_the_port_owner_wrote(scene: Scene) -> None:
-    scene.notice(written_ns=scene.now_ns + 50_000)
+@pytest.mark.parametrize(
+    ("process", "cause", "came_us", "answered_us", "wrote", "told"),
+    [
+        (layout.PORT_OWNER, "key1", 50, 0, b"", ("port owner", 50.0)),
+        (layout.GATE, "x", 0, 80, b"", ("port owner", 80.0)),
+        (layout.PORT_OWNER, "port trouble", 0, 0, BURST, ("supervisor", 1000.0)),
+        # It has lost the port, and its last burst was long ago.
+        (layout.GATE, "x", 0, 0, BURST, ("supervisor", 1000.0)),
+    ],
+)
+def test_the_supervisor_writes_a_stop_that_the_port_owner_did_not_write(
+    scene: Scene, process: str, cause: str, came_us: int, answered_us: int, wrote: bytes, told: tuple[str, float]
+) -> None:
+    began_ns = scene.now_ns
+    scene.raises(process, why(cause), written_ns=came_us and began_ns + came_us * 1_000)
     assert scene.turn() == b""
-    assert scene.supervisor.epoch == 2
-    assert scene.word("epoch").get() == 2
-    assert scene.word("ready").get() == 0
-    scene.answers()
-    assert scene.turn(MS) == b""
-    assert scene.told() == {"reason": "key1", "written_by": "port owner", "written_us": 50.0}
-
-
-def test_a_stop_that_the_port_owner_wrote_in_answer(scene: Scene) -> None:
-    scene.gate_stops()
-    scene.turn()
-    scene.answers(written_ns=scene.now_ns + 80_000)
-    assert scene.turn(MS) == b""
-    assert scene.told()["written_us"] == 80.0
-    assert scene.told()["written_by"] == "port owner"
-
-
-def test_a_stop_that_the_port_owner_could_not_write_is_the_supervisor_s(scene: Scene) -> None:
-    scene.notice("port trouble", written_ns=0)
-    scene.turn()
-    scene.answers()
-    assert scene.turn(MS) == BURST
-    assert scene.told() == {"reason": "port trouble", "written_by": "supervisor", "written_us": 1000.0}
-
-
-def test_an_answer_without_a_new_burst_is_none(scene: Scene) -> None:
-    """A port owner that has lost the port answers the epoch, and its last burst was long ago."""
-    scene.gate_stops()
-    scene.turn()
-    scene.answers()
-    assert scene.turn(MS) == BURST
-    assert scene.told()["written_by"] == "supervisor"
+    assert (scene.supervisor.epoch, scene.word("epoch").get(), scene.word("ready").get()) == (2, 2, 0)
+    scene.answers(written_ns=answered_us and began_ns + answered_us * 1_000)
+    assert scene.turn(MS) == wrote
+    assert scene.told() == {"reason": cause, "written_by": told[0], "written_us": told[1]}
 
 
 def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
@@ -127,7 +112,7 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
     assert scene.told()["written_by"] == "supervisor"
 
 
-def test_without_a_port_owner_the_burst_is_written_at_once(alone: Scene) -> None:
+def test_the_supervisor_writes_the_burst_at_once_without_a_port_owner(alone: Scene) -> None:
     alone.pass_time()
     alone.gate_stops()
     assert alone.pass_time() == BURST
@@ -140,7 +125,7 @@ def test_a_full_port_is_said_to_be_not_written(alone: Scene) -> None:
     assert alone.told()["written_us"] is None
 
 
-def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
+def test_a_run_that_nobody_can_find_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
     scene.turn()
     scene.os.unlink(f"{RUNTIME_DIR}/stop")
     scene.turn(LOOK_EVERY_NS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
-from collections.abc import Iterator
 
 import pytest
 
@@ -31,14 +30,6 @@ def failing(stderr: int) -> int:
 
     with Child(work) as child:
         return child.wait()
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)
 
 
 def test_it_says_what_went_wrong_and_is_gone(pipe: tuple[int, int]) -> None:

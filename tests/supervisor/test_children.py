@@ -44,10 +44,7 @@ LEASE_NS = 60_000_000
 
 
 def child(
-    state: str,
-    limits: tuple[int, int, int] = (5, 10**10, 10**8),
-    row: Process = PROCESSES[0],
-    lease_ns: int = LEASE_NS,
+    state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8), row: Process = PROCESSES[0], lease_ns: int = LEASE_NS
 ) -> Child:
     made = Child(row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
     made.state = state
@@ -159,11 +156,7 @@ def test_processes_are_counted_each_for_itself() -> None:
     assert waits(other, 2) == [0]
 
 
-@given(
-    limit=st.integers(1, 10),
-    backoff=st.integers(1, 10 * S),
-    gaps=st.lists(st.integers(0, 90 * S), max_size=40),
-)
+@given(limit=st.integers(1, 10), backoff=st.integers(1, 10 * S), gaps=st.lists(st.integers(0, 90 * S), max_size=40))
 def test_a_restart_is_refused_when_and_only_when_the_window_is_full(limit: int, backoff: int, gaps: list[int]) -> None:
     restarts = child(WAITING, (limit, 60 * S, backoff))
     deaths: list[int] = []

@@ -153,8 +153,7 @@ def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> N
     assert refusal(file, f"{longest}x = 1\n") == told
 
 
-def test_a_mistake_without_words_is_told_by_its_name() -> None:
-    scene = Scene()
+def test_a_mistake_without_words_is_told_by_its_name(scene: Scene) -> None:
     loaded = scene.load("failstop.config")
     scene.refuse("open", MemoryError())
     with pytest.raises(loaded.SettingError, match="is not TOML: MemoryError;"):
@@ -245,11 +244,7 @@ def test_sources_and_interlocks_of_a_file(file: Path) -> None:
         """
     )
     settings = config.load(str(file))
-    assert settings.sources() == {
-        "teleop": (10, 300_000_000),
-        "nav": (5, 500_000_000),
-        "cmd_vel": (0, 300_000_000),
-    }
+    assert settings.sources() == {"teleop": (10, 300_000_000), "nav": (5, 500_000_000), "cmd_vel": (0, 300_000_000)}
     assert settings.interlocks() == {
         "arm": (500_000_000, "arm is not in the drive pose"),
         "door": (500_000_000, "interlock door is not satisfied"),
@@ -294,12 +289,7 @@ def test_readable_in_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
 def test_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file.write_text("[limits]\nvx_mps = 0.35\n")
     found = json.loads(run(capsys, "--json", "--config", str(file))[1])
-    assert found["limits.vx_mps"] == {
-        "value": 0.35,
-        "unit": "m/s",
-        "origin": str(file),
-        "allowed": "0.01 to 3 m/s",
-    }
+    assert found["limits.vx_mps"] == {"value": 0.35, "unit": "m/s", "origin": str(file), "allowed": "0.01 to 3 m/s"}
     assert found["device.path"]["origin"] == "default"
     assert {key: entry["value"] for key, entry in found.items()} == config.load(str(file)).flat()
 

@@ -101,7 +101,7 @@ def test_a_second_stop_that_the_kernel_does_not_take_or_keeps_is_a_failure(scene
     assert told[1][1].startswith(f"stopped; the second stop {how}")
 
 
-def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(scene: Scene) -> None:
+def test_an_end_without_a_port_owner_has_the_supervisor_s_stop_and_waits_for_nobody(scene: Scene) -> None:
     scene.supervisor.processes[layout.PORT_OWNER].kill(20.0)
     scene.port_owner.word("stopped_epoch").set(1)
     began_ns = scene.now_ns

@@ -7,7 +7,6 @@ import os
 import select
 import socket
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgpack
@@ -19,22 +18,11 @@ from tests.supervisor.streams import stderr_is
 from tests.support.supervisor_scene import Scene
 
 
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)
-
-
 @pytest.mark.parametrize(
     ("message", "line"),
-    [
-        ("STOP latched: key1", b"failstop: STOP latched: key1\n"),
-        ("\udcff \u2713", "failstop: ? \u2713\n".encode()),
-    ],
+    [("STOP latched: key1", b"failstop: STOP latched: key1\n"), ("\udcff \u2713", "failstop: ? \u2713\n".encode())],
 )
-def test_one_line(pipe: tuple[int, int], message: str, line: bytes) -> None:
+def test_say_writes_one_line(pipe: tuple[int, int], message: str, line: bytes) -> None:
     with stderr_is(pipe[1]):
         say(message)
     assert os.read(pipe[0], 1000) == line
@@ -131,7 +119,7 @@ def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene:
     ]
 
 
-def test_without_its_journal_an_event_is_a_line_on_stderr(scene: Scene, journal: Journal) -> None:
+def test_an_event_without_its_journal_is_a_line_on_stderr(scene: Scene, journal: Journal) -> None:
     journal.there = False
     scene.run.events.tell("stop", "STOP latched: key1", {"reason": "key1"})
     assert len(scene.said()) == 1
@@ -161,7 +149,7 @@ def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Sce
     assert [event["text"] for event in scene.events()] == ["here"]
 
 
-def test_what_was_left_out_is_counted_for_programs_too(scene: Scene) -> None:
+def test_programs_are_told_how_much_was_left_out(scene: Scene) -> None:
     for _ in range(MOST_WAITING + 7):
         scene.run.events.tell("stop", "x", {"reason": "x"}, level="critical")
     text = "7 events of the kind stop were left out: too many to tell of each"

@@ -18,11 +18,6 @@ from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture
 def here(scene: Scene) -> Any:
     """The module, as a service on the machine has it."""
     return scene.load("failstop.supervisor.grant")
@@ -45,7 +40,7 @@ def test_the_command_fits_the_case(scene: Scene, here: Any, unit: str, container
     assert "give it" not in here.advice(realtime=True, managed=bool(unit))
 
 
-def test_each_is_one_line() -> None:
+def test_each_command_is_one_line() -> None:
     assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
 
 
@@ -72,7 +67,7 @@ def test_the_unit_is_that_of_the_control_group(scene: Scene, here: Any, groups: 
     assert here.own_unit() == unit
 
 
-def test_what_is_lacking_is_told_of() -> None:
+def test_people_are_told_what_is_lacking() -> None:
     realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}, and {grant.cost(0.2)}; give it rights")
     early_news = ("robust futexes", grant.NO_EARLY_NEWS)
     assert grant.lacking(0, "give it rights", 0.2) == [realtime, early_news]
@@ -94,7 +89,7 @@ def leased(scene: Scene, chosen: dict[str, object]) -> float:
     return found
 
 
-def test_with_the_rights_of_every_process_the_lease_is_the_default() -> None:
+def test_the_lease_is_the_default_with_the_rights_of_every_process() -> None:
     scene = Scene(granted=REALTIME)
     asked: list[int] = []
     scene.refuse("sched_setscheduler", OSError(), lambda priority: bool(asked.append(priority)))
@@ -115,13 +110,13 @@ def test_with_the_rights_of_every_process_the_lease_is_the_default() -> None:
         ({"gate.command_timeout_s": 0.061}, 0.06),
     ],
 )
-def test_without_rights_the_lease_is_long_unless_somebody_chose_one(
+def test_the_lease_is_long_without_rights_unless_somebody_chose_one(
     scene: Scene, chosen: dict[str, object], lease_s: float
 ) -> None:
     assert leased(scene, chosen) == pytest.approx(lease_s)
 
 
-def test_who_stops_first_stays_who_stops_first() -> None:
+def test_the_lease_without_rights_changes_nothing_of_who_stops_first() -> None:
     others_s = [HANG_NS / 1e9, BY_NAME[GATE].deadline_ns / 1e9]
     assert all(Settings().ns(grant.LEASE) / 1e9 <= grant.LEASE_WITHOUT_S < other_s for other_s in others_s)
 

@@ -24,7 +24,7 @@ from tests.support.supervisor_scene import Scene
         ("MESSAGE", "\n", b"MESSAGE\n\x01\0\0\0\0\0\0\0\n\n"),
     ],
 )
-def test_one_field(name: str, value: str | int | float, data: bytes) -> None:
+def test_a_field_is_encoded_byte_by_byte(name: str, value: str | int | float, data: bytes) -> None:
     assert encode([(name, value)]) == data
 
 
@@ -52,8 +52,7 @@ def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     sender.close()
 
 
-def test_only_a_stderr_that_is_the_journal_s_means_the_journal() -> None:
-    scene = Scene()
+def test_a_stderr_that_is_the_journal_s_alone_means_the_journal(scene: Scene) -> None:
     is_its = scene.load("failstop.supervisor.events").is_journal
     found = scene.os.fstat(2)
     assert is_its(f"{found.st_dev}:{found.st_ino}")
@@ -64,5 +63,5 @@ def test_only_a_stderr_that_is_the_journal_s_means_the_journal() -> None:
 
 
 @pytest.mark.parametrize("stream", ["", "8", "8:", ":9", "x:y", "1:2:3"])
-def test_what_is_no_stream_is_none(stream: str) -> None:
+def test_a_word_that_is_no_stream_is_none(stream: str) -> None:
     assert not is_journal(stream)

@@ -114,7 +114,7 @@ def test_nothing_is_found_before_the_name(service: Service) -> None:
         _ = robot.state
 
 
-def test_nor_is_a_dead_run_found_under_the_pipes_of_the_next(service: Service) -> None:
+def test_a_dead_run_is_not_found_under_the_pipes_of_the_next(service: Service) -> None:
     service.start()
     service.die()
     service.start(after=False)
@@ -144,7 +144,7 @@ def test_a_robot_that_was_made_at_the_name_follows_the_next_run(service: Service
         service.die()
 
 
-def test_a_supervisor_that_can_t_begin_leaves_nothing_but_the_memory_of_the_run_before(service: Service) -> None:
+def test_a_supervisor_that_can_t_begin_leaves_the_memory_of_the_run_before(service: Service) -> None:
     service.start()
     dead = service.memory()
     service.die()

@@ -36,10 +36,10 @@ def opener(scene: Scene) -> Any:
 def test_a_port_that_is_not_there_is_not_opened(scene: Scene, opener: Any) -> None:
     scene.wire.unplug()
     for _ in range(2):
-        before = len(scene.open_fds())
+        before = len(scene.fds())
         assert not opener.attempt()
         assert opener.take() is None
-        assert len(scene.open_fds()) == before
+        assert len(scene.fds()) == before
 
 
 def test_the_burst_is_its_first_bytes_and_it_is_taken_once(scene: Scene, opener: Any) -> None:
@@ -57,11 +57,11 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(scene: Scene, opener: An
     assert opener.take()[1] == 0
 
 
-def test_the_number_that_it_keeps_is_there_when_no_other_is(scene: Scene, opener: Any) -> None:
+def test_the_opener_has_a_number_when_no_other_is_free(scene: Scene, opener: Any) -> None:
     scene.wire.unplug()
     opener.attempt()  # so that it keeps the lowest
     scene.plug()
-    before = scene.open_fds()
+    before = scene.fds()
     lowest = scene.os.dup(0)
     scene.os.close(lowest)
     scene.me.most_files = lowest
@@ -70,12 +70,10 @@ def test_the_number_that_it_keeps_is_there_when_no_other_is(scene: Scene, opener
     for _ in range(2):
         assert opener.attempt(), "without a number to keep it goes on with what there is"
         scene.os.close(opener.take()[0])
-        assert len(before - scene.open_fds()) == 1, "who has no number to give back closes no other's"
+        assert len(before - scene.fds()) == 1, "who has no number to give back closes no other's"
 
 
-def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_long_holds_nobody_up(
-    scene: Scene, opener: Any
-) -> None:
+def test_the_opener_s_thread_opens_each_lost_port_and_holds_nobody_up(scene: Scene, opener: Any) -> None:
     slept: list[int] = []
     took_ns = 3_000 * MS
 
@@ -121,7 +119,7 @@ class Watched(Finder):
         sys.exit()
 
 
-def test_its_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) -> None:
+def test_the_opener_s_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) -> None:
     """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
     finder, bell = Watched(str(tmp_path / "board")), EventBell.create()
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it

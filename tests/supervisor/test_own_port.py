@@ -27,7 +27,7 @@ def test_the_first_bytes_of_a_run_are_a_burst() -> None:
         own.close()
 
 
-def test_before_its_first_burst_it_has_not_stopped() -> None:
+def test_a_port_has_not_stopped_before_its_first_burst() -> None:
     assert not OwnPort(-1).stopped
 
 
@@ -62,7 +62,7 @@ def given_to(group: int, mode: int) -> Iterator[tuple[Pty, int, int]]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a device away as udev does: only root")
-def test_at_boot_a_device_that_udev_is_still_to_give_away_is_waited_for() -> None:
+def test_a_run_waits_for_a_device_that_udev_is_still_to_give_away() -> None:
     with given_to(0, 0o600) as (pty, reader, tried):
         udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666))
         udev.start()
@@ -78,16 +78,9 @@ def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() ->
         assert os.read(reader, 100) == b"."
 
 
-@pytest.fixture
-def scene() -> Scene:
-    """Its own port is closed, and can be opened anew."""
-    made = Scene()
-    made.port.close()
-    return made
-
-
 def open_and_stop(scene: Scene, told: list[int]) -> str:
-    """How it ends; who holds the port is looked at at the times that are `told`."""
+    """Open the port that the supervisor has let go, and return how that ends. `told`: when its holder was looked at."""
+    scene.port.close()
     module = scene.load("failstop.board.port")
     try:
         scene.load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
@@ -108,7 +101,7 @@ def open_and_stop(scene: Scene, told: list[int]) -> str:
         ("io", errno.EIO, (0, 0, 0o600), 0.0),
     ],
 )
-def test_how_long_a_port_that_is_refused_is_tried_again(
+def test_a_refused_port_is_tried_again_for_a_while(
     scene: Scene, kind: str, number: int, device: tuple[int, int, int] | None, waited_s: float
 ) -> None:
     """A device is new as long as it is as the kernel made it: owner, group and mode."""
@@ -134,8 +127,7 @@ def test_how_long_a_port_that_is_refused_is_tried_again(
     assert told == (tried[:-1] if kind == "busy" else []), "who holds it is looked at each time"
 
 
-def test_each_port_of_a_run_has_a_number() -> None:
-    scene = Scene()
+def test_each_port_of_a_run_has_a_number(scene: Scene) -> None:
     numbers = [scene.port.number]
     for fd in (-1, scene.os.dup(0), scene.os.dup(0)):
         scene.port.adopt(fd)
@@ -143,15 +135,13 @@ def test_each_port_of_a_run_has_a_number() -> None:
     assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
 
 
-def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held() -> None:
-    scene = Scene()
+def test_a_single_byte_that_the_kernel_has_not_passed_on_is_held(scene: Scene) -> None:
     assert not scene.port.holds()
     scene.wire.hold()
     assert scene.port.holds()
 
 
-def test_of_a_port_that_can_not_say_what_it_holds_nobody_says_that_it_takes_nothing() -> None:
-    scene = Scene()
+def test_a_port_that_can_not_say_what_it_holds_is_not_said_to_take_nothing(scene: Scene) -> None:
     scene.wire.hold()
     scene.refuse("ioctl", OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))
     assert not scene.port.holds()

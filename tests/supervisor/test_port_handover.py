@@ -64,7 +64,7 @@ def come_back(scene: Scene, *, full: bool = False) -> None:
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_complete_only_with_everybody_s_own_descriptor_of_this_very_port(scene: Scene, name: str) -> None:
+def test_the_port_is_complete_with_everybody_s_own_descriptor_of_it_alone(scene: Scene, name: str) -> None:
     complete = scene.supervisor.handover.complete
     assert complete()
     for number in (0, 2):
@@ -89,7 +89,7 @@ def test_a_port_that_is_back_is_stopped_before_the_supervisor_turns(scene: Scene
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_and_sent_to_each_until_it_has_it(scene: Scene, name: str) -> None:
+def test_the_supervisor_sends_the_port_to_each_until_it_has_it(scene: Scene, name: str) -> None:
     lose(scene)
     come_back(scene)
     (other,) = set(OTHERS) - {name}
@@ -152,7 +152,7 @@ def test_its_loss_and_its_return_are_told_once_each(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(("number", "lost"), [(0, False), (1, True), (2, False)])
-def test_what_the_port_owner_says_of_another_port_is_no_loss_of_this_one(scene: Scene, number: int, lost: bool) -> None:
+def test_the_loss_of_another_port_is_no_loss_of_this_one(scene: Scene, number: int, lost: bool) -> None:
     """It may be late, and speak of the one before."""
     scene.has_port(layout.PORT_OWNER, number, records.PORT_LOST)
     turn(scene)
@@ -168,14 +168,12 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(scene: Scene, sign:
     else:
         scene.wire.unplug()
     turn(scene)
-    assert fd not in scene.open_fds()
+    assert fd not in scene.fds()
     assert scene.port.fd == -1
     assert scene.rung(layout.STOPPER)
 
 
-def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop_and_told_with_the_stop_that_waited(
-    scene: Scene,
-) -> None:
+def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene: Scene) -> None:
     lose(scene)
     scene.gate_stops()
     noticed_ns = scene.now_ns
@@ -188,7 +186,7 @@ def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop_and_told
     assert (scene.told()["written_by"], scene.told()["written_us"]) == ("supervisor", 7_000.0)
 
 
-def test_of_a_port_that_is_gone_nobody_says_that_its_board_answers(scene: Scene) -> None:
+def test_the_link_of_a_port_that_is_gone_is_unproven(scene: Scene) -> None:
     scene.pings(0)
     turn(scene, 2 * MS)
     assert scene.read("link") == b"alive"
@@ -197,7 +195,7 @@ def test_of_a_port_that_is_gone_nobody_says_that_its_board_answers(scene: Scene)
     assert scene.read("link") == b"unproven"
 
 
-def test_while_the_port_owner_has_no_port_the_supervisor_repeats_the_stop(scene: Scene) -> None:
+def test_the_supervisor_repeats_the_stop_while_the_port_owner_has_no_port(scene: Scene) -> None:
     """At its pace, from the burst of the opener on."""
     lose(scene)
     turn(scene, ALONE_EVERY_NS)

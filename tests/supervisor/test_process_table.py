@@ -38,12 +38,12 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(
     scene: Scene, processes: Any, gate: Any, call: str
 ) -> None:
     reason = "[Errno 24] Too many open files"
-    before = scene.open_fds()
+    before = scene.fds()
     scene.refuse(call, OSError(24, "Too many open files"))
     processes.start(gate)
     assert scene.born[-1].name == layout.GATE
     assert scene.born[-1].reaped
-    assert scene.open_fds() == before
+    assert scene.fds() == before
     assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
     assert gate.restart.ns == scene.now_ns + TRY_AGAIN_NS
     text = f"cannot start gate: {reason}; trying again"
@@ -66,13 +66,9 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene, pro
 
 @pytest.mark.parametrize(
     ("code", "told"),
-    [
-        (-signal.SIGTERM, "killed by SIGTERM"),
-        (-(signal.SIGRTMIN + 2), "killed by 36"),
-        (0, "exited with code 0"),
-    ],
+    [(-signal.SIGTERM, "killed by SIGTERM"), (-(signal.SIGRTMIN + 2), "killed by 36"), (0, "exited with code 0")],
 )
-def test_it_is_told_how_one_ended(scene: Scene, gate: Any, code: int, told: str) -> None:
+def test_a_process_is_told_of_with_how_it_ended(scene: Scene, gate: Any, code: int, told: str) -> None:
     scene.dies(scene.employ(layout.GATE), code)
     assert gate.reap() == gate.last_exit == told
 
@@ -85,7 +81,7 @@ def test_a_process_that_is_ended_is_collected(scene: Scene, gate: Any) -> None:
         assert process.reaped
 
 
-def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(
+def test_a_process_gets_no_futexes_of_one_that_lives_or_of_the_one_before(
     scene: Scene, processes: Any, gate: Any
 ) -> None:
     scene.employ(layout.STOPPER)
@@ -101,7 +97,7 @@ def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(
     assert found == (2 * free)[:BLOCKS]
 
 
-def test_what_a_process_is_told_on_its_command_line(scene: Scene, processes: Any) -> None:
+def test_a_command_line_tells_a_process_all_that_it_needs(scene: Scene, processes: Any) -> None:
     told: list[list[str]] = []
     scene.refuse("spawn", OSError("no further"), lambda arguments: not told.append(arguments))
     scene.port.adopt(-1)
@@ -122,7 +118,7 @@ def test_what_a_process_is_told_on_its_command_line(scene: Scene, processes: Any
         assert arguments[10:] == ["number=5", *given]
 
 
-def test_what_a_process_is_given(scene: Scene, processes: Any) -> None:
+def test_a_process_is_given_its_descriptors_and_no_other(scene: Scene, processes: Any) -> None:
     for child in scene.supervisor.children:
         if not child.pid:
             processes.start(child)
@@ -147,7 +143,7 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, proc
     assert fd in scene.supervisor.loop.wait(0), "its death wakes the supervisor"
 
 
-def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, processes: Any) -> None:
+def test_people_are_told_of_deaths_and_restarts_until_one_is_down(scene: Scene, processes: Any) -> None:
     telemetry = processes[layout.TELEMETRY]
     told = []
     for _ in range(5):
@@ -173,7 +169,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, proc
     assert (telemetry.state, telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
-def test_the_early_news_of_each_process_that_runs_is_waited_for_once_and_that_of_the_port_owner_stops() -> None:
+def test_the_supervisor_waits_once_for_each_early_news_and_stops_for_one() -> None:
     scene = Scene()
     processes = scene.supervisor.processes
     early = processes.early = Early(processes.early.bell)

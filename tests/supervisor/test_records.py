@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from failstop.policy.processes import BY_NAME
 from failstop.shm import layout
 from failstop.supervisor.main import ANSWER_NS
@@ -12,12 +10,7 @@ from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open() -> None:
+def test_the_service_is_not_ready_before_its_stop_is_answered_and_its_port_open() -> None:
     scene = Scene(*BY_NAME)
     scene.has_port(layout.STOPPER)
     scene.answers()
@@ -35,7 +28,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open() -> Non
     assert scene.waits_for() == "the port"
 
 
-def test_what_clients_are_told_of_the_settings(scene: Scene) -> None:
+def test_clients_are_told_the_settings(scene: Scene) -> None:
     assert scene.table("settings") == scene.settings.flat()
     namespace = scene.os.stat("/proc/self/ns/pid").st_ino
     assert namespace > 0
@@ -73,7 +66,7 @@ def heard(scene: Scene) -> list[str]:
     return said
 
 
-def test_what_the_service_manager_is_told(scene: Scene) -> None:
+def test_the_service_manager_is_told_what_is_new(scene: Scene) -> None:
     said = heard(scene)
     scene.pass_time()
     assert said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
@@ -101,7 +94,7 @@ def test_what_the_service_manager_is_told(scene: Scene) -> None:
     ]
 
 
-def test_who_is_down_is_in_the_status(scene: Scene) -> None:
+def test_the_status_names_who_is_down(scene: Scene) -> None:
     while scene.state(layout.TELEMETRY) != "down":
         scene.dies(layout.TELEMETRY)
         scene.pass_time()

@@ -28,28 +28,28 @@ def rest(scene: Scene) -> tuple[int, dict[int, int]]:
     return loops.get() - before, ready
 
 
-def test_nothing_has_happened(scene: Scene) -> None:
+def test_the_supervisor_rests_while_nothing_has_happened(scene: Scene) -> None:
     assert rest(scene) == (BEATS_ALONE, {})
 
 
-def test_what_rings_is_looked_at_at_once(scene: Scene) -> None:
+def test_a_bell_ends_the_rest_at_once(scene: Scene) -> None:
     bell = scene.run.bells[layout.SUPERVISOR]
     bell.ring()
     assert rest(scene) == (0, {bell.fd: READ})
 
 
-def test_a_stop_that_is_not_answered_is_looked_after_at_every_tick(scene: Scene) -> None:
+def test_a_stop_that_is_not_answered_ends_the_rest_at_every_tick(scene: Scene) -> None:
     scene.notice()
     scene.turn(MS)
     assert rest(scene) == (0, {})
 
 
-def test_who_was_held_up_looks_at_everything(scene: Scene) -> None:
+def test_a_supervisor_that_was_held_up_looks_at_everything(scene: Scene) -> None:
     scene.now_ns += EXCUSE_NS
     assert rest(scene) == (0, {})
 
 
-def test_a_time_that_has_come_is_looked_at(scene: Scene) -> None:
+def test_a_time_that_has_come_ends_the_rest(scene: Scene) -> None:
     timer = scene.supervisor.loop.timer()
     timer.set(scene.now_ns)
     assert rest(scene) == (0, {})

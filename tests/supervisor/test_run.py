@@ -24,11 +24,6 @@ NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture
 def ended(scene: Scene) -> Scene:
     """A run has ended in order."""
     scene.run.remove()
@@ -86,7 +81,7 @@ def test_two_runs_differ(ended: Scene) -> None:
         ("claims", "-rw-rw----"),
     ],
 )
-def test_who_may_ask_ring_and_claim(scene: Scene, name: str, rights: str) -> None:
+def test_the_rights_of_pipes_and_claims_say_who_may_use_them(scene: Scene, name: str, rights: str) -> None:
     assert mode(scene, name) == rights
 
 
@@ -118,7 +113,7 @@ def test_the_group_is_the_client_s_where_it_exists(ended: Scene) -> None:
     ("gid", "user", "groups", "given"),
     [(0, 0, [], 0), (GROUP, 0, [], GROUP), (GROUP, 7, [GROUP], GROUP), (GROUP, 7, [4322], -1), (-1, 0, [], -1)],
 )
-def test_only_who_may_gives_files_to_the_group(
+def test_a_user_who_may_gives_files_to_the_group(
     scene: Scene, gid: int, user: int, groups: list[int], given: int
 ) -> None:
     """Root, and a member; anybody else's service has the clients of its own group, and so where there is none."""
@@ -128,7 +123,7 @@ def test_only_who_may_gives_files_to_the_group(
     assert scene.load("failstop.supervisor.run").client_gid() == given
 
 
-def test_what_a_dead_run_left_is_replaced(ended: Scene) -> None:
+def test_a_run_replaces_what_a_dead_one_left(ended: Scene) -> None:
     dead = dies_before(ended)
     again = ended.new_run()
     again.publish()
@@ -195,7 +190,7 @@ def test_a_start_that_fails_midway_leaves_nothing(ended: Scene, at: int) -> None
     assert ended.os.listdir(RUNTIME_DIR) == ["last"]
 
 
-def test_nor_does_it_cost_the_black_box_of_the_run_before(ended: Scene) -> None:
+def test_a_start_that_fails_keeps_the_black_box_of_the_run_before(ended: Scene) -> None:
     before, segment = dies_before(ended), ended.load("failstop.shm.segment")
     fail(ended, 3)
     with pytest.raises(segment.AttachError, match="no room"):
@@ -208,7 +203,7 @@ def test_nor_does_it_cost_the_black_box_of_the_run_before(ended: Scene) -> None:
     assert segment.dead_runs("stage") == []
 
 
-def test_what_a_living_run_has_is_not_taken_from_it(scene: Scene) -> None:
+def test_a_run_takes_nothing_from_one_that_lives(scene: Scene) -> None:
     """Whatever has become of the lock's file."""
     before = scene.os.listdir(RUNTIME_DIR), segments(scene)
     with pytest.raises(scene.load("failstop.shm.instance").InstanceError, match="already running"):
@@ -250,13 +245,13 @@ def lost(scene: Scene, *names: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
     return str(scene.run.lost(scene.now_ns) or "")
 
 
-def test_nothing_is_lost(scene: Scene) -> None:
+def test_a_run_that_is_whole_has_lost_nothing(scene: Scene) -> None:
     assert lost(scene) == ""
     assert scene.said() == []
 
 
 @pytest.mark.parametrize("name", VITAL)
-def test_a_name_that_the_service_needs(scene: Scene, name: str) -> None:
+def test_a_run_ends_for_a_name_that_it_needs(scene: Scene, name: str) -> None:
     assert lost(scene, name) == f"{TEXT[name]} was removed: restart the service"
     ((_, level, text, _),) = scene.said()
     assert level == "error"
@@ -273,7 +268,7 @@ def test_a_client_slot_is_told_of_once(scene: Scene) -> None:
     assert "client.7" in text
 
 
-def test_all_at_once_is_one_remark(scene: Scene) -> None:
+def test_names_that_are_lost_at_once_are_one_remark(scene: Scene) -> None:
     assert lost(scene, *VITAL, *SLOTS) == "shared memory gate was removed: restart the service"
     ((_, _, text, _),) = scene.said()
     assert "lifelines" in text
@@ -284,7 +279,7 @@ def test_a_name_that_somebody_else_has_taken_is_gone(scene: Scene) -> None:
     assert lost(scene) == "the stop pipe was removed: restart the service"
 
 
-def test_it_looks_once_a_second(scene: Scene) -> None:
+def test_a_run_looks_for_its_names_once_a_second(scene: Scene) -> None:
     assert lost(scene) == ""
     assert lost(scene, "stop", elapsed_ns=LOOK_EVERY_NS - 1) == ""
     assert lost(scene, elapsed_ns=1)

@@ -22,11 +22,12 @@ WHOLE = [setting for setting in NUMBERS if isinstance(setting.default, int)]
 TEXTS = [setting for setting in DECLARED if isinstance(setting.default, str) and not setting.allowed]
 NAMED_TIMEOUTS = ((FAMILIES["sources"], 1), (FAMILIES["interlocks"], 0))
 ROUNDING_OF_LIMITS = 1.001
+SLOW = {"gate.period_s": 0.05}
 
 
-def refusal(**changed: object) -> str:
+def refusal(changed: dict[str, object]) -> str:
     with pytest.raises(SettingError) as raised:
-        Settings({key.replace("__", "."): value for key, value in changed.items()})
+        Settings(dict(changed))
     return str(raised.value)
 
 
@@ -50,41 +51,29 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
     assert setting.unit == unit.get(ending, ""), "the unit is in the name"
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("gate.period_s", 0.02),
-        ("gate.command_timeout_s", 0.3),
-        ("gate.refresh_s", 0.2),
-        ("gate.lease_s", 0.06),
-        ("limits.vx_mps", 0.2),
-        ("limits.vy_mps", 0.2),
-        ("limits.wz_radps", 1.0),
-        ("limits.acceleration_mps2", 0.5),
-        ("limits.acceleration_radps2", 2.0),
-        ("wheels.diameter_m", 0.08),
-        ("wheels.wheelbase_m", 0.17706),
-        ("wheels.track_m", 0.17165),
-        ("restart.deaths", 5),
-        ("restart.window_s", 60.0),
-        ("key.stop", 1),
-        ("scan.timeout_s", 0.5),
-        ("imu.calibration_s", 3.0),
-        ("imu.calibration_std_dps", 0.3),
-        ("imu.tracking_rest_s", 1.0),
-        ("imu.tracking_band_dps", 0.5),
-        ("imu.tracking_tau_s", 20.0),
-        ("odometry.forward_scale", 1.0),
-        ("odometry.sideways_scale", 0.765),
-        ("battery.step_mv", 190),
-        ("battery.log_s", 10.0),
-        ("pad.dead_zone", 0.1),
-        ("pad.mode_lockout_s", 0.6),
-        ("pad.reset_hold_s", 2.0),
-    ],
-)
-def test_the_approved_defaults(key: str, value: float) -> None:
-    assert Settings()[key] == value
+APPROVED: dict[str, dict[str, float]] = {
+    "gate": {"period_s": 0.02, "command_timeout_s": 0.3, "refresh_s": 0.2, "lease_s": 0.06},
+    "limits": {"vx_mps": 0.2, "vy_mps": 0.2, "wz_radps": 1.0, "acceleration_mps2": 0.5, "acceleration_radps2": 2.0},
+    "wheels": {"diameter_m": 0.08, "wheelbase_m": 0.17706, "track_m": 0.17165},
+    "restart": {"deaths": 5, "window_s": 60.0},
+    "key": {"stop": 1},
+    "scan": {"timeout_s": 0.5},
+    "imu": {
+        "calibration_s": 3.0,
+        "calibration_std_dps": 0.3,
+        "tracking_rest_s": 1.0,
+        "tracking_band_dps": 0.5,
+        "tracking_tau_s": 20.0,
+    },
+    "odometry": {"forward_scale": 1.0, "sideways_scale": 0.765},
+    "battery": {"step_mv": 190, "log_s": 10.0},
+    "pad": {"dead_zone": 0.1, "mode_lockout_s": 0.6, "reset_hold_s": 2.0},
+}
+
+
+@pytest.mark.parametrize("section", APPROVED)
+def test_the_approved_defaults(section: str) -> None:
+    assert {name: Settings()[f"{section}.{name}"] for name in APPROVED[section]} == APPROVED[section]
 
 
 @pytest.mark.parametrize("axis", "xyz")
@@ -93,19 +82,18 @@ def test_an_imu_that_nobody_has_measured_is_taken_as_it_is(axis: str) -> None:
     assert Settings()[f"imu.scale_{axis}"] == 1.0
 
 
-@pytest.mark.parametrize(
-    ("key", "word"),
-    [
-        ("scan.gate", "on"),
-        ("imu.tracking", "on"),
-        ("battery.log", "on"),
-        ("buzzer.tones", "off"),
-        ("wheels.layout", "mecanum"),
-        ("battery.directory", ""),
-    ],
-)
-def test_the_approved_words(key: str, word: str) -> None:
-    assert Settings().text(key) == word
+WORDS = {
+    "scan.gate": "on",
+    "imu.tracking": "on",
+    "battery.log": "on",
+    "buzzer.tones": "off",
+    "wheels.layout": "mecanum",
+    "battery.directory": "",
+}
+
+
+def test_the_approved_words() -> None:
+    assert {key: Settings().text(key) for key in WORDS} == WORDS
 
 
 def test_a_lease_outlasts_two_turns_of_the_supervisor() -> None:
@@ -122,9 +110,7 @@ def test_the_first_wait_before_a_restart_is_no_longer_than_the_longest() -> None
 @pytest.mark.parametrize("value", ["0.02", None, [0.02], {}, True, False, b"1"])
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
 def test_a_number_of_another_type(setting: Setting, value: object) -> None:
-    with pytest.raises(SettingError) as raised:
-        Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {value!r}: a number is expected, {setting.range()}"
+    assert refusal({setting.key: value}) == f"{setting.key} = {value!r}: a number is expected, {setting.range()}"
 
 
 @pytest.mark.parametrize("value", [1, 1.5, None, True, [], "", "two\nlines", "a\0b", "tab\t", "\u2028"])
@@ -133,11 +119,8 @@ def test_a_text_of_another_type_or_empty_or_not_of_one_line(setting: Setting, va
     if value == "" and not setting.default:
         assert setting.check(value) == "", "a text whose default is empty may be"
         return
-    with pytest.raises(SettingError) as raised:
-        Settings({setting.key: value})
-    least = 1 if setting.default else 0
-    message = f"{setting.key} = {value!r}: a text is expected, {least} to 255 characters of one line"
-    assert str(raised.value) == message
+    text = f"a text is expected, {int(bool(setting.default))} to 255 characters of one line"
+    assert refusal({setting.key: value}) == f"{setting.key} = {value!r}: {text}"
 
 
 def test_a_declaration_s_range_is_inclusive() -> None:
@@ -150,21 +133,19 @@ def test_a_declaration_s_range_is_inclusive() -> None:
 
 def test_a_text_has_an_end() -> None:
     assert Settings({"device.path": "/" * 255}).text("device.path") == "/" * 255
-    assert refusal(device__path="/" * 256).endswith("a text is expected, 1 to 255 characters of one line")
+    assert refusal({"device.path": "/" * 256}).endswith("a text is expected, 1 to 255 characters of one line")
 
 
 @pytest.mark.parametrize("value", [0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {}])
 @pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
 def test_a_choice_of_another_word_names_the_allowed_ones(setting: Setting, value: object) -> None:
-    with pytest.raises(SettingError) as raised:
-        Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
+    assert refusal({setting.key: value}) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
 
 
 def test_the_message_for_a_choice() -> None:
-    assert refusal(scan__gate="yes") == 'scan.gate = \'yes\': allowed is "on" or "off"'
-    assert refusal(wheels__layout="omni") == 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'
-    assert refusal(wheels__sign_3=0) == "wheels.sign_3 = 0: allowed is 1 or -1"
+    assert refusal({"scan.gate": "yes"}) == 'scan.gate = \'yes\': allowed is "on" or "off"'
+    assert refusal({"wheels.layout": "omni"}) == 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'
+    assert refusal({"wheels.sign_3": 0}) == "wheels.sign_3 = 0: allowed is 1 or -1"
 
 
 @pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
@@ -182,9 +163,7 @@ def test_switches() -> None:
 @pytest.mark.parametrize("value", [nan, inf, -inf, 1e308, -1e308, -2, 10**400])
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
 def test_a_number_out_of_range(setting: Setting, value: float) -> None:
-    with pytest.raises(SettingError) as raised:
-        Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
+    assert refusal({setting.key: value}) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
 
 
 @pytest.mark.parametrize(
@@ -230,8 +209,8 @@ def test_the_range_ends_exactly_there(setting: Setting) -> None:
 
 
 def test_the_message_for_a_value_out_of_range() -> None:
-    assert refusal(gate__lease_s=9.0) == "gate.lease_s = 9.0: allowed is 0.04 to 1 s"
-    assert refusal(restart__deaths=0) == "restart.deaths = 0: allowed is 1 to 100000"
+    assert refusal({"gate.lease_s": 9.0}) == "gate.lease_s = 9.0: allowed is 0.04 to 1 s"
+    assert refusal({"restart.deaths": 0}) == "restart.deaths = 0: allowed is 1 to 100000"
 
 
 @pytest.mark.parametrize("setting", WHOLE, ids=lambda setting: setting.key)
@@ -253,20 +232,11 @@ def test_a_whole_number_will_do_where_any_number_is_expected() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
+        ({"gate.lease_s": 0.4}, "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.4 s"),
+        ({"gate.lease_s": 0.3}, "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.3 s"),
+        ({**SLOW, "gate.lease_s": 0.05}, "gate.lease_s = 0.05 s must be longer than gate.period_s = 0.05 s"),
         (
-            {"gate.lease_s": 0.4},
-            "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.4 s",
-        ),
-        (
-            {"gate.lease_s": 0.3},
-            "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.3 s",
-        ),
-        (
-            {"gate.period_s": 0.05, "gate.lease_s": 0.05},
-            "gate.lease_s = 0.05 s must be longer than gate.period_s = 0.05 s",
-        ),
-        (
-            {"gate.period_s": 0.05, "gate.lease_s": 0.04, "gate.command_timeout_s": 0.05},
+            {**SLOW, "gate.lease_s": 0.04, "gate.command_timeout_s": 0.05},
             "gate.lease_s = 0.04 s must be longer than gate.period_s = 0.05 s",
         ),
         (
@@ -286,16 +256,11 @@ def test_a_whole_number_will_do_where_any_number_is_expected() -> None:
             "restart.window_s = 1 s must be longer than restart.backoff_s = 1 s",
         ),
         ({"wheels.id_3": 0}, "wheels.id_3 = 0: wheels.id_1 is 0 too; no two may be equal"),
-        (
-            {"sources.teleop": {}},
-            "sources.teleop.priority = 0: sources.cmd_vel.priority is 0 too; no two may be equal",
-        ),
+        ({"sources.teleop": {}}, "sources.teleop.priority = 0: sources.cmd_vel.priority is 0 too; no two may be equal"),
     ],
 )
 def test_values_that_contradict_each_other(changed: dict[str, object], message: str) -> None:
-    with pytest.raises(SettingError) as raised:
-        Settings(changed)
-    assert str(raised.value) == message
+    assert refusal(changed) == message
 
 
 def test_what_is_sent_every_period_may_be() -> None:
@@ -380,14 +345,12 @@ def test_no_lines_are_the_defaults() -> None:
     ],
 )
 def test_an_unknown_key_names_the_nearest_known_one(key: str, advice: str) -> None:
-    with pytest.raises(SettingError) as raised:
-        Settings({key: 1})
-    assert str(raised.value) == f"{key}: no such setting; {advice}"
+    assert refusal({key: 1}) == f"{key}: no such setting; {advice}"
 
 
 def test_an_empty_table_of_settings_sets_nothing() -> None:
     assert Settings({"gate": {}, "sources": {}, "interlocks": {}}).flat() == Settings().flat()
-    assert refusal(gaet={}).startswith("gaet: no such setting")
+    assert refusal({"gaet": {}}).startswith("gaet: no such setting")
 
 
 # The fastest wheel.
@@ -414,10 +377,8 @@ def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry(layout: str) -> 
 
 def test_everything_that_is_wrong_is_told_at_once() -> None:
     given = {"gate.period": 1, "limits.vx_mps": "fast", "sources.nav.prio": 1, "gate.period_s": 0.02}
-    with pytest.raises(SettingError) as told:
-        Settings(dict(given))
-    assert str(told.value).startswith("gate.period: no such setting")
+    told = refusal(given)
+    assert told.startswith("gate.period: no such setting")
     for key in ("gate.period:", "limits.vx_mps = ", "sources.nav.prio:"):
-        assert key in str(told.value)
-    with pytest.raises(SettingError, match=r"; and 12 more$"):
-        Settings({f"x.y{at}": 1 for at in range(20)})
+        assert key in told
+    assert refusal({f"x.y{at}": 1 for at in range(20)}).endswith("; and 12 more")

@@ -12,7 +12,6 @@ import failstop
 from failstop.lab.machine.kernel import Replaced
 from failstop.policy.settings import Settings
 from failstop.supervisor import starter
-from failstop.supervisor.starter import spawn
 from tests.support.supervisor_scene import Scene
 
 SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
@@ -27,18 +26,10 @@ def is_inheritable(fd: int) -> bool:
 
 
 @pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)
-
-
-@pytest.fixture
 def child(pipe: tuple[int, int]) -> Iterator[int]:
     """A started process, with something that waits in the place of the real program."""
     environ = {**starter.environment(Settings()), "OUT": str(pipe[1])}
-    pid = spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
+    pid = starter.spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -64,8 +55,7 @@ def test_the_environment_is_what_it_needs_and_no_more() -> None:
     assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
 
 
-def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port() -> None:
-    scene = Scene()
+def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(scene: Scene) -> None:
     scene.me.environ |= {"NOTIFY_SOCKET": "/run/notify", "SHELL": "/bin/sh"}
     here, lock, port = scene.load("failstop.supervisor.starter"), scene.os.dup(0), scene.port.fd
     expected = here.environment(scene.settings)
@@ -76,11 +66,10 @@ def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port() -> Non
     words = ["name=left", "dir=/run/x", f"lock={lock}", f"port={port}", "again=failstop run --name left"]
     assert arguments[4:] == ["supervisor", *words]
     assert scene.me.environ == {**expected, "NOTIFY_SOCKET": "/run/notify"}
-    assert scene.open_fds() == {0, 1, 2, lock, port}
+    assert scene.fds() == {0, 1, 2, lock, port}
 
 
-def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere() -> None:
-    scene = Scene()
+def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere(scene: Scene) -> None:
     own = os.path.dirname(os.path.dirname(failstop.__file__))
     scene.me.sys_path = ["", "here", "/abs", own, "/abs"]
     assert scene.load("failstop.supervisor.starter").environment(scene.settings)["FAILSTOP_PATH"] == f"{own}:/abs"

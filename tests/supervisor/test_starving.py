@@ -36,7 +36,7 @@ def shown(process: str, longest_ms: int, times: int) -> dict[str, object]:
     return {"starved": {"longest_ms": longest_ms, "process": process}, "starved_times": times}
 
 
-def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(scene: Scene) -> None:
+def test_a_starved_process_is_left_alone_while_motion_is_disabled(scene: Scene) -> None:
     supervisor = scene.supervisor
     scene.has_port(layout.STOPPER)
     scene.answers()
@@ -53,7 +53,7 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(sc
 
 
 @pytest.mark.parametrize("name", SPARED)
-def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alone(scene: Scene, name: str) -> None:
+def test_a_starved_process_is_stopped_for_once_while_motion_is_enabled(scene: Scene, name: str) -> None:
     scene.enabled()
     while scene.supervisor.epoch == 1:
         beat_but(scene, name)
@@ -87,7 +87,7 @@ def test_nobody_is_spared_for_ever_and_none_is_down_for_it(scene: Scene) -> None
         assert telemetry.state == "waiting"
 
 
-def test_who_has_just_beaten_after_all_is_left_alone() -> None:
+def test_a_process_that_has_just_beaten_after_all_is_left_alone() -> None:
     scene = Scene(layout.GATE)
 
     def beats(thread: Thread, call: str, about: tuple[Any, ...]) -> None:

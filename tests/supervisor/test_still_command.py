@@ -65,7 +65,7 @@ def ends(process: Process, argv: list[str]) -> int:
     return 0
 
 
-def test_one_that_has_not_ended_is_killed_and_run_anew() -> None:
+def test_a_command_that_has_not_ended_is_killed_and_run_anew() -> None:
     scene = unheeded()
     stop_unheeded(scene)
     (first,) = pids(scene)
@@ -81,7 +81,7 @@ def test_one_that_has_not_ended_is_killed_and_run_anew() -> None:
     assert pids(scene) == [second]
 
 
-def test_what_one_that_hangs_has_started_is_killed_with_it() -> None:
+def test_a_command_that_hangs_is_killed_with_what_it_has_started() -> None:
     started: list[Process] = []
 
     def starts(process: Process, argv: list[str]) -> int:
@@ -97,7 +97,7 @@ def test_what_one_that_hangs_has_started_is_killed_with_it() -> None:
     assert started[0].dead
 
 
-def test_once_for_one_stop() -> None:
+def test_the_command_runs_once_for_one_stop() -> None:
     scene = unheeded()
     stop_unheeded(scene)
     assert follow(scene, S) == [UNSTILL], "stopped again"
@@ -107,7 +107,7 @@ def test_once_for_one_stop() -> None:
     assert scene.born[-1].pid == pid
 
 
-def test_again_for_the_next_stop_once_the_wheels_were_still() -> None:
+def test_the_command_runs_again_for_the_next_stop_once_the_wheels_were_still() -> None:
     """Though the supervisor has not seen the reset in between."""
     scene = unheeded(ends)
     stop_unheeded(scene)
@@ -118,17 +118,17 @@ def test_again_for_the_next_stop_once_the_wheels_were_still() -> None:
     assert [process.name for process in scene.born] == ["sh", "sh"]
 
 
-def test_one_that_has_ended_is_not_told_to_hang() -> None:
+def test_a_command_that_has_ended_is_not_told_to_hang() -> None:
     scene = unheeded(ends)
     for _ in range(2):
         stop_unheeded(scene)
-        follow(scene, MS)
+        follow(scene, 100 * MS)
         pid = scene.born[-1].pid
         text = f"still.command (pid {pid}) ended with code 0"
         assert commands(scene)[1:] == [("warning", text, {"state": "ended", "pid": pid, "code": 0})]
 
 
-def test_one_that_can_not_be_started_is_told_of() -> None:
+def test_a_command_that_can_not_be_started_is_told_of() -> None:
     scene = unheeded()
     scene.refuse("spawn", OSError(11, "Resource temporarily unavailable"))
     stop_unheeded(scene)
@@ -137,7 +137,7 @@ def test_one_that_can_not_be_started_is_told_of() -> None:
     assert commands(scene) == [("error", text, {"state": "failed", "reason": reason})]
 
 
-def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command() -> None:
+def test_a_command_that_may_not_be_killed_keeps_no_stop_from_its_own() -> None:
     scene = unheeded()
     stop_unheeded(scene)
     scene.refuse("kill", PermissionError(1, "Operation not permitted"))

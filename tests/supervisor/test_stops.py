@@ -59,12 +59,7 @@ TO_WRITE = ("supervisor", 0)
     ],
 )
 def test_table(
-    noticed_by: str,
-    written_ns: int,
-    answered: bool,
-    may_answer: bool,
-    port_owner_ns: int,
-    told: tuple[str, int] | None,
+    noticed_by: str, written_ns: int, answered: bool, may_answer: bool, port_owner_ns: int, told: tuple[str, int] | None
 ) -> None:
     cause = Stop(T, noticed_by, why("x"), written_ns)
     assert cause.who_wrote(answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
@@ -96,7 +91,7 @@ def stop(written_ms: float = 0.5) -> Stop:
     return found
 
 
-def test_a_stop_that_is_followed_late_has_the_time_of_its_cause_and_a_whole_wait_for_its_answer() -> None:
+def test_a_stop_that_is_followed_late_has_its_cause_s_time_and_a_whole_wait() -> None:
     found = Stop(T0, "port_owner", why("gate died"))
     late_ns = T0 + 6_000 * MS
     found.answered_by("port owner", T0 + MS, found, 2)

@@ -54,7 +54,7 @@ def answered(scene: Scene, stop: Stop, written_ns: int, by: str = "port owner", 
     return found
 
 
-def test_of_many_reasons_the_oldest_are_forgotten_and_no_death_is_hidden(scene: Scene, aftermath: Any) -> None:
+def test_aftermath_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene: Scene, aftermath: Any) -> None:
     """Of a thousand all would be told."""
 
     def news(reason: str) -> bool:
@@ -137,7 +137,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
     assert told(scene) == [(kind, text.format(wrote=wrote), {**fields, **latency, **latched}, level)]
 
 
-def test_what_came_together_is_told_once_until_the_next_latch(scene: Scene, aftermath: Any) -> None:
+def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Scene, aftermath: Any) -> None:
     also = (
         "stop_also",
         "also: gate died",
@@ -189,7 +189,7 @@ def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent
     )
 
 
-def test_what_was_not_handed_over_is_held_by_nobody(scene: Scene, aftermath: Any) -> None:
+def test_a_stop_that_was_not_handed_over_is_held_by_nobody(scene: Scene, aftermath: Any) -> None:
     scene.wire.hold()
     aftermath.answered(answered(scene, STUCK, 0), ending=True)
     [(_, text, _, level)] = told(scene)

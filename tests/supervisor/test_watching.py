@@ -22,12 +22,6 @@ S = 1_000_000_000
 
 
 @pytest.fixture
-def scene() -> Scene:
-    """Nobody runs yet."""
-    return Scene()
-
-
-@pytest.fixture
 def whole() -> Scene:
     """Every process runs, and the service was ready once."""
     made = Scene(*BY_NAME)
@@ -55,7 +49,7 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(scene: S
     assert scene.told() == {"reason": "port_owner died", "written_by": "supervisor", "written_us": 0.0}
 
 
-def test_who_is_to_answer_an_epoch_is_woken(scene: Scene) -> None:
+def test_the_supervisor_wakes_those_who_are_to_answer_an_epoch(scene: Scene) -> None:
     asked = (layout.PORT_OWNER, layout.GATE)
     for name in asked:
         scene.rung(name)
@@ -65,9 +59,7 @@ def test_who_is_to_answer_an_epoch_is_woken(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", list(BY_NAME))
-def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answered_for(
-    whole: Scene, name: str
-) -> None:
+def test_a_process_that_is_silent_is_killed_before_it_is_stopped_for(whole: Scene, name: str) -> None:
     process, deadline_ns = whole.employ(name), BY_NAME[name].deadline_ns
     lived: list[bool] = []
     whole.wire.on_bytes = lambda data: lived.append(not process.dead)
@@ -97,7 +89,7 @@ def stories(scene: Scene) -> dict[str, tuple[str, dict[str, Any]]]:
     return {event["fields"]["process"]: (event["text"], event["fields"]) for event in told}
 
 
-def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anything_else(scene: Scene) -> None:
+def test_a_fenced_port_owner_is_stopped_for_again_first_when_it_is_gone(scene: Scene) -> None:
     """What it had begun to write as it was killed may have come after the first burst."""
     fence(scene, layout.PORT_OWNER)
     seen = epochs(scene)
@@ -121,14 +113,14 @@ def test_a_stop_that_nobody_wrote_is_not_told_of(scene: Scene) -> None:
     )
 
 
-def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since(scene: Scene) -> None:
+def test_a_fenced_gate_is_told_of_without_the_stop_that_was_written_since(scene: Scene) -> None:
     fence(scene, layout.GATE)
     assert scene.pass_time() == BURST
     scene.pass_time(MS)
     assert stories(scene)[layout.GATE][0] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
 
 
-def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(scene: Scene) -> None:
+def test_the_stop_of_two_that_were_fenced_together_is_the_port_owner_s(scene: Scene) -> None:
     fence(scene, layout.GATE, layout.PORT_OWNER)
     scene.pass_time(MS)
     told = stories(scene)
@@ -136,14 +128,14 @@ def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(scene: Sc
     assert told[layout.GATE][0].endswith("gone after 1.0 ms")
 
 
-def test_the_death_of_another_is_no_stop_that_was_written(scene: Scene) -> None:
+def test_a_death_of_another_has_the_supervisor_s_stop_without_a_port_owner(scene: Scene) -> None:
     scene.dies(layout.GATE)
     assert scene.pass_time() == BURST
     assert scene.told() == {"reason": "gate died", "written_by": "supervisor", "written_us": 0.0}
     assert scene.word("written_ns").get() == scene.now_ns
 
 
-def test_a_ring_wakes_it_once(scene: Scene) -> None:
+def test_a_ring_wakes_the_supervisor_once(scene: Scene) -> None:
     for bell in (scene.run.bells[layout.SUPERVISOR], scene.supervisor.processes.early.bell):
         bell.ring()
         assert bell.fd in scene.supervisor.loop.wait(0)
@@ -151,7 +143,7 @@ def test_a_ring_wakes_it_once(scene: Scene) -> None:
         assert scene.supervisor.loop.wait(0) == {}
 
 
-def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(scene: Scene) -> None:
+def test_the_supervisor_stops_five_times_a_second_while_no_port_owner_runs(scene: Scene) -> None:
     scene.dies(layout.PORT_OWNER)
     assert scene.pass_time() == BURST
     written = [scene.pass_time(20 * MS).count(BURST) for _ in range(100)]
@@ -159,7 +151,7 @@ def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(scene:
     assert set(written) == {0, 1}
 
 
-def test_one_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene) -> None:
+def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene) -> None:
     whole.enabled()
     whole.pass_time(HELD_UP_NS)
     assert whole.supervisor.epoch == 2
@@ -177,7 +169,9 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene) -> Non
         (HELD_UP_NS, True, True, 2),
     ],
 )
-def test_from_when_on_it_was_held_up(scene: Scene, gap_ns: int, was_ready: bool, excused: bool, epoch: int) -> None:
+def test_a_supervisor_is_held_up_from_a_gap_on(
+    scene: Scene, gap_ns: int, was_ready: bool, excused: bool, epoch: int
+) -> None:
     scene.employ(layout.TELEMETRY)
     scene.supervisor.status.ever = was_ready
     scene.enabled()
@@ -193,7 +187,7 @@ def suspended(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HELD_UP_NS])
-def test_one_that_was_suspended_knows_what_others_take_for_a_hang(scene: Scene, gap_ns: int) -> None:
+def test_a_suspended_supervisor_knows_what_others_take_for_a_hang(scene: Scene, gap_ns: int) -> None:
     scene.supervisor.status.ever = True
     scene.enabled()
     scene.pass_time()
@@ -208,7 +202,7 @@ def test_one_that_was_suspended_knows_what_others_take_for_a_hang(scene: Scene, 
     assert "starved" not in told
 
 
-def test_one_that_was_suspended_while_nothing_could_move_tells_of_that(scene: Scene) -> None:
+def test_a_supervisor_tells_that_it_was_suspended_while_nothing_could_move(scene: Scene) -> None:
     scene.supervisor.status.ever = True
     scene.pass_time()
     suspended(scene)
@@ -219,7 +213,7 @@ def test_one_that_was_suspended_while_nothing_could_move_tells_of_that(scene: Sc
     assert scene.supervisor.epoch == 1
 
 
-def test_what_it_was_continued_for_without_a_gap_explains_none(scene: Scene) -> None:
+def test_a_signal_without_a_gap_explains_no_hang(scene: Scene) -> None:
     scene.supervisor.status.ever = True
     scene.enabled()
     scene.pass_time()
@@ -244,14 +238,14 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(noticed: str) 
     assert scene.told()["written_us"] == (6.0 if noticed == layout.PORT_OWNER else 7.0)
 
 
-def test_its_own_beat_tells_the_epoch_that_it_has_raised(scene: Scene) -> None:
+def test_the_supervisor_s_beat_tells_the_epoch_that_it_has_raised(scene: Scene) -> None:
     scene.gate_stops()
     scene.pass_time(MS)
     assert scene.word("beat_ns").get() == scene.now_ns
     assert scene.word("beat_epoch").get() == scene.supervisor.epoch == 2
 
 
-def test_one_that_was_held_up_while_nothing_could_move_only_tells(whole: Scene) -> None:
+def test_a_supervisor_only_tells_that_it_was_held_up_while_nothing_could_move(whole: Scene) -> None:
     whole.enabled(epoch=7)  # long ago: another stop has ended it
     whole.pass_time(HELD_UP_NS)
     assert whole.supervisor.epoch == 1
@@ -330,7 +324,7 @@ def test_a_board_is_not_deaf_while_telemetry_is_down() -> None:
     assert scene.read("link") == b"alive"
 
 
-def test_nor_while_the_port_owner_is_starved() -> None:
+def test_a_board_is_not_deaf_while_the_port_owner_is_starved() -> None:
     deadline_ns = BY_NAME[layout.PORT_OWNER].deadline_ns
     scene = nearly_deaf(deadline_ns + 20 * MS)
     scene.starve(layout.PORT_OWNER)
@@ -342,7 +336,7 @@ def test_nor_while_the_port_owner_is_starved() -> None:
 
 @pytest.mark.parametrize(("silent_ns", "motion", "deaf"), [(LATE_NS, 0, 0), (LATE_NS - 1, 0, 1), (LATE_NS, 1, 1)])
 @pytest.mark.parametrize("held_up", [*HEARS, layout.SUPERVISOR])
-def test_who_was_held_up_did_not_listen_unless_something_may_move(
+def test_a_process_that_was_held_up_did_not_listen_unless_something_may_move(
     held_up: str, silent_ns: int, motion: int, deaf: int
 ) -> None:
     scene = nearly_deaf(silent_ns)
@@ -358,7 +352,7 @@ def test_who_was_held_up_did_not_listen_unless_something_may_move(
     assert (scene.read("link") == b"deaf") is bool(deaf)
 
 
-def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_has_beaten(scene: Scene) -> None:
+def test_a_process_has_its_time_from_its_start_whatever_was_beaten_before(scene: Scene) -> None:
     gate = scene.supervisor.processes[layout.GATE]
     scene.supervisor.processes.start(gate)
     for beaten_ns in (0, scene.now_ns - 10 * S, scene.now_ns + 10 * S):
@@ -367,7 +361,7 @@ def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_
     assert STARTING_NS <= 10_000 * MS
 
 
-def test_it_sleeps_until_what_is_due_next(scene: Scene) -> None:
+def test_the_supervisor_sleeps_until_what_is_due_next(scene: Scene) -> None:
     assert scene.next_ns() == scene.now_ns + TICK_NS
     scene.employ(layout.GATE)
     overdue_ns = scene.now_ns + BY_NAME[layout.GATE].deadline_ns

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from failstop.lab.machine.files import IN, OUT, Open, Pidfd, Port
 from failstop.lab.machine.kernel import Machine, Thread
-from failstop.lab.machine.loading import File, Loader
+from failstop.lab.machine.loading import File, Loader, Patches
 from failstop.shm import heartbeat, layout, records
 
 MS = 1_000_000
@@ -171,10 +171,10 @@ class PortMachine:
     load() gives failstop's modules as that process has them. Who asks a module that the test itself imports asks the
     real machine."""
 
-    def __init__(self, process: str = "test") -> None:
+    def __init__(self, process: str = "test", environ: dict[str, str] | None = None, patches: Patches = ()) -> None:
         self.machine = Machine(step_ns=0, look_ns=0)
-        self.me = self.machine.join(process)
-        loader = Loader(self.machine)
+        self.me = self.machine.join(process, environ)
+        loader = Loader(self.machine, patches)
         self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
         self.clock = Clock(self.machine)
         self.wire = Wire(self.machine)

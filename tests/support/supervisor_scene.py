@@ -10,8 +10,8 @@ from typing import Any
 import msgpack
 
 from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.kernel import LATE_NS, Machine, Process
-from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.policy import causes
 from failstop.policy.reply import unpack
@@ -19,7 +19,7 @@ from failstop.shm import layout, records
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
-from tests.support.stage import MOST_LATE, MS, Clock, Wire
+from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
 
 DEVICE = "/dev/ttyACM0"
@@ -28,9 +28,9 @@ NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
 """What is told of a machine that runs everybody."""
 
 
-class Scene:
+class Scene(PortMachine):
     """A supervisor whose processes are programs that only wait; the test beats and writes for them. `own` are their
-    segments, `born` all that it has started: when, and with which arguments."""
+    segments, `born` all that it has started."""
 
     def __init__(
         self,
@@ -41,27 +41,22 @@ class Scene:
         patches: Patches = (),
     ) -> None:
         """`running`: whom it has started already; `granted`: its rights, as bits of the heartbeat."""
-        self.machine = Machine(step_ns=0, look_ns=0)
+        super().__init__(layout.SUPERVISOR, {"HOME": "/root"}, patches)
         self.machine.refused = EVERY_RIGHT & ~granted
-        me = self.machine.join(layout.SUPERVISOR, {"HOME": "/root"})
-        loader = Loader(self.machine, patches)
-        self.load, self.os, self.system = loader.load, loader.system["os"], loader.system
         for path in ("/dev/shm", "/sys/dev/char", "/root", RUNTIME_DIR):
-            self.os.makedirs(path)
+            self.machine.root.folder(path)
         self.write("/proc/self/ns/pid", "")
         self.stderr = Null()
         for _ in range(3):
-            me.descriptor(Open(self.stderr), 0)
-        self.clock = Clock(self.machine)
+            self.me.descriptor(Open(self.stderr), 0)
         self.born: list[Process] = []
         self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
         self.machine.programs["child.py"] = self.wait
-        self.plug()
         self.late = 0
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.run = self.new_run(journal)
-        self.port = self.load("failstop.supervisor.port").OwnPort(self.os.open(DEVICE, os.O_RDWR | os.O_NONBLOCK))
+        self.port = self.load("failstop.supervisor.port").OwnPort(self.open(self.wire))
         notify = self.load("failstop.supervisor.status").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()
@@ -88,14 +83,8 @@ class Scene:
         return self.load("failstop.supervisor.run").Run(self.settings, "stage", RUNTIME_DIR, journal)
 
     def plug(self) -> None:
-        """A board is there, under the path of the settings."""
+        """A board is there again, under the same path."""
         self.wire = Wire(self.machine)
-
-    @property
-    def me(self) -> Process:
-        """The supervisor's own process, in which the test is."""
-        assert self.machine.inline
-        return self.machine.inline.process
 
     def write(self, path: str, text: str) -> None:
         """Make a file."""
@@ -123,7 +112,7 @@ class Scene:
         return self.wire.read() if self.wire.port.drains else b""
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
-        """The same, and the port owner beats."""
+        """A turn in which the port owner beats."""
         self.now_ns += elapsed_ns
         self.beat(layout.PORT_OWNER)
         return self.pass_time()
@@ -171,7 +160,7 @@ class Scene:
         return [process for process in self.born if process.name == program and not process.dead]
 
     def state(self, name: str) -> str:
-        """What the supervisor makes of it."""
+        """The state that the supervisor sees it in."""
         state: str = self.supervisor.processes[name].state
         return state
 
@@ -180,7 +169,7 @@ class Scene:
             self.own[name].word("beat_ns").set(self.now_ns)
 
     def keep_beating(self) -> None:
-        """All of them beat from now on each millisecond."""
+        """Every process beats from now on, each millisecond."""
         self.beat(*layout.PROCESSES[1:])
         self.machine.at(self.now_ns + MS, self.keep_beating)
 
@@ -249,7 +238,7 @@ class Scene:
         self.turn(MS)
         assert self.decided() is not None
 
-    # What it tells.
+    # Its words to others.
 
     def read(self, record: str) -> bytes:
         """A record of the supervisor's."""
@@ -259,7 +248,7 @@ class Scene:
         return found
 
     def number(self, record: str) -> int:
-        """How often it was written."""
+        """The number of a record, which grows as it is written; 0: it was not."""
         entry = self.view.latest_reader(record).read()
         return entry[0] if entry else 0
 
@@ -269,59 +258,59 @@ class Scene:
         return found
 
     def waits_for(self) -> str:
-        """What motion waits for, as everybody reads."""
+        """The processes or the port that motion waits for, as everybody reads."""
         found: str = self.table("processes")["waiting_for"] or ""
         return found
 
     def told(self) -> dict[str, Any]:
-        """Of the last stop: why, who wrote it, and when."""
+        """The last stop: why, who wrote it, and when."""
         found = self.table("stop")
         times = {key: found[key] for key in ("written_by", "written_us")}
         return {"reason": said(causes.read(found["cause"])), **times}
 
     def cause(self) -> tuple[int, str]:
-        """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
+        """Since which epoch a stop is latched (0: none is), and the cause, as everybody reads."""
         since, _, _, cause = records.LATCH.unpack(self.read("latch"))
         return since, said(causes.read(cause))
 
     def decided(self) -> tuple[bool, str] | None:
-        """What became of the last reset; None: it is not decided."""
+        """The answer to the last reset; None: it is not decided."""
         if self.word("resets").get() != self.gate.word("resets_asked").get():
             return None
         return told(unpack(self.read("reset"))[2])
 
     def boxed(self) -> list[tuple[int, bytes]]:
-        """What the black box has of it since the last call, and when that was written."""
+        """The black box's entries since the last call, with their times."""
         found = []
         while entry := self._box.next():
             found.append((entry[1], entry[2]))
         return found
 
     def events(self) -> list[dict[str, Any]]:
-        """What people were told since the last call."""
+        """The events since the last call."""
         found = []
         while entry := self._told.next():
             found.append(msgpack.unpackb(entry[2]))
         return found
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """The same at once: kind, level, text and fields."""
+        """What people are told, at once: kind, level, text and fields of each."""
         self.run.events.flush()
         return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
 
     def starved(self) -> list[tuple[str, int, int]]:
-        """What people were told of the machine since the last call."""
+        """The silences since the last call that were said to be the machine's."""
         found = [event["fields"] for event in self.events() if event["kind"] == "starved"]
         return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
 
     def rung(self, process: str) -> bool:
-        """Whether its bell was rung since the last call."""
+        """True when its bell was rung since the last call."""
         bell = self.run.bells[process]
         found: bool = self.supervisor.loop.readable(bell.fd)
         bell.clear()
         return found
 
-    def open_fds(self) -> set[int]:
+    def fds(self) -> set[int]:
         """The descriptors that the supervisor has."""
         return set(self.me.files)
 
