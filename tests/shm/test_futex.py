@@ -67,9 +67,9 @@ def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(lines:
     thread = threading.Thread(target=lambda: kept.append(word.hold(PER_BLOCK)))
     thread.start()
     thread.join()
-    lines = [lines.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
-    until(lambda: not any(line.held() for line in lines), "the kernel has marked them")
-    assert [line.wait_for_death() for line in lines] == [False, *[True] * PER_BLOCK, False]
+    each = [lines.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
+    until(lambda: not any(line.held() for line in each), "the kernel has marked them")
+    assert [line.wait_for_death() for line in each] == [False, *[True] * PER_BLOCK, False]
     assert kept != [None]
 
 
