@@ -52,7 +52,7 @@ def test_a_new_segment_is_empty(name: str) -> None:
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
-def test_modes_are_the_layout_s_and_only_a_client_s_segment_is_of_the_group_that_is_told(
+def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
     on: SimpleNamespace, mask: int, own: int, gid: int, group: int
 ) -> None:
     on.own.umask = mask
