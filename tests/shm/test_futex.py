@@ -209,7 +209,7 @@ def test_where_the_kernel_can_t_nothing_is_held_and_nothing_proven(
 
 
 @pytest.mark.parametrize("looks", [3, 1 << 30])
-def test_a_kernel_that_tells_of_the_end_late_is_proven_and_one_that_never_does_is_not(
+def test_a_kernel_that_tells_late_is_proven_and_one_that_never_tells_is_not(
     monkeypatch: pytest.MonkeyPatch, looks: int
 ) -> None:
     """The last as gVisor's, which takes the list and marks nothing: it is waited for for a second."""
