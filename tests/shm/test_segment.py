@@ -271,9 +271,9 @@ def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: Simp
     for strange in ("r.gate", "failstop.r.gate", "failstop.r.1234.unknown"):
         put(on, f"/dev/shm/{strange}")
     assert on.segment.dead_runs("r") == []
+    put(on, gone)
     for run, client in ((older, 3), (newer, 0), (older, 1), (newer, 2)):
         on.segment.create(run, f"client.{client}", RUN).close()
-    put(on, gone)
     with refusing(on, "stat", FileNotFoundError(errno.ENOENT, "gone"), of=gone) as asked:
         assert on.segment.dead_runs("r") == [older, newer]
     assert asked

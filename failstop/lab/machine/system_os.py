@@ -99,11 +99,23 @@ class Paths(Module):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
         if isinstance(node, Directory) and flags & 3:
             raise IsADirectoryError(errno.EISDIR, "Is a directory", path)
-        if isinstance(node, Fifo) and flags & 3 == os.O_WRONLY and not node.ends(os.O_RDONLY, os.O_RDWR):
+        if (
+            isinstance(node, Fifo)
+            and flags & 3 == os.O_WRONLY
+            and flags & os.O_NONBLOCK
+            and not node.ends(os.O_RDONLY, os.O_RDWR)
+        ):
             raise OSError(errno.ENXIO, "nobody reads", path)
         if isinstance(node, Regular) and flags & os.O_TRUNC:
             node.resize(0)
-        return process.descriptor(Open(node, flags))
+        opened = Open(node, flags)
+        if isinstance(node, Fifo) and not flags & (os.O_NONBLOCK | os.O_PATH):
+            other = os.O_RDONLY if flags & 3 == os.O_WRONLY else os.O_WRONLY
+            if not node.ends(os.O_RDWR, other):
+                assert self._machine.current is not None
+                node.openers.append(self._machine.current)
+                self._machine.block()
+        return process.descriptor(opened)
 
     def _found(self, process: Process, above: Directory, name: str, flags: int, path: str) -> Node | None:
         """What is there to open; None: it is to be created."""
