@@ -4,10 +4,12 @@ story."""
 from __future__ import annotations
 
 import _socket
+import _thread
 import fcntl
 import os
 import select
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,6 +47,22 @@ def a_fifo_is_full_empty_and_without_readers(on: System, folder: str) -> Story:
     story += [taken, found, on.select.select([both], [writer], [], 0) == ([both], [], [])]
     on.os.close(both)
     return [*story, tried(on.os.write, writer, b"x")]
+
+
+def an_open_of_a_fifo_waits_for_the_other_end(on: System, folder: str) -> Story:
+    story: Story = []
+    on.os.mkfifo(f"{folder}/pipe", 0o600)
+
+    def read() -> None:
+        fd = on.os.open(f"{folder}/pipe", os.O_RDONLY)
+        story.append("both ends are open")
+        on.os.close(fd)
+
+    on.thread.start_new_thread(read, ())
+    on.os.close(on.os.open(f"{folder}/pipe", os.O_WRONLY))
+    while not story:
+        on.time.sleep(0.001)
+    return story
 
 
 def an_eventfd_counts(on: System, folder: str) -> Story:
@@ -211,6 +229,7 @@ def what_is_made_has_the_mode_that_the_mask_leaves(on: System, folder: str) -> S
 PROGRAMS = (
     a_session_is_killed_as_one,
     a_fifo_is_full_empty_and_without_readers,
+    an_open_of_a_fifo_waits_for_the_other_end,
     an_eventfd_counts,
     an_epoll_set_tells_of_levels_and_edges,
     a_closed_pipe_hangs_up_in_an_epoll_set,
@@ -229,12 +248,14 @@ PROGRAMS = (
 def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_path: Path) -> None:
     import mmap
 
-    real = SimpleNamespace(os=os, select=select, fcntl=fcntl, socket=_socket, mmap=mmap)
+    real = SimpleNamespace(os=os, select=select, fcntl=fcntl, socket=_socket, mmap=mmap, time=time, thread=_thread)
     robot = Robot()
     robot.machine.programs["sh"] = lambda process, argv: robot.machine.block()
     modules = robot.loader.system
     simulated = SimpleNamespace(
-        **{name: modules[name] for name in ("os", "select", "fcntl", "mmap")}, socket=modules["_socket"]
+        **{name: modules[name] for name in ("os", "select", "fcntl", "mmap", "time")},
+        socket=modules["_socket"],
+        thread=modules["_thread"],
     )
     told: list[Any] = []
     robot.machine.told = lambda kind, process, what: told.append(what) if kind == "failed" else None

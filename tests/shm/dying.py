@@ -88,8 +88,8 @@ def asleep(thread: int) -> bool:
 
 
 @contextlib.contextmanager
-def ends(more: int = 0) -> Iterator[set[int]]:
-    """After this there are so many threads more than before; gives those of before."""
+def ends() -> Iterator[set[int]]:
+    """Each thread that begins in it has ended afterwards; gives those of before."""
     before = threads()
     yield before
-    until(lambda: len(threads()) == len(before) + more, "its thread has ended")
+    until(lambda: not threads() - before, "its thread has ended")

@@ -22,3 +22,15 @@ def test_a_barrier_releases_before_it_acquires(on: SimpleNamespace) -> None:
     barrier()
     barrier()
     assert done[1:] == ["release", "acquire"] * 2
+
+    class View:
+        def __getitem__(self, where: slice) -> bytes:
+            return bytes(where.stop - where.start)
+
+        def __setitem__(self, where: slice, data: bytes) -> None:
+            done.append("store")
+
+    writer = on.load("failstop.shm.cell").RingWriter(View(), 0, 8, 2, 1)
+    done.clear()
+    writer.put(b"x")
+    assert done == ["release", "acquire", "store"], "before what its entry's reader sees"

@@ -102,7 +102,7 @@ def test_a_runtime_dir_is_taken_over(on: SimpleNamespace, bases: list[str]) -> N
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize(("taken", "rights"), [(0, 0o755), (1, 0o755), (2, 0o700)])
-def test_the_shared_place_is_private_and_others_let_everyone_in_to_read_under_any_umask(
+def test_the_shared_place_is_private_and_others_are_everyone_s_to_read(
     on: SimpleNamespace, bases: list[str], mask: int, taken: int, rights: int
 ) -> None:
     """So that every local user can reach the stop pipe."""

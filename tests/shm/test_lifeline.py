@@ -100,7 +100,7 @@ def test_every_kind_of_end_is_a_death_and_a_stop_is_none(end: int) -> None:
                 ask()
 
 
-def test_to_ask_whether_it_has_died_waits_for_nothing_and_an_end_is_waited_for_as_long_as_told(
+def test_to_ask_for_a_death_waits_for_nothing_and_a_wait_lasts_as_long_as_told(
     on: SimpleNamespace,
 ) -> None:
     machine = on.machine

@@ -134,7 +134,7 @@ def test_a_chain_of_deaths_in_one_cell() -> None:
     assert drain(reader) == [CELLS + 3]
 
 
-def test_a_death_in_mid_write_costs_a_reader_that_is_a_lap_behind_the_oldest_entry_alone() -> None:
+def test_a_death_in_mid_write_costs_a_reader_a_lap_behind_the_oldest_entry_alone() -> None:
     """Its very cell is torn: all the others must be read before a successor has written anything."""
     memory, writer, reader = ring()
     put(writer, CELLS)

@@ -52,7 +52,7 @@ def test_a_new_segment_is_empty(name: str) -> None:
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
-def test_modes_are_the_layout_s_and_only_a_client_s_segment_is_of_the_group_that_is_told(
+def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
     on: SimpleNamespace, mask: int, own: int, gid: int, group: int
 ) -> None:
     on.own.umask = mask
@@ -271,9 +271,9 @@ def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: Simp
     for strange in ("r.gate", "failstop.r.gate", "failstop.r.1234.unknown"):
         put(on, f"/dev/shm/{strange}")
     assert on.segment.dead_runs("r") == []
+    put(on, gone)
     for run, client in ((older, 3), (newer, 0), (older, 1), (newer, 2)):
         on.segment.create(run, f"client.{client}", RUN).close()
-    put(on, gone)
     with refusing(on, "stat", FileNotFoundError(errno.ENOENT, "gone"), of=gone) as asked:
         assert on.segment.dead_runs("r") == [older, newer]
     assert asked

@@ -24,9 +24,12 @@ def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) ->
         with pytest.raises(ValueError, match="memoryview"):
             word.set(wrong)
     assert word.get() == 5
+    mapped = mmap.mmap(-1, 4096)
     for offset in (8, 32, 63):
         with pytest.raises(ValueError, match="64-byte line"):
-            Word(mmap.mmap(-1, 4096), offset)
+            Word(mapped, offset)
+    Word(mapped, 192).set(7)
+    assert mapped[184:208] == bytes([0] * 8 + [7] + [0] * 15)
 
 
 def test_a_word_is_never_seen_half_written(name: str) -> None:

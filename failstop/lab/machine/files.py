@@ -188,6 +188,13 @@ class Fifo(Node):
     def __init__(self, mode: int) -> None:
         super().__init__(mode)
         self.data = bytearray()
+        self.openers: list[Thread] = []
+        """Those whose open waits for the other end."""
+
+    def open(self, opened: Open) -> None:
+        openers, self.openers = self.openers, []
+        for thread in openers:
+            thread.process.machine.wake(thread)
 
     def ends(self, *modes: int) -> int:
         """How many are open so."""

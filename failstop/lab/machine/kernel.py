@@ -357,7 +357,8 @@ class Machine:
             return
         if lands := process.in_write:
             process.in_write = None
-            self.at(self.now_ns + LAND_NS, lambda: (lands(), self.die(process, code)))
+            self.at(self.now_ns + LAND_NS, lands)
+            self.at(self.now_ns + LAND_NS, lambda: self.die(process, code))
             return
         process.dead = True
         self.told("died", process, code)

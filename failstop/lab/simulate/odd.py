@@ -49,7 +49,7 @@ class Event:
 
 def spread(dice: Random, least: float, most: float) -> int:
     """A number between the two, as often in each decade."""
-    return round(least * (most / least) ** dice.random())
+    return int(least * (most / least) ** dice.random())
 
 
 class Count:
