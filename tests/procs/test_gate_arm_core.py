@@ -155,28 +155,6 @@ def test_first_step_is_one_of_a_period_from_rest(bench: ArmBench) -> None:
         bench.run(1.5)
 
 
-def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:
-    """A long upper arm over the floor, and a chassis far above."""
-    shape = {"base__length_m": 0.05, "base__turns": "yaw", "shoulder__length_m": 0.3, "shoulder__turns": "pitch"}
-    chassis = {"arm__chassis_z_m": 1.0, "arm__chassis_length_m": 0.0, "arm__chassis_radius_m": 0.0}
-    changed: dict[str, object] = {f"joints__{key}": value for key, value in shape.items()} | chassis
-    bench = ArmBench(arm__collision="on", arm__mount_z_m=0.0, **changed).known()
-    shoulder = bench.core.joints[1]
-    journey = bench.travel((0.0, 950.0), joints=2)
-    bench.until(lambda: journey.done)
-    assert journey.outcome.startswith("the arm would hit something on its way: shoulder")
-    assert bench.holds == [bench.now]
-    assert bench.core.why_not() == ""
-    stood = shoulder.position
-    bench.known()
-    for _ in range(10):
-        bench.core.take(Goal(goals.JOG, ME, "client 11", bench.now, {shoulder: 1.0}), bench.now)
-        bench.run(0.2)
-    assert bench.core.why_not() == journey.outcome
-    assert shoulder.velocity == 0.0
-    assert shoulder.position == pytest.approx(stood, abs=10)
-
-
 # Whose goal counts.
 
 
