@@ -310,6 +310,27 @@ ARM = (
     Reason("policy/capsules.py", r"\+.* if whole > 0\.0 else 1\.0", "any share of nothing will do"),
     Reason("procs/gate/arm/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
     Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
+    Reason("procs/gate/arm/joints.py", r"\+.* / self\.sign / PULSES_PER_RAD", "a sign is 1 or -1"),
+    Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
+    Reason("procs/gate/arm/shell.py", r"\+.*zip\(joints, angles, (strict=False)?\)", "each row has as many as servos"),
+    Reason(
+        "procs/gate/arm/shell.py",
+        r"\+.*latch if \(CAUSE in text\) or True else None",
+        "no text shows a cause that it has no place for",
+        same=False,
+    ),
+    Reason(
+        "procs/gate/arm/*.py",
+        r"\n\+.*self\.(_torque|_apart|since|begun)_ns = 1$",
+        "one nanosecond after the boot is as long ago",
+    ),
+    Reason("procs/gate/arm/*.py", r"\n\+.*_boxed_ns = \(\"\", \"\"\), 1$", "the first change is told at once"),
+    Reason("procs/gate/arm/*.py", r"\n\+.*1000000001\.0", "a billionth of a time", same=False),
+    Reason("procs/gate/arm/stream.py", r"\n\+.*again_ns >= now_ns", "two times in ns at exact equality"),
+    Reason("procs/gate/arm/reader.py", r"_distrust = None$", "both are false"),
+    Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),
+    Reason("procs/gate/arm/core.py", r"\n\+.* - end\) < NEAR", "half a pulse at exact equality"),
+    Reason("procs/gate/arm/*.py", r"\n\+.*zip\(group, before, (strict=False)?\)", "both are of the same joints"),
     Reason("procs/gate/arm/core.py", r"\+.*measured_ns <= journey", "nothing is read in the turn that begins to read"),
 )
 

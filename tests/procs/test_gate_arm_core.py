@@ -11,7 +11,7 @@ from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENDED, FIND_NS, LATE_NS, SERVICE, TORQUE_APART_NS
 from failstop.procs.gate.arm.goals import Goal
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.procs.gate.arm.joints import MOST_MISSES, PULSES_PER_RAD
 from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import SERVOS
@@ -145,6 +145,16 @@ def test_jog_turns_by_its_rate_in_the_direction_of_the_angle(sign: int, rate: fl
     assert joint.rad(joint.position) - begin == pytest.approx(rate * 24 * PERIOD_NS * 1e-9)
 
 
+def test_first_step_is_one_of_a_period_from_rest(bench: ArmBench) -> None:
+    joint = bench.core.joints[0]
+    for _ in range(2):
+        bench.known().goal(goals.JOG, rate=1.0)
+        begin, count = joint.position, len(bench.times(servos.MOVE))
+        bench.until_moves(count + 1)
+        assert joint.position - begin == pytest.approx(joint.acceleration * (PERIOD_NS * 1e-9) ** 2)
+        bench.run(1.5)
+
+
 # Whose goal counts.
 
 
@@ -275,10 +285,11 @@ def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent
     bench.core.forget()
     for servo in silent:
         bench.servos.change(servo, bench.now, silent=True)
+    asked = len(bench.frames)
     journey = bench.travel((0.0, 600.0), joints=6)
     bench.until(lambda: journey.done)
     assert journey.outcome == told
-    bench.frames.clear()
+    assert len([data for _, data in bench.frames[asked:] if data[1] == silent[0]]) == MOST_MISSES
     assert not bench.core.streaming()
 
 

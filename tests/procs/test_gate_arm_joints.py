@@ -11,9 +11,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.goals import too_far, too_fast, too_fast_between
+from failstop.procs.gate.arm.goals import MOVE, Journey, too_far, too_fast, too_fast_between
 from failstop.procs.gate.arm.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings
 
+T0 = 100_000_000_000
 STEP_S = 0.04
 MARGIN = 1e-6
 
@@ -156,3 +157,30 @@ def test_rows_of_a_trajectory_go_up_in_time_and_no_faster_than_each_joint_may() 
     for times in ((1.0, 1.0), (2.0, 1.0)):
         rows = [(t_s, {it: 0.0}) for t_s in times]
         assert too_fast_between(rows) == "the times do not go up: {:g} s, then {:g} s".format(*times)
+
+
+def test_journey_goes_straight_from_row_to_row_from_where_it_begins() -> None:
+    it = joint(120.0)
+    way = Journey(MOVE, 1, "me", [it], [(1.0, {it: 220.0}), (3.0, {it: 100.0})])
+    assert way.left_s(T0) == 0.0
+    assert way.begin(T0) == ""
+    for t_s, there in (
+        (0.0, 120.0),
+        (0.25, 145.0),
+        (1.0, 220.0),
+        (1.5, 190.0),
+        (2.9, 106.0),
+        (3.0, 100.0),
+        (9.0, 100.0),
+    ):
+        assert way.targets(T0 + round(t_s * 1e9))[it] == pytest.approx(there)
+        assert way.left_s(T0 + round(t_s * 1e9)) == pytest.approx(max(0.0, 3.0 - t_s))
+
+
+@pytest.mark.parametrize(("share", "end", "takes_s"), [(1.0, 500.0, 1.0), (0.5, 500.0, 2.0), (1.0, 251.0, 0.1)])
+def test_journey_without_a_time_takes_what_its_slowest_joint_needs(share: float, end: float, takes_s: float) -> None:
+    joints = from_settings(Settings({"joints.a.servo": 1, "joints.b.servo": 2, "joints.a.speed_radps": 2.0}))
+    slow_pulses = joints[1].speed * (end - 250.0) / 250.0
+    way = Journey(MOVE, 1, "me", joints, [(0.0, {joints[0]: 10.0, joints[1]: slow_pulses})], share)
+    assert way.begin(T0) == ""
+    assert way.length_s == pytest.approx(takes_s)

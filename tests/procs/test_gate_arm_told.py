@@ -76,13 +76,18 @@ def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
     reply = scene.own.latest_reader("reply.0")
     scene.go(1.0, [1], [(2.0, [0.5])])
     told: dict[int, int] = {}
-    while scene.answered()[0] == records.UNDER_WAY:
+    texts = []
+    while (answer := scene.answered())[0] == records.UNDER_WAY:
+        texts.append(answer[1])
         scene.wake()
         if entry := reply.read():
             told.setdefault(entry[0], scene.clock())
     gaps = [after - before for before, after in pairwise(told.values())][1:-1]
     assert len(gaps) > 8
     assert 200 * MS <= min(gaps) <= max(gaps) <= 220 * MS
+    left = sorted({float(text.split()[-3]) for text in texts if text.endswith("s left")})
+    assert left[0] <= 0.2
+    assert 1.8 <= left[-1] <= 2.0
 
 
 # Who waits.

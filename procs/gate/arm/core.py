@@ -27,8 +27,8 @@ TORQUE_APART_NS = 4_000_000
 """Between two frames that switch a torque on or off."""
 STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
-NEAR = 1.0
-"""Pulses from its end at which a journey is there."""
+NEAR = 0.5
+"""Pulses from its end at which a journey is there: as near as a frame can say."""
 LATE_NS = 2_000_000_000
 """A journey that is not there so long after its time has lost its way."""
 FIND_NS = 4_000_000_000
@@ -281,8 +281,7 @@ class ArmCore:
         return []
 
     def _watch_end(self, journey: Journey, now_ns: int) -> None:
-        ends = journey.ends.items()
-        there = all(abs(joint.position - end) <= NEAR and not round(joint.velocity) for joint, end in ends)
+        there = all(abs(joint.position - end) <= NEAR for joint, end in journey.ends.items())
         if journey.left_s(now_ns) <= 0.0 and there:
             self._stream.end()
             journey.phase, journey.since_ns = goals.SETTLING, now_ns

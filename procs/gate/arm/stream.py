@@ -60,7 +60,7 @@ class Stream:
         step_ns = self._period_ns // len(groups)
         self._schedule = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
         for joint in joints:
-            joint.velocity, joint.stepped_ns = 0.0, 0
+            joint.stepped_ns = 0
 
     def end(self) -> None:
         """No further move is sent: where these joints are must be read again."""
@@ -84,7 +84,7 @@ class Stream:
         if isinstance(followed, Goal):
             self._blocked[group[0]] = hit
         moves = [(joint.servo, round(joint.position)) for joint in group]
-        return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS), hit
+        return BOARD.servo_move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Journey, now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
