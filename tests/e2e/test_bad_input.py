@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop import FailstopError, NoService, Robot
+from failstop import FailstopError
 from failstop.api.client import run
 from failstop.board.burst import BURST
 from failstop.cli.main import main

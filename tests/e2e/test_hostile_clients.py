@@ -17,7 +17,6 @@ from failstop import FailstopError, Robot
 from failstop.api.client import Client, run
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import claim, instance, layout, segment
-
 from tests.support.simulated import MS, Simulated
 
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits

@@ -36,13 +36,6 @@ FIRST = 65
 
 
 @pytest.fixture(scope="module")
-def web(trial: Trial) -> Iterator[Web]:
-    """The page, which finds the trial's incidents."""
-    with Web(trial.name, state=trial.state) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with Browser() as running:
         yield running
