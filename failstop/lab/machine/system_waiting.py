@@ -68,6 +68,9 @@ class SimulatedPoll:
     def register(self, fd: Any, events: int = IN | OUT) -> None:
         self._wanted[_number(fd)] = events
 
+    def unregister(self, fd: Any) -> None:
+        del self._wanted[_number(fd)]
+
     def poll(self, timeout: float | None = None) -> list[tuple[int, int]]:
         process = self._calls.process("poll")
         held = {fd: self._calls.opened(process, fd) for fd in self._wanted}
