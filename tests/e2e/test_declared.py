@@ -39,8 +39,8 @@ def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(
     with pytest.raises(simulated.failstop.Undeclared, match=said) as caught:
         simulated.robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
     error: Any = caught.value
-    assert isinstance(error, ValueError)
     assert error.exit_code == 1
+    assert isinstance(error, ValueError)
     assert len(str(caught.value)) < 250
     assert "\n" not in str(caught.value)
     for declared in ("teleop", "cmd_vel"):
