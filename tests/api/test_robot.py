@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop import Block, Blocked, Driving, FailstopError, NoAnswer, NoService, Preempted, Refused, Robot, TimedOut
+from failstop import Block, Blocked, Driving, FailstopError, NoService, Preempted, Refused, Robot, TimedOut
 from failstop.lab.trial import Trial, wait_for
+from tests.support.simulated import MS, Simulated
 
 
 @pytest.fixture
@@ -60,15 +61,15 @@ def test_drive_names_who_goes_before(robot: Robot, trial: Trial) -> None:
     assert not answer
 
 
-def test_a_gate_that_takes_no_command_is_told_at_once(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot.enable()
-    wait_for("earlier commands to be old", lambda: not robot.state.sources)
-    monkeypatch.setattr(robot._client(), "command", lambda *_, **__: None)
-    began_s = time.monotonic()
-    assert robot.drive(0.1, 0.0, 0.0, manual=True) == Blocked(
-        Block.NO_COMMAND, "the gate has not taken the command yet"
-    )
-    assert time.monotonic() - began_s < 0.1
+def test_a_gate_that_takes_no_command_is_told_at_once() -> None:
+    simulated = Simulated()
+    simulated.enable()
+    simulated.hold("gate", 0.05)
+    began_ns = simulated.now_ns()
+    answer = simulated.robot.drive(0.1, 0.0, 0.0, manual=True)
+    assert simulated.now_ns() - began_ns <= 11 * MS
+    assert (answer.block.name, answer.why) == (Block.NO_COMMAND.name, "the gate has not taken the command yet")
+    assert not answer
 
 
 def test_waiting_for_a_word_and_for_a_function(robot: Robot) -> None:
@@ -137,16 +138,15 @@ def _enables_and_fails(name: str) -> None:
         raise ZeroDivisionError
 
 
-def test_motion_that_was_enabled_after_nobody_waited_for_the_answer_is_taken_back(
-    trial: Trial, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Robot(trial.name, answer_s=0.05) as robot:
-        monkeypatch.setattr(robot._client(), "answer", lambda _: None)
-        with pytest.raises(NoAnswer):
+def test_motion_that_was_enabled_after_nobody_waited_for_the_answer_is_taken_back() -> None:
+    simulated = Simulated()
+    with simulated.failstop.Robot(answer_s=0.02) as robot:
+        robot.sensed()
+        simulated.hold("gate", 0.03)
+        with pytest.raises(simulated.failstop.NoAnswer):
             robot.enable()
-        monkeypatch.undo()
-        trial.robot.wait_for("enabled", 5.0)
-    assert not trial.robot.state.enabled
+        simulated.robot.wait_for("enabled", 5.0)
+    assert not simulated.robot.state.enabled
 
 
 def test_motion_that_another_enabled_stays_so_though_one_is_refused(trial: Trial) -> None:
@@ -241,7 +241,7 @@ def test_threads_that_drive_and_look_at_once(trial: Trial) -> None:
     assert not errors
 
 
-def test_what_had_to_wait_for_another_thread_s_request_was_asked_before_the_stop_that_came_meanwhile(
+def test_what_waited_for_a_thread_s_request_was_asked_before_the_stop_meanwhile(
     trial: Trial,
 ) -> None:
     """The gate hangs in front of the first, and is killed for that: a reset of before must not clear it."""

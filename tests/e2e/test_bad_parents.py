@@ -29,7 +29,7 @@ def test_the_service_works_all_the_same(name: str, parent: str) -> None:
         pytest.skip("not so many descriptors here")
     trial = Trial(name)
     prelude = f"import os, sys; {PARENTS[parent]}; os.execv(sys.argv[1], sys.argv[1:])"
-    trial.service._command = [sys.executable, "-c", prelude, *trial.service._command]
+    trial.service.become(sys.executable, "-c", prelude)
     with trial:
         pids = trial.service.pids()
         for process, pid in pids.items():

@@ -3,6 +3,8 @@ another name."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from failstop.lab.machine.robot import SETTINGS as FILE
@@ -36,8 +38,9 @@ def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(
     enable(simulated)
     with pytest.raises(simulated.failstop.Undeclared, match=said) as caught:
         simulated.robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
-    assert isinstance(caught.value, ValueError)
-    assert caught.value.exit_code == 1
+    error: Any = caught.value
+    assert error.exit_code == 1
+    assert isinstance(error, ValueError)
     assert len(str(caught.value)) < 250
     assert "\n" not in str(caught.value)
     for declared in ("teleop", "cmd_vel"):

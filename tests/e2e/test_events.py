@@ -88,7 +88,7 @@ def test_a_port_that_goes_and_comes_back(simulated: Simulated, listener: Listene
     simulated.board.unplug()
     assert listener.wait("device_lost").fields["path"] == simulated.link
     assert len(listener.of("device_back")) == 0
-    assert listener.wait("waiting", **{"for": "the port"}).level == "warning"
+    assert listener.wait("waiting", 1, **{"for": "the port"}).level == "warning"
     simulated.board.replug()
     assert listener.wait("device_back").fields["path"] == simulated.link
     listener.wait("ready", 2)
@@ -143,9 +143,9 @@ def test_a_log_of_a_run_that_was_followed_by_another_says_so(simulated: Simulate
 # How a driver ends.
 
 
-def one_end(listener: Listener, kind: str, level: str, **fields: object) -> Any:
+def one_end(listener: Listener, kind: str, level: str, **fields: str) -> Any:
     """The one event of a driver's end."""
-    ended = listener.wait(kind, **fields)
+    ended = listener.wait(kind, 1, **fields)
     assert ended.level == level
     told = [event for which in ("gone", "ended", "silent") for event in listener.of(f"driver_{which}")]
     assert told == [ended]

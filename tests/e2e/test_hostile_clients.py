@@ -83,7 +83,7 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
     assert simulated.robot.state.estop is None
     simulated.lab.machine.kill(client, signal.SIGCONT)
     simulated.drive(0.2)
-    assert simulated.robot.state.estop.startswith("multiple cmd_vel publishers: "), "two at once may not"
+    assert str(simulated.robot.state.estop).startswith("multiple cmd_vel publishers: "), "two at once may not"
     assert not simulated.moving()
 
 

@@ -78,9 +78,7 @@ def test_ready_status_watchdog_and_end(manager: Manager, name: str) -> None:
         assert "STOPPING=1" in manager.listen()
 
 
-def test_the_watchdog_hears_a_beat_at_least_every_timeout_and_none_of_a_hung_supervisor(
-    manager: Manager, name: str
-) -> None:
+def test_the_watchdog_hears_a_beat_every_timeout_and_none_of_a_hung_supervisor(manager: Manager, name: str) -> None:
     with Trial(name) as trial:
         assert trial.service.process is not None
         before, began_s = manager.beats(), time.monotonic()

@@ -139,7 +139,7 @@ def test_a_soft_limit_is_raised(name: str) -> None:
     trial = Trial(name)
     prelude = "import os, resource, sys; hard = resource.getrlimit(7)[1]; resource.setrlimit(7, (24, hard)); "
     prelude += "os.execv(sys.argv[1], sys.argv[1:])"
-    trial.service._command = [sys.executable, "-c", prelude, *trial.service._command]
+    trial.service.become(sys.executable, "-c", prelude)
     with trial:
         trial.enable()
         for pid in trial.service.pids().values():

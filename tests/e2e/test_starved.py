@@ -106,7 +106,7 @@ def running(name: str) -> Iterator[Trial]:
 
 
 @pytest.mark.alone
-def test_without_rights_a_hang_is_stopped_for_when_a_busy_machine_could_not_be_the_reason(running: Trial) -> None:
+def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Trial) -> None:
     assert running.robot.state.lease_s == grant.LEASE_WITHOUT_S
     price = "200 ms instead of 60 to 100"
     wait_for("the lease to be told", lambda: price in running.service.said())

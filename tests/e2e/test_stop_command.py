@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import subprocess
 import time
 import tty
@@ -21,10 +22,11 @@ from failstop.board.interface import BOARD
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
+from failstop.lab.machine.files import Directory, Port
+from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.robot import Robot
 from failstop.shm import instance, root
 from tests.support.commands import FAILSTOP, failstop
-
-Waits = list[tuple[str, float]]
 
 
 @pytest.fixture
@@ -47,116 +49,294 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """As on a machine where no service runs and none is installed; the folder for installed files."""
-    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path / "run")])
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.setenv(root.VARIABLE, str(tmp_path))
     folder = Path(f"{tmp_path}{config.FOLDER}")
     folder.mkdir(parents=True)
+    (tmp_path / "run").mkdir()
     return folder
 
 
+# On a simulated machine: which port, and for how long.
+
+FILE = "/root/failstop.toml"
+PORTS = ("board", "other", "ttyACM0", "last", "left")
+
+
+class Heard:
+    """The board's side of a port."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def receive(self, data: bytes) -> None:
+        self.data += data
+
+
+class Tool:
+    """`failstop stop` on a machine without a service, with a board at each of PORTS or at none."""
+
+    def __init__(self) -> None:
+        self.lab = Robot()
+        self.lab.unplug()
+        self.machine = self.lab.machine
+        self.failed: list[object] = []
+        self.machine.told = lambda kind, process, what: self.failed.append(what) if kind == "failed" else None
+        self.lab.join("test")
+        self.boards: dict[str, Heard] = {}
+        self.environ: dict[str, str] = {}
+
+    def last_run(self, device: str, *servos: int, name: str = "failstop") -> None:
+        """A service that somebody has started by hand, and that has died, was on this port."""
+        load = self.lab.loader.load
+        found = load("failstop.shm.instance")
+        found.remember(load("failstop.instances").make_runtime_dir(name), found.Last(device, "failstop run", servos))
+
+    def run(self, *words: str) -> tuple[int, str, str]:
+        return self.lab.command(("stop", *words), environ=self.environ)
+
+    def plug(self, *names: str) -> None:
+        """Boards at these ports below /dev."""
+        folder = self.machine.root.names["dev"]
+        assert isinstance(folder, Directory)
+        for number, name in enumerate(names):
+            port = Port(self.machine, number)
+            port.board = self.boards[f"/dev/{name}"] = Heard()
+            folder.put(name, port)
+
+    def waits(self, *words: str) -> tuple[str, float]:
+        """Where no board is: which port is tried, and for how many seconds."""
+        begun_ns = self.machine.now_ns
+        code, _, err = self.run(*words)
+        found = re.fullmatch(r"failstop: no device (\S+?):? .*", err.splitlines()[-1])
+        assert found, err
+        assert code == 1
+        return found[1], round((self.machine.now_ns - begun_ns) / 1e9, 1)
+
+    def goes(self, *words: str) -> tuple[int, str, str, str]:
+        """Where there are boards: the exit code, the one that has the burst, what is printed, errors."""
+        self.plug(*PORTS)
+        code, out, err = self.run(*words)
+        assert self.failed == []
+        (device,) = (device for device, heard in self.boards.items() if heard.data)
+        assert self.boards[device].data == BURST
+        return code, device, out, err
+
+
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> Waits:
-    """What the tool is asked for: (device, seconds)."""
-    found: Waits = []
-
-    def stopped(path: str, wait: Callable[[PortError], float], *_: object) -> float:
-        found.append((path, wait(PortError("absent", f"no device {path}"))))
-        return 0.0
-
-    monkeypatch.setattr(stopping, "stop", stopped)
-    return found
+def tool() -> Tool:
+    return Tool()
 
 
-def test_by_default_30_s_for_the_default_port(asked: Waits) -> None:
-    assert cli.main(["stop"]) == 0
-    assert asked == [("/dev/ttyACM0", 30.0)]
-
-
-def test_the_file_s_settings_are_taken(asked: Waits, file: Path) -> None:
-    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n')
-    assert cli.main(["stop", "--config", str(file)]) == 0
-    assert asked == [("/dev/board", 5.0)]
-
-
-def test_options_go_before_the_file(asked: Waits, file: Path) -> None:
-    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n')
-    assert cli.main(["stop", "--config", str(file), "--device", "/dev/other", "--wait", "0.5"]) == 0
-    assert asked == [("/dev/other", 0.5)]
-
-
-def test_a_mistake_elsewhere_in_the_file_does_not_keep_the_wheels_turning(asked: Waits, file: Path) -> None:
-    file.write_text('[device]\npath = "/dev/board"\n[gate]\nlease_s = 99\nnonsense = 1\n')
-    assert cli.main(["stop", "--config", str(file)]) == 0
-    assert asked == [("/dev/board", 30.0)]
-
-
-def test_a_wait_that_is_not_allowed_costs_the_wait_alone(
-    asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("text", "words", "device", "wait_s"),
+    [
+        (None, "", "/dev/ttyACM0", 30.0),
+        ('[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n', f"--config {FILE}", "/dev/board", 5.0),
+        (
+            '[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n',
+            f"--config {FILE} --device /dev/other --wait 0.5",
+            "/dev/other",
+            0.5,
+        ),
+        (
+            '[device]\npath = "/dev/board"\n[gate]\nlease_s = 99\nnonsense = 1\n',
+            f"--config {FILE}",
+            "/dev/board",
+            30.0,
+        ),
+        (None, f"--config {FILE} --device /dev/board", "/dev/board", 30.0),
+        (None, "--end-service --wait 3", "/dev/ttyACM0", 3.0),
+        (None, "--end-service --device /dev/board", "/dev/board", 12.0),
+    ],
+    ids=["default", "file", "options before it", "a mistake elsewhere", "a bad file", "shorter", "at the end"],
+)
+def test_it_tries_the_port_that_is_named_for_as_long_as_is_said(
+    tool: Tool, text: str | None, words: str, device: str, wait_s: float
 ) -> None:
-    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = "long"\n')
-    assert cli.main(["stop", "--config", str(file)]) == 0
-    assert asked == [("/dev/board", 30.0)]
-    assert capsys.readouterr().err == (
-        "failstop: stop.wait_s = 'long': a number is expected, 0 to 3600 s; going on without it\n"
-    )
+    if text:
+        tool.lab.write(FILE, text)
+    if "--end-service" in words:
+        in_service(tool)
+    assert tool.waits(*words.split()) == (device, pytest.approx(wait_s, abs=0.1))
+    assert tool.goes(*words.split())[:2] == (0, device)
+
+
+def test_a_wait_that_is_not_allowed_costs_the_wait_alone(tool: Tool) -> None:
+    tool.lab.write(FILE, '[device]\npath = "/dev/board"\n[stop]\nwait_s = "long"\n')
+    assert tool.waits("--config", FILE) == ("/dev/board", pytest.approx(30.0, abs=0.1))
+    code, device, _, err = tool.goes("--config", FILE)
+    said = "failstop: stop.wait_s = 'long': a number is expected, 0 to 3600 s; going on without it\n"
+    assert (code, device, err) == (0, "/dev/board", said)
 
 
 @pytest.mark.parametrize("text", [None, "[device\n", "[device]\npath = 7\n"])
-def test_a_file_that_says_nothing_stops_the_default_port_and_says_so(
-    text: str | None, asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_says_nothing_stops_the_default_port_and_says_so(tool: Tool, text: str | None) -> None:
     if text is not None:
-        file.write_text(text)
-    assert cli.main(["stop", "--config", str(file)]) == 1
-    assert asked == [("/dev/ttyACM0", 30.0)]
-    first, last = capsys.readouterr().err.splitlines()
+        tool.lab.write(FILE, text)
+    assert tool.waits("--config", FILE) == ("/dev/ttyACM0", pytest.approx(30.0, abs=0.1))
+    code, device, _, err = tool.goes("--config", FILE)
+    assert (code, device) == (1, "/dev/ttyACM0")
+    first, last = err.splitlines()
     assert first.endswith("; going on without it")
     assert last == "failstop: it went to /dev/ttyACM0, the default: is this the board? Name it with --device"
 
 
-def test_the_installed_file_counts_where_none_is_named(asked: Waits, alone: Path) -> None:
-    (alone / "failstop.toml").write_text('device.path = "/dev/board"\nstop.wait_s = 5\n')
-    assert cli.main(["stop"]) == 0
-    assert asked == [("/dev/board", 5.0)]
+def test_the_installed_file_counts_where_none_is_named(tool: Tool) -> None:
+    tool.lab.write(f"{config.FOLDER}/failstop.toml", 'device.path = "/dev/board"\nstop.wait_s = 5\n')
+    assert tool.waits() == ("/dev/board", pytest.approx(5.0, abs=0.1))
+    assert tool.goes()[:2] == (0, "/dev/board")
 
 
-def test_of_another_name_the_default_is_a_guess(asked: Waits, alone: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["stop", "--name", "left"]) == 1
-    assert asked == [("/dev/ttyACM0", 30.0)]
-    assert "is this the board? Name it with --device" in capsys.readouterr().err
-    (alone / "left.toml").write_text('device.path = "/dev/left"\n')
-    assert cli.main(["stop", "--name", "left"]) == 0
+def test_of_another_name_the_default_is_a_guess(tool: Tool) -> None:
+    code, device, _, err = tool.goes("--name", "left")
+    assert (code, device) == (1, "/dev/ttyACM0")
+    assert "is this the board? Name it with --device" in err
+    tool.lab.write(f"{config.FOLDER}/left.toml", 'device.path = "/dev/left"\n')
+    assert Tool.run(tool, "--name", "left")[0] == 0
+    assert tool.boards["/dev/left"].data == BURST
+
+
+@pytest.mark.parametrize("name", ["no/slash", ""])
+def test_what_can_be_no_name_stops_all_the_same(tool: Tool, name: str) -> None:
+    assert tool.goes("--name", name)[:2] == (1, "/dev/ttyACM0")
+
+
+@pytest.mark.parametrize("wait", ["nan", "inf", "-1", "3601"])
+def test_a_wait_without_an_end_is_refused(tool: Tool, wait: str) -> None:
+    tool.plug(*PORTS)
+    said = f"failstop: --wait = {float(wait)!r}: allowed is 0 to 3600 s\n"
+    assert tool.run(f"--wait={wait}") == (1, "", said)
+    assert not any(heard.data for heard in tool.boards.values())
+
+
+def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(tool: Tool) -> None:
+    def fail(thread: object, call: str, about: tuple[object, ...]) -> None:
+        if str(about[:1]).startswith("('/run/failstop"):
+            tool.machine.at_seam = None
+            raise ZeroDivisionError("a defect")
+
+    tool.machine.at_seam = fail
+    code, device, _, err = tool.goes()
+    assert (code, device) == (0, "/dev/ttyACM0")
+    assert "no service can be asked (a defect): writing to the port itself" in err
+
+
+def test_the_last_run_s_port_goes_before_what_a_file_says(tool: Tool) -> None:
+    tool.lab.write(f"{config.FOLDER}/failstop.toml", 'device.path = "/dev/board"\nstop.wait_s = 5\n')
+    tool.last_run("/dev/last")
+    assert tool.goes()[:2] == (0, "/dev/last")
+
+
+@pytest.mark.parametrize(("words", "device"), [(f"--config {FILE}", "board"), ("--device /dev/other", "other")])
+def test_what_is_named_goes_before_the_last_run_s_port(tool: Tool, words: str, device: str) -> None:
+    tool.last_run("/dev/last")
+    tool.lab.write(FILE, 'device.path = "/dev/board"\n')
+    assert tool.goes(*words.split())[:2] == (0, f"/dev/{device}")
+
+
+def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
+    tool.last_run("/dev/left", name="left")
+    sent = "stop frame sent (after 0.0 s), directly to"
+    assert tool.goes("--name", "left")[:3] == (
+        0,
+        "/dev/left",
+        f"{sent} /dev/left, the port of the last run (no service 'left' runs)\n",
+    )
+    assert tool.run() == (0, f"{sent} /dev/ttyACM0 (no service 'failstop' runs)\n", "")
+
+
+# At the end of the service.
+
+
+def in_service(tool: Tool, *others: int, group: str = "0::/system.slice/failstop.service\n") -> None:
+    """As systemd runs it, after the service, with these processes in its control group."""
+    tool.environ["SERVICE_RESULT"] = "watchdog"
+    for pid in ("self", *others):
+        tool.lab.write(f"/proc/{pid}/cgroup", group)
+
+
+def rest(tool: Tool) -> list[Process]:
+    """What is left of the service: two processes."""
+    return [tool.machine.process("left", lambda _: tool.machine.block()) for _ in range(2)]
+
+
+def test_the_end_of_the_service_kills_the_rest_first(tool: Tool) -> None:
+    left = rest(tool)
+    in_service(tool, *(each.pid for each in left))
+
+    def look(thread: object, call: str, about: tuple[object, ...]) -> None:
+        assert all(each.dead for each in left) or about[:1] != ("/dev/ttyACM0",), "the port is not touched before"
+
+    tool.machine.at_seam = look
+    code, device, _, err = tool.goes("--end-service")
+    assert (code, device, err) == (0, "/dev/ttyACM0", "failstop: killed what was left of the service: 2 processes\n")
+    assert all(each.dead for each in left)
+
+
+def test_what_does_not_end_is_said_and_the_stop_is_tried_all_the_same(tool: Tool) -> None:
+    in_service(tool, *(each.pid for each in rest(tool)))
+
+    def refuse(thread: object, call: str, about: tuple[object, ...]) -> None:
+        if call == "kill":
+            raise PermissionError(1, "Operation not permitted")
+
+    tool.machine.at_seam = refuse
+    code, device, _, err = tool.goes("--end-service")
+    assert (code, device) == (0, "/dev/ttyACM0")
+    assert "2 of them have not ended within 1 s" in err
+
+
+def test_a_group_that_cannot_be_read_costs_no_stop(tool: Tool) -> None:
+    in_service(tool)
+
+    def refuse(thread: object, call: str, about: tuple[object, ...]) -> None:
+        if about[:1] == ("/proc/self/cgroup",):
+            raise PermissionError(13, "Permission denied", "/proc/self/cgroup")
+
+    tool.machine.at_seam = refuse
+    code, device, _, err = tool.goes("--end-service")
+    assert (code, device) == (0, "/dev/ttyACM0")
+    assert "cannot kill what is left of the service" in err
+
+
+@pytest.mark.parametrize("why", ["not after a service", "of a login"])
+def test_by_hand_it_ends_nothing(tool: Tool, why: str) -> None:
+    """It would kill the caller's whole login."""
+    left = rest(tool)
+    groups = {"not after a service": "0::/system.slice/failstop.service\n", "of a login": "0::/user.slice/a.scope\n"}
+    in_service(tool, *(each.pid for each in left), group=groups[why])
+    if why == "not after a service":
+        del tool.environ["SERVICE_RESULT"]
+    code, device, _, err = tool.goes("--end-service")
+    assert (code, device) == (1, "/dev/ttyACM0"), "stopped all the same"
+    assert not any(each.dead for each in left)
+    assert "by hand use `failstop stop` without it" in err
+
+
+def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_unit(tool: Tool) -> None:
+    in_service(tool)
+    tool.plug(*PORTS)
+    folder = tool.machine.root.names["dev"]
+    assert isinstance(folder, Directory)
+    port = folder.names["board"]
+    assert isinstance(port, Port)
+    port.drains = False
+    for words, least_s in (("--end-service", stop.STALLED_S), ("--wait 5", 5.0)):
+        begun_ns = tool.machine.now_ns
+        code, _, err = tool.run(*words.split(), "--device", "/dev/board")
+        assert code == 1
+        assert "takes no bytes" in err
+        took_s = (tool.machine.now_ns - begun_ns) / 1e9
+        assert least_s <= took_s <= least_s + 1.0, "the other unit goes on for as long as it is told to"
+
+
+# On ptys and files of the machine that there is.
 
 
 def last_run(device: str, *servos: int, name: str = "failstop") -> None:
     """A service that somebody has started by hand, and that has died, was on this port."""
     instance.remember(instances.make_runtime_dir(name), instance.Last(device, "failstop run", servos))
-
-
-def test_the_last_run_s_port_goes_before_what_a_file_says(asked: Waits, alone: Path) -> None:
-    (alone / "failstop.toml").write_text('device.path = "/dev/board"\nstop.wait_s = 5\n')
-    last_run("/dev/last")
-    assert cli.main(["stop"]) == 0
-    assert asked == [("/dev/last", 5.0)]
-
-
-def test_what_is_named_goes_before_the_last_run_s_port(asked: Waits, file: Path) -> None:
-    last_run("/dev/last")
-    file.write_text('device.path = "/dev/board"\n')
-    assert cli.main(["stop", "--config", str(file)]) == 0
-    assert cli.main(["stop", "--device", "/dev/other"]) == 0
-    assert [device for device, _ in asked] == ["/dev/board", "/dev/other"]
-
-
-def test_the_last_run_of_another_name_is_no_guess_at_all(asked: Waits, capsys: pytest.CaptureFixture[str]) -> None:
-    last_run("/dev/left", name="left")
-    assert cli.main(["stop", "--name", "left"]) == 0
-    assert cli.main(["stop"]) == 0
-    assert [device for device, _ in asked] == ["/dev/left", "/dev/ttyACM0"]
-    assert capsys.readouterr().out == (
-        "stop frame sent (after 0.0 s), directly to /dev/left, the port of the last run (no service 'left' runs)\n"
-        "stop frame sent (after 0.0 s), directly to /dev/ttyACM0 (no service 'failstop' runs)\n"
-    )
 
 
 def test_the_last_run_s_port_is_written_to_at_once(board: tuple[str, int], capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,7 +367,7 @@ def test_where_the_last_run_s_port_has_gone_the_other_is_written_to_and_doubted(
     )
 
 
-def test_a_port_of_the_last_run_that_is_there_and_fails_is_no_reason_to_write_to_another(
+def test_a_last_run_s_port_that_fails_is_no_reason_to_write_to_another(
     board: tuple[str, int], alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     link, master = board
@@ -234,126 +414,6 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
     said = capsys.readouterr()
     assert said.out == ("stop latched\n" if stops else "")
     assert ("is held exclusively by another process; asked in vain: failstop" in said.err) != stops
-
-
-@pytest.mark.parametrize("name", ["no/slash", ""])
-def test_what_can_be_no_name_stops_all_the_same(name: str, asked: Waits) -> None:
-    assert cli.main(["stop", "--name", name]) == 1
-    assert asked == [("/dev/ttyACM0", 30.0)]
-
-
-def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(
-    asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(_: str) -> bool:
-        raise ZeroDivisionError("a defect")
-
-    monkeypatch.setattr(instances, "listens", fails)
-    assert cli.main(["stop"]) == 0
-    assert len(asked) == 1
-    assert "no service can be asked (a defect): writing to the port itself" in capsys.readouterr().err
-
-
-def test_with_the_port_named_a_bad_file_is_only_told(asked: Waits, file: Path) -> None:
-    assert cli.main(["stop", "--config", str(file), "--device", "/dev/board"]) == 0
-    assert asked == [("/dev/board", 30.0)]
-
-
-@pytest.mark.parametrize("wait", ["nan", "inf", "-1", "3601"])
-def test_a_wait_without_an_end_is_refused(wait: str, asked: Waits, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["stop", f"--wait={wait}"]) == 1
-    assert asked == []
-    assert capsys.readouterr().err == f"failstop: --wait = {float(wait)!r}: allowed is 0 to 3600 s\n"
-
-
-@pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch, asked: Waits) -> list[object]:
-    """As if systemd ran it, after the service; what is done, in order. What was killed is what `left` says."""
-    done: list[object] = []
-
-    def kill(timeout_s: float) -> tuple[int, int]:
-        done.append("killed")
-        assert asked == [], "the port is not touched before"
-        return 2, 0
-
-    monkeypatch.setenv("SERVICE_RESULT", "watchdog")
-    monkeypatch.setattr(stopping, "of_a_service", lambda: True)
-    monkeypatch.setattr(stopping, "kill_rest", kill)
-    return done
-
-
-def test_the_end_of_the_service_kills_the_rest_first(
-    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["stop", "--end-service"]) == 0
-    assert service == ["killed"]
-    assert capsys.readouterr().err == "failstop: killed what was left of the service: 2 processes\n"
-
-
-def test_the_end_of_the_service_has_its_own_deadline(service: list[object], asked: Waits) -> None:
-    assert cli.main(["stop", "--end-service", "--device", "/dev/board"]) == 0
-    [(device, wait_s)] = asked
-    assert device == "/dev/board"
-    assert stop.END_SERVICE_S - 1.0 < wait_s <= stop.END_SERVICE_S
-
-
-def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_unit(
-    service: list[object], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    waits: list[float] = []
-
-    def stalled(path: str, wait: Callable[[PortError], float], *_: object) -> float:
-        waits.append(wait(PortError("io", f"{path} takes no bytes")))
-        return 0.0
-
-    monkeypatch.setattr(stopping, "stop", stalled)
-    assert cli.main(["stop", "--end-service", "--device", "/dev/board"]) == 0
-    assert cli.main(["stop", "--device", "/dev/board", "--wait", "3600"]) == 0
-    assert waits == [stop.STALLED_S, 3600.0], "that unit goes on for as long as it is told to"
-
-
-def test_a_shorter_wait_stays(service: list[object], asked: Waits) -> None:
-    assert cli.main(["stop", "--end-service", "--wait", "3"]) == 0
-    assert asked == [("/dev/ttyACM0", 3.0)]
-
-
-def test_what_does_not_end_is_said(
-    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stopping, "kill_rest", lambda timeout_s: (3, 1))
-    assert cli.main(["stop", "--end-service"]) == 0
-    assert "1 of them have not ended within 1 s" in capsys.readouterr().err
-    assert len(asked) == 1, "the stop is tried all the same"
-
-
-def test_a_group_that_cannot_be_read_costs_no_stop(
-    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object) -> tuple[int, int]:
-        raise PermissionError(13, "Permission denied", "/proc/self/cgroup")
-
-    monkeypatch.setattr(stopping, "kill_rest", fails)
-    assert cli.main(["stop", "--end-service"]) == 0
-    assert "cannot kill what is left of the service" in capsys.readouterr().err
-    assert len(asked) == 1
-
-
-@pytest.mark.parametrize(("result", "in_service"), [(None, True), ("success", False)])
-def test_by_hand_it_ends_nothing(
-    result: str | None,
-    in_service: bool,
-    service: list[object],
-    asked: Waits,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It would kill the caller's whole login."""
-    if result is None:
-        monkeypatch.delenv("SERVICE_RESULT")
-    monkeypatch.setattr(stopping, "of_a_service", lambda: in_service)
-    assert cli.main(["stop", "--end-service"]) == 1
-    assert (service, len(asked)) == ([], 1), "nothing killed, and stopped all the same"
-    assert "by hand use `failstop stop` without it" in capsys.readouterr().err
 
 
 def test_the_setting_is_declared_once() -> None:
@@ -407,11 +467,13 @@ def test_no_file_keeps_the_stop_from_the_wire(bad: str, board: tuple[str, int], 
 @pytest.mark.parametrize("bad", BAD_FILES)
 @pytest.mark.timeout(20)
 def test_no_file_keeps_the_stop_from_the_default_port(
-    bad: str, asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
+    bad: str, file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(stopping, "write", asked.append)
     BAD_FILES[bad](file)
     assert cli.main(["stop", "--config", str(file)]) == 1
-    assert asked == [("/dev/ttyACM0", 30.0)]
+    assert asked == ["/dev/ttyACM0"]
     problem, where = capsys.readouterr().err.splitlines()
     assert problem.startswith(f"failstop: configuration {file}")
     assert where.startswith("failstop: it went to /dev/ttyACM0, the default")
@@ -440,11 +502,9 @@ FILES = st.binary() | st.text().map(str.encode) | st.lists(FRAGMENTS).map(lambda
 
 @given(content=FILES)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
-def test_no_bytes_of_a_file_keep_the_stop_from_the_wire(
-    content: bytes, board: tuple[str, int], file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_bytes_of_a_file_keep_the_stop_from_the_wire(content: bytes, board: tuple[str, int], file: Path) -> None:
     link, master = board
-    monkeypatch.setitem(stop.DEFAULTS, stop.DEVICE, link)
+    last_run(link)
     file.write_bytes(content)
     cli.main(["stop", "--config", str(file), "--wait", "0"])
     assert os.read(master, 4096) == BURST

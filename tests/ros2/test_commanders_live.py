@@ -59,7 +59,7 @@ def test_the_second_publisher_is_named_wherever_the_cause_is_told(
     assert "written by the port owner after" in found, "the proofs of the first stop stay"
     if "not known yet" in scene.bridge.said():
         told(scene, "the cause of what is latched is known better: ", "events")
-    monkeypatch.setenv("STATE_DIRECTORY", scene.trial.service._environment["STATE_DIRECTORY"])
+    monkeypatch.setenv("STATE_DIRECTORY", scene.trial.state)
     told(scene, "/joystick", "incident", "list")
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from failstop.lab.trial import Trial
+from failstop.shm import root
 
 
 @pytest.fixture(scope="module")
@@ -26,3 +28,19 @@ def trial(service: Trial) -> Iterator[Trial]:
     service.board.events()
     yield service
     service.leave()
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Makes this a machine where systemd runs and has a unit of that name; until then nothing is installed."""
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+    (tmp_path / "run").mkdir()
+
+    def install(unit: str) -> None:
+        folder = tmp_path / "etc/systemd/system"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / unit).touch()
+        (tmp_path / "run/systemd/system").mkdir(parents=True, exist_ok=True)
+
+    return install

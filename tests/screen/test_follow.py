@@ -7,7 +7,7 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,7 @@ from failstop.api.errors import NoService
 from failstop.cli.screen import follow
 from failstop.cli.screen.follow import CHECK_S, Follower
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import instance, layout, root
+from failstop.shm import instance, layout
 from tests.support.commands import failstop
 
 SECONDS = 20
@@ -69,21 +69,18 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     assert follow.left(trial.name) is None
 
 
-def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_unit_it_is_systemd_that_starts_it(installed: Callable[[str], None]) -> None:
     error = NoService("none")
-    monkeypatch.setattr(host, "unit", lambda _name: "")
     assert follow.refusal("nobody-here", error) is error
-    monkeypatch.setattr(host, "unit", lambda name: f"failstop@{name}")
+    installed("failstop@.service")
     told = str(follow.refusal("nobody-here", error))
     assert "start it with `sudo systemctl start failstop@nobody-here`" in told
     assert "`journalctl -u failstop@nobody-here -e`" in told
 
 
 @pytest.mark.parametrize("name", ["failstop", "left-arm"])
-def test_a_unit_counts_where_systemd_runs_and_has_it(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+@pytest.mark.usefixtures("installed")
+def test_a_unit_counts_where_systemd_runs_and_has_it(name: str, tmp_path: Path) -> None:
     units = tmp_path / "etc/systemd/system"
     units.mkdir(parents=True)
     (units / ("failstop.service" if name == "failstop" else "failstop@.service")).touch()
@@ -93,9 +90,8 @@ def test_a_unit_counts_where_systemd_runs_and_has_it(
     assert host.unit("failstop" if name != "failstop" else "left-arm") == "", "that one is not installed"
 
 
-def test_commands_name_what_is_not_the_usual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "unit", lambda _name: "")
-    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path)])
+@pytest.mark.usefixtures("installed")
+def test_commands_name_what_is_not_the_usual() -> None:
     assert (host.stop(), host.stop(host.DEVICE)) == ("`failstop stop`", "`failstop stop`")
     assert host.stop("/dev/ttyACM1") == "`failstop stop --device /dev/ttyACM1`"
     assert host.stop("/dev/my board") == "`failstop stop --device '/dev/my board'`"
@@ -104,9 +100,8 @@ def test_commands_name_what_is_not_the_usual(tmp_path: Path, monkeypatch: pytest
     assert host.journal("left") == ""
 
 
-def test_what_starts_it_is_what_started_it_the_last_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path)])
-    monkeypatch.setattr(host, "unit", lambda name: f"failstop@{name}")
+def test_what_starts_it_is_what_started_it_the_last_time(installed: Callable[[str], None]) -> None:
+    installed("failstop@.service")
     assert host.start("left") == "`sudo systemctl start failstop@left`"
     command = "failstop run --name left --config '/home/me/my robot.toml'"
     instance.remember(instances.make_runtime_dir("left"), instance.Last("/dev/ttyACM1", command))

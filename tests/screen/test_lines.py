@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from failstop.api import host, verdict
+from failstop.api import verdict
 from failstop.api.errors import FailstopError
 from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
@@ -145,14 +146,13 @@ def test_a_silent_imu_is_not_still() -> None:
     assert found.add(None) is None
 
 
-def test_a_service_that_has_gone_is_said_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "unit", lambda _name: "")
+def test_a_service_that_has_gone_is_said_with_what_to_do(installed: Callable[[str], None]) -> None:
     found, _ = _live()
     said = shown(found.gone("no service named 'failstop' is running", 80))
     for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`failstop run`"):
         assert part in said
     assert "journalctl" not in said
-    monkeypatch.setattr(host, "unit", lambda name: "failstop")
+    installed("failstop.service")
     said = shown(found.gone("no service named 'failstop' is running", 80))
     assert "`journalctl -u failstop -e`" in said
     assert "`sudo systemctl start failstop`" in said

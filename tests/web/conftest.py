@@ -1,4 +1,4 @@
-"""A service on a simulated board, and its page."""
+"""A service on a simulated board, and its page; a module's SETTINGS are those of both."""
 
 from __future__ import annotations
 
@@ -15,14 +15,22 @@ _numbers = itertools.count()
 
 
 @pytest.fixture(scope="module")
-def trial() -> Iterator[Trial]:
-    """Board, service and client with the default settings."""
-    with Trial(f"web-{os.getpid()}-{next(_numbers)}") as running:
+def settings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The settings' file."""
+    path = tmp_path_factory.mktemp("settings") / "failstop.toml"
+    path.write_text(getattr(request.module, "SETTINGS", ""))
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def trial(settings: str) -> Iterator[Trial]:
+    """Board, service and client."""
+    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings)) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def web(trial: Trial) -> Iterator[Web]:
-    """The page of it."""
-    with Web(trial.name) as running:
+def web(trial: Trial, settings: str) -> Iterator[Web]:
+    """The page of it, which finds the trial's incidents."""
+    with Web(trial.name, "--config", settings, state=trial.state) as running:
         yield running

@@ -6,7 +6,6 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,15 +16,7 @@ from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 
 LEASE_S = 0.5
-
-
-@pytest.fixture(scope="module")
-def trial(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
-    """A service that needs an operator."""
-    path = tmp_path_factory.mktemp("attend") / "attend.toml"
-    path.write_text(f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n')
-    with Trial(f"terminal-{os.getpid()}", ("--config", str(path))) as running:
-        yield running
+SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n'
 
 
 class Answering:

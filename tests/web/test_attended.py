@@ -25,20 +25,6 @@ LATE_S = 0.02
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("attended") / "attended.toml"
-    path.write_text(SETTINGS)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """A service that needs an operator."""
-    with Trial(f"attended-{os.getpid()}", ("--config", settings)) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def pages(trial: Trial, settings: str) -> Iterator[list[Web]]:
     """Those that run: one for all tests, and another after a test that ends it."""
     running: list[Web] = []

@@ -25,24 +25,6 @@ SAID = "document.getElementById('stop-said').textContent"
 
 
 @pytest.fixture(scope="module")
-def trial(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
-    """A service that needs an operator."""
-    path = tmp_path_factory.mktemp("browser") / "browser.toml"
-    path.write_text(SETTINGS)
-    with Trial(f"browser-{os.getpid()}", ("--config", str(path))) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """Its page."""
-    path = tmp_path_factory.mktemp("web") / "web.toml"
-    path.write_text(SETTINGS)
-    with Web(trial.name, "--config", str(path), state=trial.state) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with Browser() as running:
         yield running

@@ -4,7 +4,6 @@ wheels stood; times are the robot's."""
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,33 +16,13 @@ from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import driving
 from failstop.web.lease import answer_to
-from tests.web.driving_parts import COMMAND_S, LATE_S, SETTINGS
+from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S
 
 pytestmark = pytest.mark.page
+SETTINGS = DRIVING
 
 FORWARD = "1.00 0.00"
 FULL_MPS = 0.2
-
-
-@pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("driving") / "driving.toml"
-    path.write_text(SETTINGS)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """A service that needs an operator, whose page may drive."""
-    with Trial(f"driving-{os.getpid()}", ("--config", settings)) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    """Its page."""
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,7 @@ def test_what_a_network_delivers_at_once_counts_for_nothing(backlog_s: float) ->
 
 
 @given(st.lists(st.tuples(st.sampled_from(["held", "sure"]), st.floats(0, 1.0)), max_size=60))
-def test_whatever_a_page_says_nothing_counts_that_was_not_held_for_two_seconds_without_a_gap(
+def test_nothing_counts_that_was_not_held_for_two_seconds_whatever_a_page_says(
     said: list[tuple[str, float]],
 ) -> None:
     hold, now_s, unbroken = held(), 10.0, True

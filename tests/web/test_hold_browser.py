@@ -24,14 +24,7 @@ STALL_S = 1.5
 AFTER_S = HOLD_S + GAP_S + SURE_S
 ANSWER = "document.getElementById('answer').textContent"
 BUTTON = "document.getElementById('{}')"
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    config = tmp_path_factory.mktemp("hold") / "web.toml"
-    config.write_text('[web]\npairing = "on"\n')
-    with Web(trial.name, "--config", str(config), state=trial.state) as running:
-        yield running
+SETTINGS = '[web]\npairing = "on"\n'
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,16 +14,7 @@ from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
 from failstop.web import devices
 
-PAIRING = '[web]\npairing = "on"\ntls = "on"\n'
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """With pairing, over HTTPS; it finds the trial's incidents."""
-    config = tmp_path_factory.mktemp("web") / "web.toml"
-    config.write_text(PAIRING)
-    with Web(trial.name, "--config", str(config), state=trial.state) as running:
-        yield running
+SETTINGS = '[web]\npairing = "on"\ntls = "on"\n'
 
 
 @pytest.fixture(scope="module")

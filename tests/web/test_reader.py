@@ -30,27 +30,6 @@ QUIET_PARTS = 30
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("reader") / "reader.toml"
-    path.write_text(SETTINGS)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """A service that needs an operator."""
-    with Trial(f"reader-{os.getpid()}", ("--config", settings)) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    """Its page."""
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def tab(web: Web) -> Iterator[Tab]:
     """A desk without a mouse; no script may throw."""
     with Browser() as browser:

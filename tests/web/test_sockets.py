@@ -6,7 +6,6 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,15 +23,7 @@ IDLE = door.MOST + 5
 STOPS = "/api/stop/live"
 DEEP = "[" * 4000
 TOO_LARGE = "1" + "0" * 3000
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """A page that devices may be paired with."""
-    config = tmp_path_factory.mktemp("sockets") / "web.toml"
-    config.write_text('[web]\npairing = "on"\n')
-    with Web(trial.name, "--config", str(config), state=trial.state) as running:
-        yield running
+SETTINGS = '[web]\npairing = "on"\n'
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Callable, Iterator
 
@@ -13,33 +12,13 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
 from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, TrialError, judge, wait_for
-from tests.web.driving_parts import COMMAND_S, LATE_S, SETTINGS
+from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
+SETTINGS = DRIVING
 
 WORD = "document.getElementById('word').textContent"
 HELD = "document.getElementById('stick').classList.contains('held')"
-
-
-@pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("stick") / "stick.toml"
-    path.write_text(SETTINGS)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """A service that needs an operator, whose page may drive."""
-    with Trial(f"stick-{os.getpid()}", ("--config", settings)) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    """Its page."""
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

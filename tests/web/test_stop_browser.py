@@ -36,13 +36,6 @@ FIRST = 65
 
 
 @pytest.fixture(scope="module")
-def web(trial: Trial) -> Iterator[Web]:
-    """The page, which finds the trial's incidents."""
-    with Web(trial.name, state=trial.state) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with Browser() as running:
         yield running
@@ -106,7 +99,7 @@ def test_a_stop_leaves_while_every_connection_is_taken_and_the_websockets_come_b
     assert len(front.held) >= CONNECTIONS
 
 
-def test_a_stop_leaves_while_every_connection_is_taken_and_the_websocket_delivers_nothing(
+def test_a_stop_leaves_while_all_connections_are_taken_and_the_websocket_is_dumb(
     trial: Trial, front: Front, tab: Tab
 ) -> None:
     before = driving(trial)
@@ -167,7 +160,7 @@ def test_stop_is_tried_until_it_is_written_however_long(trial: Trial, front: Fro
     tab.open("about:blank")
 
 
-def test_a_websocket_that_neither_opens_nor_fails_leaves_the_page_its_state_and_its_stop(
+def test_a_websocket_that_neither_opens_nor_fails_leaves_the_page_state_and_stop(
     trial: Trial, front: Front, browser: Browser
 ) -> None:
     front.holds = ("/api/live", "/api/stop/live")

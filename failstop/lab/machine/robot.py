@@ -6,6 +6,7 @@ import contextlib
 import json
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import msgpack
@@ -180,7 +181,12 @@ class Robot:
         self.streams(me)
         return me
 
-    def command(self, words: Sequence[str], each: Callable[[], object] = lambda: None) -> tuple[int, str, str]:
+    def command(
+        self,
+        words: Sequence[str],
+        each: Callable[[], object] = lambda: None,
+        environ: Mapping[str, str] = MappingProxyType({}),
+    ) -> tuple[int, str, str]:
         """Run `failstop ...` beside the inline program, which calls `each` every 20 ms meanwhile; the exit code, what
         it printed, its errors."""
         out, err = Null(), Null()
@@ -191,7 +197,7 @@ class Robot:
             process.argv = ["failstop", *words]
             return self.loader.load("failstop.cli.main").main(list(words))
 
-        process = self.machine.process(words[0], run, dict(ENVIRON))
+        process = self.machine.process(words[0], run, {**ENVIRON, **environ})
         while process.code is None:
             each()
             self.time.sleep(COMMAND_EVERY_S)
