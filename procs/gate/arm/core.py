@@ -35,7 +35,7 @@ FIND_NS = 4_000_000_000
 
 
 class ArmCore:
-    """What the gate knows of the arm: its joints, whose goal it follows, what is asked of the servos next."""
+    """The arm as the gate knows it: its joints, the goal that it follows, the next question to the servos."""
 
     def __init__(self, settings: Settings, gate: GateCore, now_ns: int) -> None:
         self._gate = gate
@@ -57,7 +57,7 @@ class ArmCore:
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
         self.letting_go: list[Joint] = []
-        """Whose torque is still to be switched off."""
+        """Joints whose torque is still to be switched off."""
         self.active_ns = 0
         """When it was last moved, or asked to; 0: never, or let go since."""
         self.released = False
@@ -69,7 +69,7 @@ class ArmCore:
         """Why the arm takes no goal now; empty when it does."""
         return IS_LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
 
-    # What it is asked for.
+    # Goals.
 
     @property
     def way(self) -> Journey | None:
@@ -78,7 +78,7 @@ class ArmCore:
 
     @property
     def followed(self) -> Journey | Goal | None:
-        """What of all that it is asked for it follows."""
+        """The goal that it follows of all those that were asked for."""
         return self.way or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
@@ -89,7 +89,7 @@ class ArmCore:
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """What it has asked for is followed, or would be."""
+        """True when a goal of this session is followed, or would be."""
         return any(asked and asked.session == session for asked in (self.way, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
@@ -132,7 +132,7 @@ class ArmCore:
         self._journey = journey
         journey.since_ns = now_ns
         for joint in journey.joints:
-            joint.misses = 0  # what was silent before is asked again
+            joint.misses = 0  # silent servos are asked again
         self._reader.hurry(now_ns)
         self.active_ns, self.released = now_ns, False
         return was
@@ -297,7 +297,7 @@ class ArmCore:
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """Which joint is not where it should be, by how much, of what was read; empty when each is."""
+        """The joint that was not read where it should be, and by how much; empty: each is there."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"

@@ -116,7 +116,7 @@ class Journey:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """Which joint is not to be sent there, with its range; empty when each may."""
+    """A joint that may not be sent there, with its range; empty: each may."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
@@ -125,7 +125,7 @@ def too_far(angles: dict[Joint, float]) -> str:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """Which joint is not to turn at that rate, with its limit; empty when each may."""
+    """A joint that may not turn at that rate, with its limit; empty: each may."""
     for joint, rate in rates.items():
         most = joint.speed / PULSES_PER_RAD
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -134,7 +134,7 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Row]) -> str:
-    """Which joint would be asked for more than its speed between two rows of a trajectory, and when."""
+    """A joint that would be asked for more than its speed between two rows of a trajectory, and when."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -66,7 +66,7 @@ class Joint:
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """What people and programs are told of it."""
+        """The joint as people and programs see it."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)

@@ -28,7 +28,7 @@ _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
 class Reader:
-    """Which question is out, and which is next."""
+    """The question that is out, and the next one."""
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:
         self._joints = joints

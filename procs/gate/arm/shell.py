@@ -59,7 +59,7 @@ class Arm:
         self._gate = gate
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
-        """What the black box was told last, and when."""
+        """The last entry of the black box, and its time."""
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
@@ -74,7 +74,7 @@ class Arm:
         """Its way, until people have been told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
-        """What people were told last of each joint."""
+        """The last news of each joint for people."""
         self._due = due
 
     # The gate's turn.
@@ -312,7 +312,7 @@ class Arm:
         self._gate.core.notes.append(Note("arm", text, level=level))
 
     def _tell_joints(self) -> None:
-        """What is wrong with a servo, once, and that it is well again."""
+        """Tell of a servo's fault, once, and that it is well again."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:

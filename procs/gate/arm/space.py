@@ -21,7 +21,7 @@ class Space:
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Whose place must be known before these move; silent ones count where they were last."""
+        """Joints whose place must be known before these move; silent ones count where they were last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
@@ -29,7 +29,7 @@ class Space:
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """What the arm would hit where its joints are to be now; empty: nothing. Then they go on from there."""
+        """The thing that the arm would hit where its joints are to be; empty: nothing. Then they go on from there."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)

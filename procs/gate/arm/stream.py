@@ -19,7 +19,7 @@ MOVES_NS = LONGEST_MOVE_MS * 1_000_000
 
 
 class Stream:
-    """Which joints are on their way, and when each is to be sent its next move."""
+    """Joints on their way, and when each is to be sent its next move."""
 
     def __init__(self, settings: Settings, space: Space) -> None:
         self._period_ns = settings.ns("arm.period_s")
