@@ -57,8 +57,7 @@ _HOMES = ("errors", "snapshot", "events", "robot", "why")
 
 
 def __getattr__(name: str) -> object:
-    """Public names are imported when first used: the processes of the service import this package too, and must stay
-    small."""
+    """Import public names at their first use: the service's processes import this package too, and must stay small."""
     if name == "__version__":
         from failstop.version import VERSION
 

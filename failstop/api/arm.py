@@ -102,8 +102,7 @@ class Arm:
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
-        """Switch the torque off: the arm falls, and lets go of what it holds. Raises Refused while motion is
-        enabled."""
+        """Switch the torque off: the arm falls, and drops what it holds. Raises Refused while motion is enabled."""
         return self._ask(records.ARM_RELEASE)
 
     def read(self, told: Told = None) -> dict[str, float]:

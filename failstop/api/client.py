@@ -63,8 +63,7 @@ def _found(look: Callable[[str], T], where: str) -> T:
 
 
 def run(name: str) -> tuple[str, int]:
-    """The name that the running service's segments share, and the uid they belong to. Raises NoService,
-    FailstopError."""
+    """The name that the running service's segments share, and their owner's uid. Raises NoService, FailstopError."""
     incarnation, owner = _found(instance.run, runtime_dir(name))
     return segment.memory(name, incarnation), owner
 

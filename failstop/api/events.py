@@ -35,8 +35,7 @@ class Event:
     level: str
     """info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 where its fields need
-    the room."""
+    """One line for people, the same as in the journal; cut at 280 bytes, or 200 or 120 where fields need room."""
     fields: dict[str, str | int | float]
     """Values that its kind has beside the text."""
 

@@ -22,8 +22,7 @@ class HeldByThread:
     nobody refers to this any more, too: whatever moment an exception of a signal's handler comes at, none is left."""
 
     def __init__(self, word: Futex) -> None:
-        """Returns once it is held. Raises RuntimeError when there are no more threads, OSError when there are no more
-        descriptors."""
+        """Returns once it is held. Raises RuntimeError for want of a thread, OSError for want of a descriptor."""
         self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
@@ -32,7 +31,11 @@ class HeldByThread:
         gone = weakref.ref(self, self._ends.put)
         word.detach()
         try:
-            _thread.start_new_thread(_live, (word, self._ends, held, gone))
+            try:
+                _thread.start_new_thread(_live, (word, self._ends, held, gone))
+            except RuntimeError:
+                word.close()
+                raise
             held.acquire()
         except BaseException:
             self.let_go()

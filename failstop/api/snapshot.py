@@ -358,8 +358,7 @@ class State:
     arm: ArmState | None = None
     """None without an arm in the settings, and while a service starts, until its gate has told of the arm."""
     unmet: str = ""
-    """The reason why an interlock does not hold, in the words of its refusal; empty: every one that is declared
-    holds."""
+    """The reason why an interlock does not hold, in the words of its refusal; empty: all that are declared hold."""
     starved_times: int = 0
     """How often in this run the machine explained a silence as `starved` does."""
     lease_s: float = 0.06

@@ -187,8 +187,7 @@ def _told(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Advice on an error that came of too many open files, also where it was raised anew on its way; empty for
-    others."""
+    """Advice on an error of too many open files, also where it was raised anew on its way; empty for others."""
     import resource
 
     from failstop.procs.rights import no_descriptors

@@ -47,8 +47,7 @@ def tell(text: str) -> None:
 
 
 def let_go() -> None:
-    """Drop the bytes that stdout still holds; else the interpreter would try again at its end, and tell of it
-    itself."""
+    """Drop the bytes that stdout still holds; else the interpreter would try again at its end, and tell of it."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)

@@ -244,6 +244,7 @@ PROGRAMS = (
 )
 
 
+@pytest.mark.starts
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.__name__)
 def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_path: Path) -> None:
     import mmap

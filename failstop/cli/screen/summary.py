@@ -31,8 +31,7 @@ KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
-    """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
-    oldest first."""
+    """The screen. `now_s`: Unix time, for ages; `columns`: the width; `events`: of this run, oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
     if death := verdict.death(state, events):
