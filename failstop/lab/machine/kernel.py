@@ -260,11 +260,12 @@ class Machine:
         while self.now_ns < until_ns:
             self.block(until_ns)
 
-    def give_way(self) -> None:
-        """Let every other runnable thread run first."""
+    def give_way(self, to: Process | None = None) -> None:
+        """Let every other runnable thread run first, or those of one process alone."""
         thread = self.current
         assert thread is not None
-        self._runnable.append(thread)
+        first = [each for each in self._runnable if to is None or each.process is to]
+        self._runnable = deque((*first, thread, *(each for each in self._runnable if each not in first)))
         self.hub.switch()
         if thread.process.dead:
             raise Death
@@ -357,7 +358,9 @@ class Machine:
 
     def hold(self, process: Process, ns: int, *, starved: bool = False) -> None:
         """Run nothing of a process for so long."""
-        process.held_since_ns, process.held_until_ns = self.now_ns, self.now_ns + ns
+        if process.held_until_ns <= self.now_ns:
+            process.held_since_ns = self.now_ns
+        process.held_until_ns = max(process.held_until_ns, self.now_ns + ns)
         process.starved = starved
 
         def over() -> None:

@@ -28,12 +28,14 @@ class Board:
         self.model = BoardModel(machine.now_ns, imu_hz=imu_hz)
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
+        self.on_bytes: Callable[[bytes], None] = lambda data: None
         self._told = 0
         self._due_ns = 1 << 62
         self._plan()
 
     def receive(self, data: bytes) -> None:
         """Bytes of the port, now."""
+        self.on_bytes(data)
         self.model.receive(data, self.machine.now_ns)
         self._plan()
 

@@ -1,5 +1,5 @@
 """Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
-must notice. A campaign that finds none of them finds nothing. A patch names a piece of source that is there once, so a
+must notice, by its single faults or else by seeds. A campaign that finds none of them finds nothing. A patch names a piece of source that is there once, so a
 change of that code makes the control fail, not pass."""
 
 from __future__ import annotations
@@ -13,7 +13,25 @@ PORT_OWNER = "failstop.procs.port_owner.main"
 WIRE = "failstop.procs.port_owner.wire"
 STOPPER = "failstop.procs.stopper.main"
 SUPERVISOR = "failstop.supervisor.main"
+STATUS = "failstop.supervisor.status"
+HANDOVER = "failstop.supervisor.port_handover"
+TABLE = "failstop.supervisor.process_table"
+LATCH = "failstop.supervisor.latch"
+PEER = "failstop.procs.peer"
 STOP_PORT = "failstop.board.stop_port"
+
+NOT_EXPRESSED = {
+    "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
+    "moving, look": "both sides must see the old value of the other's word, which takes a store that is late",
+    "ready": "between the two stores the supervisor decides no reset, without which no enable is granted",
+    "cause": "the late cause counts only for who loads it after the epoch, in another order than it was stored",
+    "ring": "an entry that is not whole is seen when cells are torn between two versions",
+    "still, unknown": "what people are told of wheels that were seen; no frame hangs on it",
+    "reply": "what a program is told of its state; no frame hangs on it",
+    "bell": "the kernel's own locks",
+}
+"""Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for,
+where each store is seen by all at once."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +74,78 @@ CONTROLS = (
         ),
     ),
     Control(
-        "the stopper does not fence",
+        "nobody fences",
         "port_owner_hangs",
+        (
+            (SUPERVISOR, "self._kill(child.pid, signal.SIGKILL)", "pass"),
+            (STOPPER, "            life.kill()\n", ""),
+        ),
+    ),
+    Control(
+        "the stopper does not fence",
+        "stopper_alone_runs",
+        ((STOPPER, "            life.kill()\n", ""),),
+    ),
+    Control(
+        "the stopper does not notice a silence",
+        "port_owner_and_supervisor_hang",
         ((STOPPER, "HANG_NS = 250_000_000", "HANG_NS = 250_000_000_000"),),
+    ),
+    Control(
+        "fencing writes before it kills",
+        "port_owner_hangs_shortly",
+        (
+            (
+                SUPERVISOR,
+                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n"
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n",
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n"
+                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n",
+            ),
+        ),
+    ),
+    Control(
+        "ready before the port owner's answer",
+        "reset_races_stop",
+        ((STATUS, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
+    ),
+    Control(
+        "an early stop beside the loop's write",
+        "gate_dies",
+        (
+            (
+                STOP_PORT,
+                "        with self._writing:\n            if self.fd >= 0:\n                self._write_early()",
+                "        if self.fd >= 0:\n            self._write_early()",
+            ),
+        ),
+    ),
+    Control(
+        "stays down, and no second burst",
+        "port_owner_hangs_and_stays_down",
+        (
+            (SUPERVISOR, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
+            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
+            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (PEER, "        if self.named() == pid:\n            self._stop()\n", ""),
+        ),
+    ),
+    Control(
+        "stays down, and no burst at the return",
+        "port_owner_stays_down",
+        (
+            (HANDOVER, "written = StopPort(fd).burst()", "written = True"),
+            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (STOPPER, "            else:\n                self._write()\n\n", "\n"),
+        ),
     ),
     Control(
         "nobody answers the port owner's death",
         "port_owner_dies",
-        ((SUPERVISOR, "written = self._port.burst()", "written = False"),),
+        (
+            (SUPERVISOR, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
+            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
+        ),
     ),
     Control(
         "a new port hides the loss of the old",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.lab.machine.files import Open, Port, Regular
+from failstop.lab.machine.files import Fifo, Open, Port, Regular
 from failstop.lab.machine.kernel import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.stage import Stage
@@ -68,10 +68,14 @@ def faults(
         yield "dies in mid-write", lambda: _cut(stage, process, opened, about[1])
         yield f"held{told} in the write", lambda: _held_in_write(stage, process, opened, about[1], held_ns)
     if process.name in WRITERS:
+        yield "somebody asks for a stop", lambda: ask_beside(stage)
         for name in SERVICE:
             other = stage.robot.named(name)
             if other and other is not process:
                 yield f"{name} dies beside", lambda other=other: _beside(stage, other)  # type: ignore[misc]
+                if process.name == "port_owner":
+                    told = f"{name} dies beside, and a thread hears"
+                    yield told, lambda other=other: _beside(stage, other, process)  # type: ignore[misc]
 
 
 def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
@@ -80,6 +84,17 @@ def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
     if opened and isinstance(opened.node, Regular):
         return DISK_REFUSES
     return (SHORT_OF[call],) if call in SHORT_OF else ()
+
+
+def ask_beside(stage: Stage) -> None:
+    """Another program's bytes are in the stop pipe, where there is one that is read."""
+    here = stage.machine.root.names["run"]
+    for part in ("failstop", "failstop", "stop"):
+        here = getattr(here, "names", {}).get(part)  # type: ignore[assignment]
+    if isinstance(here, Fifo) and here.ends(0, 2):
+        stage.witness.asked()
+        here.data += b"beside\n"
+        here.notify()
 
 
 def _held(stage: Stage, process: Process, ns: int, *, starved: bool = False) -> None:
@@ -120,7 +135,8 @@ def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
     stage.machine.die(process, -9)
 
 
-def _beside(stage: Stage, other: Process) -> None:
-    """On another core, while this call is still to come: who waits for that death runs before it."""
+def _beside(stage: Stage, other: Process, hears: Process | None = None) -> None:
+    """On another core, while this call is still to come: who waits for that death runs before it, or only the threads
+    of one process."""
     stage.machine.die(other, -9)
-    stage.machine.give_way()
+    stage.machine.give_way(hears)

@@ -6,12 +6,13 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
+from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, SPEED_MPS, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
 """Servo, pulses of the tuck pose and of the drive pose."""
+SLOW_MPS = 0.01
 LOOKS = 60
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 KEYS = ("servo", "tuck", "drive")
@@ -74,6 +75,64 @@ for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry
 
 
 @scenario
+def port_owner_and_supervisor_hang(stage: Stage) -> None:
+    """Both are silent, and the stopper is the one that notices."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.hold_again("supervisor", 60, 640)
+    stage.freeze("port_owner", 700)
+    stage.drive(robot, 0.9)
+
+
+@scenario
+def stopper_alone_runs(stage: Stage) -> None:
+    """Nothing but the stopper runs for a while; supervisor and gate wake before the port owner, and judge nobody."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    for name in ("supervisor", "gate"):
+        stage.hold_again(name, 70, 187)
+    stage.freeze("port_owner", 260)
+    stage.drive(robot, 0.4)
+
+
+@scenario
+def port_owner_hangs_shortly(stage: Stage) -> None:
+    """The port owner is silent for hardly longer than the supervisor waits."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.freeze("port_owner", 112)
+    stage.drive(robot, 0.2)
+
+
+def _stays_down(stage: Stage) -> None:
+    """The port owner dies and is not started again; the board is unplugged meanwhile, and is back."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.unplug()
+    stage.kill("port_owner")
+    stage.time.sleep(0.03)
+    stage.replug()
+    stage.time.sleep(0.1)
+
+
+def _hangs_and_stays_down(stage: Stage) -> None:
+    """The port owner is silent, and not started again after it was killed for that."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.freeze("port_owner", 160)
+    stage.drive(robot, 0.2)
+
+
+for _play in (_stays_down, _hangs_and_stays_down):
+    scenario(_play, f"port_owner{_play.__name__}", settings={"restart.deaths": 1})
+
+
+@scenario
 def telemetry_dies_often(stage: Stage) -> None:
     """Telemetry is killed until it is not restarted any more, then people reset."""
     robot = stage.connect()
@@ -117,7 +176,7 @@ def reset_races_stop(stage: Stage) -> None:
     robot.reset()
     stage.stop(robot, "again")
     stage.enable(robot)
-    stage.drive(robot, 0.02)
+    stage.drive(robot, 0.04, SLOW_MPS)
 
 
 @scenario

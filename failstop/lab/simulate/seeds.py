@@ -20,7 +20,8 @@ from typing import Any
 from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS
-from failstop.lab.simulate.odd import Event, Odd, Where, places
+from failstop.lab.simulate.odd import Event, Odd
+from failstop.lab.simulate.places import Places, Where
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Tape
@@ -106,9 +107,9 @@ class Nursery:
 
     def _found(self, name: str, *, cold: bool) -> tuple[Where, list[str]]:
         stage = self._stage(name, cold=cold)
-        found = places(stage.machine)
+        found = Places(stage)
         stage.run()
-        return found, stage.robot.loader.loaded()
+        return found.where(), stage.robot.loader.loaded()
 
     def _judged(self, name: str, tape: Tape, fixed: list[Event] | None, *, cold: bool) -> dict[str, Any]:
         stage = self._stage(name, cold=cold)

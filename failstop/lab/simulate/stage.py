@@ -20,7 +20,7 @@ SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
 SPEED_MPS = 0.1
-SPEED_RPS = 0.398
+RPS_PER_MPS = 3.98
 LONGEST_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
 LIVE_NS = 2_000 * MS
@@ -40,7 +40,7 @@ class Stage:
         """`stores`: what is stored in shared memory is a place for a fault too."""
         self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
         self.machine = self.robot.machine
-        self.witness = Witness(self.robot, SPEED_RPS)
+        self.witness = Witness(self.robot)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
@@ -94,12 +94,14 @@ class Stage:
             robot.reset()
         self.witness.asks_for_motion()
         robot.enable()
+        self.witness.is_granted()
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
         until_s = self.time.monotonic() + seconds
         while self.time.monotonic() < until_s:
             robot.sensed()
+            self.witness.asks_for(speed_mps * RPS_PER_MPS)
             robot.drive(speed_mps, 0.0, 0.0)
             self.time.sleep(PERIOD_S)
 
@@ -166,6 +168,10 @@ class Stage:
         """Take a file of the service's away."""
         self.robot.loader.system["os"].unlink(path)
         self.must_stop(f"{path} was removed", 1_100)
+
+    def hold_again(self, name: str, after_ms: int, ms: int) -> None:
+        """Run nothing of a process for so long, from a moment on that is so far away."""
+        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms))
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""
