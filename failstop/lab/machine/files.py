@@ -326,6 +326,8 @@ class Epoll(Node):
         super().__init__()
         self.wanted: dict[int, tuple[Open, int]] = {}
         self.maybe: dict[int, None] = {}
+        self.late: dict[int, tuple[Open, int]] = {}
+        """What is heard of again later."""
 
     def add(self, fd: int, opened: Open, events: int) -> None:
         if fd not in self.wanted:
@@ -334,6 +336,8 @@ class Epoll(Node):
         self.told(fd)
 
     def drop(self, fd: int) -> None:
+        if self.late.pop(fd, None):
+            return
         opened, _ = self.wanted.pop(fd)
         self.maybe.pop(fd, None)
         opened.in_epolls.remove((self, fd))
@@ -341,6 +345,19 @@ class Epoll(Node):
     def told(self, fd: int) -> None:
         self.maybe[fd] = None
         self.notify()
+
+    def hear_late(self, fd: int, machine: Machine, ns: int) -> None:
+        """News of this descriptor comes so much later."""
+        watched = self.wanted[fd]
+        self.drop(fd)
+
+        def hear() -> None:
+            if fd in self.late:
+                del self.late[fd]
+                self.add(fd, *watched)
+
+        self.late[fd] = watched
+        machine.at(machine.now_ns + ns, hear)
 
     def take(self) -> list[tuple[int, int]]:
         """What is ready; one that is watched for its edge alone is told of once."""
@@ -436,16 +453,15 @@ class Port(Node):
         self.refuses = False
         self.notify()
 
-    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
-        """The device is gone, for good: a replug is another node. `late_ns`: so much later who has it open is woken."""
+    def unplug(self, late_ns: Callable[[Epoll], int] = lambda epoll: 0) -> None:
+        """The device is gone, for good: a replug is another node. `late_ns`: so much later who waits there hears."""
         self.gone = True
         self.came.clear()
         self.held.clear()
-        for opened in tuple(self.opened):
-            if ns := late_ns(opened):
-                self.machine.at(self.machine.now_ns + ns, opened.notify)
-            else:
-                opened.notify()
+        late = [(epoll, fd) for opened in self.opened for epoll, fd in opened.in_epolls if late_ns(epoll)]
+        for epoll, fd in late:
+            epoll.hear_late(fd, self.machine, late_ns(epoll))
+        self.notify()
 
     def closed(self, opened: Open) -> None:
         if not self.opened:

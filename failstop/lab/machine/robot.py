@@ -10,7 +10,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Node, Null, Open, Port, Regular
+from failstop.lab.machine.files import Directory, Epoll, Node, Null, Open, Port, Regular
 from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.sim.model import BoardModel, Frame
@@ -111,7 +111,7 @@ class Robot:
         self._folder("/dev").put("ttyACM0", port)
         return port
 
-    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
+    def unplug(self, late_ns: Callable[[Epoll], int] = lambda epoll: 0) -> None:
         """Pull the plug; `late_ns` as in Port.unplug."""
         if self.board.port:
             self._folder("/dev").drop("ttyACM0")

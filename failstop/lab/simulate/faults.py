@@ -65,6 +65,7 @@ def faults(
         yield errno.errorcode[number], _refused(stage, process, call, number)
     if call == "write" and opened and isinstance(opened.node, Port):
         yield "short write", lambda: _shortened(stage, process)
+        yield "short write, while somebody asks for a stop", lambda: _shortened(stage, process, asked=True)
         yield "dies in mid-write", lambda: _cut(stage, process, opened, about[1])
         yield f"held{told} in the write", lambda: _held_in_write(stage, process, opened, about[1], held_ns)
     if process.name in WRITERS:
@@ -124,9 +125,11 @@ def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable
     return refuse
 
 
-def _shortened(stage: Stage, process: Process) -> None:
+def _shortened(stage: Stage, process: Process, *, asked: bool = False) -> None:
     stage.witness.tell(f"a write of {process.name} is taken by half")
     stage.machine.shortened = True
+    if asked:
+        ask_beside(stage)
 
 
 def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from failstop.lab.machine.files import Port
+from failstop.lab.machine.files import Epoll, Port
 from failstop.lab.machine.kernel import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import Fault, faults, line_of
@@ -93,18 +93,18 @@ class Odd:
             self._arm(where)
         stage.machine.at_seam = self._at
 
-    def late_hang_up_ns(self) -> Callable[[Any], int]:
+    def late_hang_up_ns(self) -> Callable[[Epoll], int]:
         """How much later each process is woken by the loss of the port."""
         if not self._free and not self._hangs:
-            return lambda opened: 0
+            return lambda epoll: 0
         late = self._tape.draw(HANG_UP, 1 + len(WRITERS), 0.5)
         dice = self._tape.dice(f"{HANG_UP} by")
         ns = spread(dice, 100_000, 100 * MS)
         name = WRITERS[late - 1] if late else ""
 
-        def of(opened: Any) -> int:
+        def of(epoll: Epoll) -> int:
             process = self._stage.robot.named(name) if name else None
-            return ns if process and opened in process.files.values() else 0
+            return ns if process and any(each.node is epoll for each in process.files.values()) else 0
 
         if late:
             self._tell(Event(HANG_UP, name, 0, f"{ns / MS:g} ms late", f"{name} hears of the loss of the port"))

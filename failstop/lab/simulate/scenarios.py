@@ -107,6 +107,20 @@ def port_owner_hangs_shortly(stage: Stage) -> None:
     stage.drive(robot, 0.2)
 
 
+@scenario
+def port_owner_held_in_its_write(stage: Stage) -> None:
+    """It is past its checks when telemetry dies; a program goes on more slowly as soon as it may."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.1)
+    stage.hold_in_write("port_owner", 76)
+    stage.drive(robot, 0.02)
+    stage.kill("telemetry")
+    robot.wait_for("latched", 1.0)
+    stage.enable(robot)
+    stage.drive(robot, 0.06, SLOW_MPS)
+
+
 def _stays_down(stage: Stage) -> None:
     """The port owner dies and is not started again; the board is unplugged meanwhile, and is back."""
     robot = stage.connect()

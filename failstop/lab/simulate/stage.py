@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from failstop.lab.machine.files import Epoll
 from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS, Robot
@@ -46,8 +47,8 @@ class Stage:
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time: Any = self.robot.loader.system["time"]
         self.take(play)
-        self.hang_up_ns: Callable[[Any], int] = lambda opened: 0
-        """How much later a descriptor tells of the loss of the port."""
+        self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
+        """How much later who waits there hears of the loss of the port."""
         self._begun = False
         self._keep = True
         self.player: Process | None = None
@@ -172,6 +173,19 @@ class Stage:
     def hold_again(self, name: str, after_ms: int, ms: int) -> None:
         """Run nothing of a process for so long, from a moment on that is so far away."""
         self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms))
+
+    def hold_in_write(self, name: str, ms: int) -> None:
+        """Run nothing of a process for so long, from its next write to the port on, whose bytes are then late."""
+        board, heard = self.robot.board, self.robot.board.on_bytes
+
+        def late(data: bytes) -> None:
+            if found := self.robot.named(name):
+                board.on_bytes = heard
+                self.witness.held(found, ms * MS)
+                self.machine.hold(found, ms * MS)
+            heard(data)
+
+        board.on_bytes = late
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""

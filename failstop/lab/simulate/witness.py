@@ -157,7 +157,7 @@ class Witness:
             self.moved_ns = frame.executed_ns
             if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
-            if frame.arrival_ns > self._stop_ns:
+            if frame.executed_ns > self._stop_ns:
                 self._more -= 1
                 if self._more < 0:
                     self.wrong("a frame turns the wheels behind a stop that was written early")
