@@ -10,9 +10,10 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Directory, Epoll, Node, Null, Open, Port, Regular
+from failstop.lab.machine.files import Directory, Epoll, Node, Null, Open, Regular
 from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.port import Port
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"

@@ -11,8 +11,9 @@ import termios
 from typing import Any
 
 from failstop.lab.machine.calls import Calls, Module, constants
-from failstop.lab.machine.files import Directory, Fifo, Open, Port, Regular, Socket
+from failstop.lab.machine.files import Directory, Fifo, Open, Regular, Socket
 from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.port import Port
 
 WHOLE = -1
 """The place of a lock on a whole file (flock)."""

@@ -1,12 +1,15 @@
 """Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
-must notice, by its single faults or else by seeds. A campaign that finds none of them finds nothing. A patch names a piece of source that is there once, so a
-change of that code makes the control fail, not pass."""
+must notice, by its single faults or else by seeds. A campaign that finds none of them finds nothing. A patch names a
+piece of source that is there once, so a change of that code makes the control fail, not pass."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from failstop.lab.machine.loading import Patches
+from failstop.lab.simulate.campaign import Plan, explore
+from failstop.lab.simulate.seeds import seeds, used_s
 
 ADMISSION = "failstop.procs.port_owner.admission"
 PORT_OWNER = "failstop.procs.port_owner.main"
@@ -159,3 +162,30 @@ CONTROLS = (
         ((PORT_OWNER, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
     ),
 )
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a control was found: by which campaign, after how much of a processor's time, with how many faults."""
+
+    row: str
+    by: str
+    took_s: float
+    faults: int
+    story: str = ""
+
+
+def search(seconds: float) -> Iterator[Found]:
+    """Each control, by the single faults of its scenario, and else by seeds of it for so long."""
+    for control in CONTROLS:
+        begun_s = used_s()
+        single = explore(Plan(control.scenario, most=1, patches=control.patches, first=True))
+        if single.wrong:
+            run = single.wrong[0]
+            how = "single faults" if run.fault else "the scenario"
+            yield Found(control.row, how, used_s() - begun_s, int(bool(run.fault)), run.text())
+            continue
+        drawn = seeds(0, 1, seconds, control.patches, [control.scenario])
+        by = "seeds" if drawn.wrong else "NOTHING"
+        story, faults = (drawn.wrong[0].text(), len(drawn.wrong[0].events)) if drawn.wrong else ("", 0)
+        yield Found(control.row, by, used_s() - begun_s, faults, story)

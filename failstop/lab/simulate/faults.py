@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.lab.machine.files import Fifo, Open, Port, Regular
+from failstop.lab.machine.files import Fifo, Open, Regular
 from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.witness import SERVICE, WRITERS
@@ -48,9 +49,7 @@ def line_of(call: str, about: tuple[Any, ...]) -> str:
     return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
 
 
-def faults(
-    stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS
-) -> Iterator[Fault]:
+def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS) -> Iterator[Fault]:
     """The faults that may happen at this call, with their names."""
     process = thread.process
     told = "" if held_ns == HELD_NS else f" for {held_ns // MS} ms"

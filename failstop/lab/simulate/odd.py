@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from failstop.lab.machine.files import Epoll, Port
+from failstop.lab.machine.files import Epoll
 from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import Fault, faults, line_of
 from failstop.lab.simulate.places import Where
@@ -50,7 +51,7 @@ class Event:
 
 def spread(dice: Random, least: float, most: float) -> int:
     """A number between the two, as often in each decade."""
-    return round(least * (most / least) ** dice.random())
+    return round(least * float((most / least) ** dice.random()))
 
 
 class Count:
@@ -165,9 +166,7 @@ class Odd:
         self._stage.witness.tell(f"ODD: {event.fault}, at {event.where}")
         self.events.append(event)
 
-    def _possible(
-        self, thread: Thread, call: str, about: tuple[Any, ...], dice: Random
-    ) -> Iterator[tuple[str, Fault]]:
+    def _possible(self, thread: Thread, call: str, about: tuple[Any, ...], dice: Random) -> Iterator[tuple[str, Fault]]:
         """Kind and fault of each that may happen at this call."""
         stage, process = self._stage, thread.process
         long_ns, short_ns = spread(dice, 20 * MS, 1_500 * MS), spread(dice, 1_000, 50 * MS)
@@ -192,8 +191,11 @@ def _kind(name: str) -> str:
 
 
 def _pause(stage: Stage, process: Process, ns: int) -> None:
+    """The thread that runs does not go on for so long; the other threads of its process do."""
     stage.witness.late(process, ns)
-    stage.machine.pause(ns)
+    until_ns = stage.machine.now_ns + ns
+    while stage.machine.now_ns < until_ns:
+        stage.machine.block(until_ns)
 
 
 def refuse(stage: Stage, port: Port, ns: int) -> None:

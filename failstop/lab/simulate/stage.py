@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from greenlet import getcurrent
+
 from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.simulate import marks
@@ -69,7 +71,11 @@ class Stage:
             store = getattr(where, name)
 
             def told(*arguments: Any, _store: Any = store) -> None:
-                machine.point("store")
+                thread = machine.current
+                if machine.at_seam and thread:
+                    if thread.process.dead or getcurrent() is not thread.greenlet:
+                        raise Death
+                    machine.at_seam(thread, "store", ())
                 _store(*arguments)
 
             setattr(where, name, told)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from failstop.board.framing import MOTOR
 from failstop.board.interface import BOARD
-from failstop.lab.machine.files import Port
 from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.sim.model import BYTE_NS, Frame
 
@@ -112,11 +112,12 @@ class Witness:
         self._stop_ns = min(self._stop_ns, begun_ns + len(BOARD.first_stop) * BYTE_NS)
 
     def must_stop(self, why: str, within_ns: int) -> None:
-        """From `within_ns` on the wheels stand, until a program asks for motion again."""
+        """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
+        goes first."""
         self.tell(why)
-        self._judge_in(within_ns, why, self._asked, reached=True)
+        self._judge_in(within_ns, why, self._asked, reached=True, after_ns=self._wire_ns - self._machine.now_ns)
 
-    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool) -> None:
+    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0) -> None:
         def due() -> None:
             if self._asked != asked:
                 return
@@ -127,7 +128,7 @@ class Witness:
             else:
                 self._judge_in(within_ns, why, asked, reached=self.reached())
 
-        self._machine.at(self._machine.now_ns + within_ns, due)
+        self._machine.at(self._machine.now_ns + max(0, after_ns) + within_ns, due)
 
     def reached(self) -> bool:
         """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
@@ -200,7 +201,6 @@ class Witness:
             self.must_stop(f"{process.name} is silent", HANG_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
-
 
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for so long."""
