@@ -1,7 +1,7 @@
 """Places: the calls of an unfaulted run, by the lines of code that make them.
 
-A call of the port owner's in a turn that turns the wheels is another place than the same call in another turn: what
-happens before such a frame is what the stop protocol is about.
+A call of the port owner's in a turn that keeps the wheels turning is another place than the same call in another turn:
+what happens before such a frame is what the stop protocol is about.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ class Places:
     """Writes the places down while a stage runs."""
 
     def __init__(self, stage: Stage) -> None:
+        self._stage = stage
         self._count = 0
         self._lines: list[tuple[int, str]] = []
         self._turns: dict[int, list[int]] = {}
@@ -42,7 +43,8 @@ class Places:
         if call == "epoll_wait":
             turn.clear()
         turn.append(self._count)
-        if call == "write" and isinstance(thread.process.files[about[0]].node, Port) and _turns(about[1]):
+        moves = any(self._stage.robot.board.model.wheels)
+        if moves and call == "write" and isinstance(thread.process.files[about[0]].node, Port) and _turns(about[1]):
             self.before.update(turn)
 
     def where(self) -> Where:
