@@ -31,7 +31,6 @@ STOPPER_NS = 290 * MS
 ZEROS_NS = 250 * MS
 """While it is stopped a board is told zero again within so long."""
 SLACK_RPS = 1e-3
-NEVER = 1 << 62
 
 
 class Witness:
@@ -58,8 +57,9 @@ class Witness:
         """What programs have asked the wheels for since they asked for motion last."""
         self._wire_ns = 0
         """When the board will have read all that was written to it."""
-        self._stop_ns, self._more = NEVER, 0
-        """From when on so many more frames may turn the wheels, before a program asks for motion again."""
+        self._stops: dict[bool, tuple[int, int]] = {}
+        """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
+        a program asks for motion again."""
         self._late_ns = 0
         """Until then a thread of who writes to the board may pause."""
         self._late = False
@@ -85,7 +85,7 @@ class Witness:
         self._asked += 1
         self._asking = True
         self._forbidden, self._late = "", False
-        self._stop_ns = NEVER
+        self._stops = {}
         self.tell("a program asks for motion")
 
     def is_granted(self) -> None:
@@ -108,8 +108,7 @@ class Witness:
         own = thread.process.name == "port_owner"
         if own and data != BOARD.first_stop:
             return
-        self._more = 0 if own else min(self._more, 1) if self._stop_ns < NEVER else 1
-        self._stop_ns = min(self._stop_ns, begun_ns + len(BOARD.first_stop) * BYTE_NS)
+        self._stops.setdefault(own, (begun_ns + len(BOARD.first_stop) * BYTE_NS, 0 if own else 1))
 
     def must_stop(self, why: str, within_ns: int) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
@@ -126,7 +125,8 @@ class Witness:
                 if any(self._robot.board.model.wheels):
                     self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
             else:
-                self._judge_in(within_ns, why, asked, reached=self.reached())
+                after_ns = self._wire_ns - self._machine.now_ns
+                self._judge_in(within_ns, why, asked, reached=self.reached(), after_ns=after_ns)
 
         self._machine.at(self._machine.now_ns + max(0, after_ns) + within_ns, due)
 
@@ -158,10 +158,11 @@ class Witness:
             self.moved_ns = frame.executed_ns
             if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
-            if frame.executed_ns > self._stop_ns:
-                self._more -= 1
-                if self._more < 0:
-                    self.wrong("a frame turns the wheels behind a stop that was written early")
+            for own, (stop_ns, more) in self._stops.items():
+                if frame.executed_ns > stop_ns:
+                    self._stops[own] = stop_ns, more - 1
+                    if more < 1:
+                        self.wrong("a frame turns the wheels behind a stop that was written early")
             if not self._asking and max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS:
                 self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
         if frame.wild:
