@@ -11,7 +11,7 @@ from failstop.lab.simulate.seeds import Nursery, Seeded
 from failstop.lab.simulate.tape import Tape
 
 pytestmark = pytest.mark.slow
-NO_LEASE = next(each for each in CONTROLS if each.row == "no lease of the gate")
+OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 
 
 def test_a_draw_that_is_taken_out_changes_no_other() -> None:
@@ -40,7 +40,8 @@ def test_events_that_are_given_come_where_they_came_before() -> None:
 
 
 def test_a_failure_keeps_only_the_events_that_it_needs() -> None:
-    nursery = Nursery([NO_LEASE.scenario], NO_LEASE.patches)
+    """The stop of the port owner's own is what the stop request is answered by."""
+    nursery = Nursery([OWN_STOP.scenario], OWN_STOP.patches)
     failed = next(run for seed in range(40) if (run := nursery.run(seed)).violations)
     shrunk = nursery.shrunk(failed)
     assert shrunk.violations

@@ -50,7 +50,7 @@ class Control:
 CONTROLS = (
     Control(
         "no epoch in frames",
-        "drive_and_stop",
+        "reset_races_stop",
         ((ADMISSION, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
     ),
     Control(
@@ -154,7 +154,13 @@ CONTROLS = (
     Control(
         "no lease of the gate",
         "gate_hangs",
-        ((ADMISSION, "(layout.GATE, gate_ns), (layout.SUPERVISOR", "(layout.SUPERVISOR"),),
+        (
+            (
+                ADMISSION,
+                "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
+                "in ((layout.SUPERVISOR, supervisor_ns),):",
+            ),
+        ),
     ),
     Control(
         "a sleep of the machine goes unnoticed",
