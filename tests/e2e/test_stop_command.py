@@ -22,8 +22,9 @@ from failstop.board.interface import BOARD
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
-from failstop.lab.machine.files import Directory, Port
+from failstop.lab.machine.files import Directory
 from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import Robot
 from failstop.shm import instance, root
 from tests.support.commands import FAILSTOP, failstop

@@ -29,7 +29,15 @@ KINDS: tuple[str, ...] = (
     "down",
 )
 KINDS += ("device_lost", "device_back", "driver_gone", "unstill")
+HELD = (
+    "port_owner_and_supervisor_hang",
+    "stopper_alone_runs",
+    "port_owner_hangs_shortly",
+    "port_owner_held_in_its_write",
+)
+HELD += ("port_owner_stays_down", "port_owner_hangs_and_stays_down")
 ON_ONE_ALONE = {
+    **dict.fromkeys(HELD, "processes are held at moments that a signal does not hit"),
     "supervisor_hangs": "a signal that silences it tells it so",
     "port_does_not_drain": "a pty never says that it holds bytes",
     "machine_sleeps": "this machine must not",

@@ -12,7 +12,7 @@ import pytest
 from failstop import stopping
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.lab.machine.files import Port
+from failstop.lab.machine.port import Port
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 

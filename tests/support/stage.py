@@ -8,9 +8,10 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import IN, OUT, Open, Pidfd, Port
+from failstop.lab.machine.files import IN, OUT, Open, Pidfd
 from failstop.lab.machine.kernel import Machine, Thread
 from failstop.lab.machine.loading import File, Loader, Patches
+from failstop.lab.machine.port import Port
 from failstop.shm import heartbeat, layout, records
 
 MS = 1_000_000

@@ -17,7 +17,11 @@ EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --whole         # every call
 failstop simulate --scenario replug --call 1041 --fault dies
+failstop simulate --seeds 60      # faults and orders that are drawn, for a minute of each core
+failstop simulate --seed 537      # one of them again, with what it needs to fail
+failstop simulate --controls      # is what is taken out of the protocol missed?
 """
+CONTROL_S = 60.0
 STORIES = 3
 
 
@@ -29,6 +33,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
     add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
     add("--fault", metavar="NAME", help="with --call: the fault")
+    add("--seeds", type=float, metavar="SECONDS", help="runs that are drawn, for so much time of each processor")
+    add("--seed", type=int, metavar="N", help="this run alone, as a story; with --seeds: the first one")
+    add("--controls", action="store_true", help="take parts of the protocol out, and see that each is missed")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 
@@ -52,6 +59,12 @@ def main(arguments: Namespace) -> int:
         run = campaign.one(campaign.Plan(names[0], only=(arguments.call, arguments.fault)))
         print(run.text())
         return int(bool(run.violations))
+    if arguments.controls:
+        return _controls()
+    if arguments.seeds is not None:
+        return _seeds(arguments.seed or 0, arguments.seeds, arguments.jobs)
+    if arguments.seed is not None:
+        return _seed(arguments.seed)
     gaps = marks.missing if len(names) == len(SCENARIOS) else lambda counts: []
     total, begun_s = campaign.Result(), time.monotonic()
     todo = campaign.plans(names, 0 if arguments.whole else 1)
@@ -62,6 +75,41 @@ def main(arguments: Namespace) -> int:
         counts = f"{total.runs:>6} runs  {len(total.wrong):>3} wrong"
         print(f"{done:>3}/{len(todo)}  {counts}  {took_s:6.1f} s  {told}", flush=True)
     return _report(total, time.monotonic() - begun_s, gaps(total.marks), told_marks=arguments.marks)
+
+
+def _controls() -> int:
+    from failstop.lab.simulate import controls
+
+    gaps = 0
+    for found in controls.search(CONTROL_S):
+        print(f"{found.row:<42} {found.by:<14} {found.took_s:6.1f} s  {found.faults} faults", flush=True)
+        gaps += not found.story
+    for row, why in controls.NOT_EXPRESSED.items():
+        print(f"{row:<42} not expressed: {why}")
+    return int(bool(gaps))
+
+
+def _seeds(first: int, seconds: float, jobs: int) -> int:
+    from failstop.lab.simulate import seeds
+
+    total = seeds.Seeds()
+    for part in seeds.many(first, seconds, jobs):
+        total.merge(part)
+    for run in total.wrong[:STORIES]:
+        print(f"{run.text()}\n")
+    rate = total.events / max(total.took_s, 1e-9)
+    told = f"{total.runs} seeds, {total.events} faults ({rate:.0f} a second of a core)"
+    print(f"{told}: {len(total.wrong)} wrong: {[run.seed for run in total.wrong]}")
+    return int(bool(total.wrong))
+
+
+def _seed(number: int) -> int:
+    from failstop.lab.simulate.seeds import Nursery
+
+    nursery = Nursery()
+    run = nursery.run(number)
+    print((nursery.shrunk(run) if run.violations else run).text())
+    return int(bool(run.violations))
 
 
 def _report(total: Result, took_s: float, missing: list[str], *, told_marks: bool) -> int:

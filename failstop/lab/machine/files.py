@@ -7,8 +7,7 @@ import mmap
 import os
 import stat
 from collections import deque
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from failstop.lab.machine.kernel import Machine, Process, Thread
@@ -350,6 +349,8 @@ class Epoll(Node):
         super().__init__()
         self.wanted: dict[int, tuple[Open, int]] = {}
         self.maybe: dict[int, None] = {}
+        self.late: dict[int, tuple[Open, int]] = {}
+        """What is heard of again later."""
 
     def add(self, fd: int, opened: Open, events: int) -> None:
         if fd not in self.wanted:
@@ -358,6 +359,8 @@ class Epoll(Node):
         self.told(fd)
 
     def drop(self, fd: int) -> None:
+        if self.late.pop(fd, None):
+            return
         opened, _ = self.wanted.pop(fd)
         self.maybe.pop(fd, None)
         opened.in_epolls.remove((self, fd))
@@ -365,6 +368,19 @@ class Epoll(Node):
     def told(self, fd: int) -> None:
         self.maybe[fd] = None
         self.notify()
+
+    def hear_late(self, fd: int, machine: Machine, ns: int) -> None:
+        """News of this descriptor comes so much later."""
+        watched = self.wanted[fd]
+        self.drop(fd)
+
+        def hear() -> None:
+            if fd in self.late:
+                del self.late[fd]
+                self.add(fd, *watched)
+
+        self.late[fd] = watched
+        machine.at(machine.now_ns + ns, hear)
 
     def take(self) -> list[tuple[int, int]]:
         """What is ready; one that is watched for its edge alone is told of once."""
@@ -389,92 +405,3 @@ class Epoll(Node):
     def closed(self, opened: Open) -> None:
         for fd in tuple(self.wanted):
             self.drop(fd)
-
-
-class Port(Node):
-    """A serial port as the kernel has it. What is written goes to `board`, unless it does not drain."""
-
-    kind = stat.S_IFCHR
-    ROOM = 4096
-
-    def __init__(self, machine: Machine, number: int) -> None:
-        super().__init__(0o660)
-        self.machine = machine
-        self.device = os.makedev(166, number)
-        self.came = bytearray()
-        self.held = bytearray()
-        """What a port that does not drain keeps."""
-        self.drains = True
-        self.refuses = False
-        """It takes nothing for the moment."""
-        self.gone = False
-        self.board: Any = None
-        self.settings: list[Any] = [0, 0, 0, 0, 0, 0, [b"\0"] * 32]
-
-    def open(self, opened: Open) -> None:
-        if self.gone:
-            raise OSError(errno.ENXIO, "no such device")
-
-    def mask(self, opened: Open) -> int:
-        if self.gone:
-            return IN | OUT | ERR | HUP
-        return (IN if self.came else 0) | (OUT if len(self.held) < self.ROOM and not self.refuses else 0)
-
-    def read(self, opened: Open, most: int) -> bytes:
-        if self.gone:
-            return b""
-        if not self.came:
-            raise BlockingIOError(errno.EAGAIN, "nothing has come")
-        found = bytes(self.came[:most])
-        del self.came[:most]
-        return found
-
-    def write(self, opened: Open, data: bytes) -> int:
-        if self.gone:
-            raise OSError(errno.EIO, "the device is gone")
-        taken = bytes(data[: self.ROOM - len(self.held)])
-        if not taken or self.refuses:
-            raise BlockingIOError(errno.EAGAIN, "full")
-        if self.drains:
-            self.board.receive(taken)
-        else:
-            self.held += taken
-        return len(taken)
-
-    def unsent(self) -> int:
-        """What the kernel says that it holds."""
-        return len(self.held)
-
-    def drain(self) -> None:
-        """It takes bytes again."""
-        self.drains = True
-        if self.held:
-            self.board.receive(bytes(self.held))
-            self.held.clear()
-            self.notify()
-
-    def send(self, data: bytes) -> None:
-        """Bytes of the board."""
-        if not self.gone and self.opened:
-            self.came += data[: max(0, self.ROOM - len(self.came))]
-            self.notify()
-
-    def take_again(self) -> None:
-        """It refuses nothing any more."""
-        self.refuses = False
-        self.notify()
-
-    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
-        """The device is gone, for good: a replug is another node. `late_ns`: so much later who has it open is woken."""
-        self.gone = True
-        self.came.clear()
-        self.held.clear()
-        for opened in tuple(self.opened):
-            if ns := late_ns(opened):
-                self.machine.at(self.machine.now_ns + ns, opened.notify)
-            else:
-                opened.notify()
-
-    def closed(self, opened: Open) -> None:
-        if not self.opened:
-            self.came.clear()

@@ -310,17 +310,12 @@ class Machine:
             thread.woken = not for_signal
             self._runnable.append(thread)
 
-    def pause(self, ns: int) -> None:
-        """Run nothing of the current thread for so long; the other threads of its process go on."""
-        until_ns = self.now_ns + ns
-        while self.now_ns < until_ns:
-            self.block(until_ns)
-
-    def give_way(self) -> None:
-        """Let every other runnable thread run first."""
+    def give_way(self, to: Process | None = None) -> None:
+        """Let every other runnable thread run first, or those of one process alone."""
         thread = self.current
         assert thread is not None
-        self._runnable.append(thread)
+        first = [each for each in self._runnable if to is None or each.process is to]
+        self._runnable = deque((*first, thread, *(each for each in self._runnable if each not in first)))
         self._leave(thread)
         if thread.process.dead:
             raise Death
@@ -355,10 +350,8 @@ class Machine:
         """A process dies at once: nothing of it runs any more. Its futexes tell of it now, the rest later."""
         if process.dead:
             return
-        if lands := process.in_write:
-            process.in_write = None
-            self.at(self.now_ns + LAND_NS, lands)
-            self.at(self.now_ns + LAND_NS, lambda: self.die(process, code))
+        if process.in_write:
+            self.at(self.now_ns + LAND_NS, lambda: self._landed(process, code))
             return
         process.dead = True
         self.told("died", process, code)
@@ -368,6 +361,12 @@ class Machine:
         if self.current is not None and self.current.process is process:
             self.hub.switch()
             raise Death
+
+    def _landed(self, process: Process, code: int) -> None:
+        if lands := process.in_write:
+            process.in_write = None
+            lands()
+            self.die(process, code)
 
     def _taken_down(self, process: Process, code: int) -> None:
         for fd in list(process.files):
@@ -430,7 +429,9 @@ class Machine:
 
     def hold(self, process: Process, ns: int, *, starved: bool = False) -> None:
         """Run nothing of a process for so long."""
-        process.held_since_ns, process.held_until_ns = self.now_ns, self.now_ns + ns
+        if process.held_until_ns <= self.now_ns:
+            process.held_since_ns = self.now_ns
+        process.held_until_ns = max(process.held_until_ns, self.now_ns + ns)
         process.starved = starved
 
         def over() -> None:
@@ -457,13 +458,6 @@ class Machine:
             return self.current is None or getcurrent() is not self.current.greenlet
         except RuntimeError:  # of a greenlet that is being collected itself
             return True
-
-    def point(self, name: str) -> None:
-        """A place between two calls at which something may happen, where a process runs at all."""
-        if self.at_seam is not None and (thread := self.current) is not None:
-            if thread.process.dead or getcurrent() is not thread.greenlet:
-                raise Death
-            self.at_seam(thread, name, ())
 
     def call(self, name: str, *about: Any) -> Process:
         """Begin a call of the system: returns the process that makes it."""

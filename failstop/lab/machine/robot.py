@@ -11,9 +11,10 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Node, Null, Open, Port, Regular
+from failstop.lab.machine.files import Epoll, Node, Null, Open, Regular
 from failstop.lab.machine.kernel import Machine, Process, Replaced
 from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.port import Port
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
@@ -31,12 +32,14 @@ class Board:
         self.model = BoardModel(machine.now_ns, imu_hz=imu_hz)
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
+        self.on_bytes: Callable[[bytes], None] = lambda data: None
         self._told = 0
         self._due_ns = 1 << 62
         self.plan()
 
     def receive(self, data: bytes) -> None:
         """Bytes of the port, now."""
+        self.on_bytes(data)
         self.model.receive(data, self.machine.now_ns)
         self.plan()
 
@@ -102,7 +105,7 @@ class Robot:
         self.machine.root.folder("/dev").put("ttyACM0", port)
         return port
 
-    def unplug(self, late_ns: Callable[[Open], int] = lambda opened: 0) -> None:
+    def unplug(self, late_ns: Callable[[Epoll], int] = lambda epoll: 0) -> None:
         """Pull the plug; `late_ns` as in Port.unplug."""
         if self.board.port:
             self.machine.root.folder("/dev").drop("ttyACM0")

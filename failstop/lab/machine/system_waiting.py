@@ -32,7 +32,7 @@ class SimulatedEpoll:
     def register(self, fd: Any, events: int = 0) -> None:
         number = _number(fd)
         opened = self._calls.begin("epoll_ctl", number)
-        if number in self._node.wanted:
+        if number in self._node.wanted or number in self._node.late:
             raise FileExistsError(errno.EEXIST, "registered already")
         self._node.add(number, opened, events)
 
@@ -43,7 +43,7 @@ class SimulatedEpoll:
     def unregister(self, fd: Any) -> None:
         number = _number(fd)
         self._calls.begin("epoll_ctl", number)
-        if number not in self._node.wanted:
+        if number not in self._node.wanted and number not in self._node.late:
             raise FileNotFoundError(errno.ENOENT, "not registered")
         self._node.drop(number)
 

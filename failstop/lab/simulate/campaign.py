@@ -21,6 +21,7 @@ from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import faults, line_of
+from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 
@@ -111,7 +112,9 @@ class Explorer:
         """Every fault of the plan. The scenario is run once before, and what it has loaded is loaded before a fork."""
         plan = self._plan
         before = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        found = Places(before)
         before.run()
+        self._before = found.before
         self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
@@ -136,7 +139,7 @@ class Explorer:
         plan, self._count = self._plan, self._count + 1
         if not self.stage.explored or thread.process.name == "last.py":
             return
-        where = f"{thread.process.name} {call} {line_of(call, about)}"
+        where = f"{thread.process.name} {call} {line_of(call, about)}{BEFORE * (self._count in self._before)}"
         self._seen[thread.process.name, where] += 1
         if plan.most and self._seen[thread.process.name, where] > plan.most:
             return

@@ -1,19 +1,41 @@
 """Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
-must notice. A campaign that finds none of them finds nothing. A patch names a piece of source that is there once, so a
-change of that code makes the control fail, not pass."""
+must notice, by its single faults or else by seeds. A campaign that finds none of them finds nothing. A patch names a
+piece of source that is there once, so a change of that code makes the control fail, not pass."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from failstop.lab.machine.loading import Patches
+from failstop.lab.simulate.campaign import Plan, explore
+from failstop.lab.simulate.seeds import seeds, used_s
 
 ADMISSION = "failstop.procs.port_owner.admission"
 PORT_OWNER = "failstop.procs.port_owner.main"
 WIRE = "failstop.procs.port_owner.wire"
 STOPPER = "failstop.procs.stopper.main"
 SUPERVISOR = "failstop.supervisor.main"
+STATUS = "failstop.supervisor.status"
+HANDOVER = "failstop.supervisor.port_handover"
+TABLE = "failstop.supervisor.process_table"
+PEER = "failstop.procs.peer"
 STOP_PORT = "failstop.board.stop_port"
+
+NOT_EXPRESSED = {
+    "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
+    "a new port hides the loss of the old": "each turn asks the old port what it holds before it takes a new one",
+    "a refused frame stays in the ring": "a stop drops it, and without one it is late by less than DRAIN_NS",
+    "moving, look": "both sides must see the old value of the other's word, which takes a store that is late",
+    "ready": "between the two stores the supervisor decides no reset, without which no enable is granted",
+    "cause": "the late cause counts only for who loads it after the epoch, in another order than it was stored",
+    "ring": "an entry that is not whole is seen when cells are torn between two versions",
+    "still, unknown": "what people are told of wheels that were seen; no frame hangs on it",
+    "reply": "what a program is told of its state; no frame hangs on it",
+    "bell": "the kernel's own locks",
+}
+"""Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for,
+where each store is seen by all at once."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +50,7 @@ class Control:
 CONTROLS = (
     Control(
         "no epoch in frames",
-        "drive_and_stop",
+        "reset_races_stop",
         ((ADMISSION, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
     ),
     Control(
@@ -56,39 +78,120 @@ CONTROLS = (
         ),
     ),
     Control(
-        "the stopper does not fence",
+        "nobody fences",
         "port_owner_hangs",
+        (
+            (SUPERVISOR, "self._kill(child.pid, signal.SIGKILL)", "pass"),
+            (STOPPER, "            life.kill()\n", ""),
+        ),
+    ),
+    Control(
+        "the stopper does not fence",
+        "stopper_alone_runs",
+        ((STOPPER, "            life.kill()\n", ""),),
+    ),
+    Control(
+        "the stopper does not notice a silence",
+        "port_owner_and_supervisor_hang",
         ((STOPPER, "HANG_NS = 250_000_000", "HANG_NS = 250_000_000_000"),),
+    ),
+    Control(
+        "fencing writes before it kills",
+        "port_owner_hangs_shortly",
+        (
+            (
+                SUPERVISOR,
+                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n"
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n",
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n"
+                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n",
+            ),
+        ),
+    ),
+    Control(
+        "ready before the port owner's answer",
+        "port_owner_held_in_its_write",
+        ((STATUS, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
+    ),
+    Control(
+        "an early stop beside the loop's write",
+        "gate_dies",
+        (
+            (
+                STOP_PORT,
+                "        with self._writing:\n            if self.fd >= 0:\n                self._write_early()",
+                "        if self.fd >= 0:\n            self._write_early()",
+            ),
+        ),
+    ),
+    Control(
+        "stays down, and no second burst",
+        "port_owner_hangs_and_stays_down",
+        (
+            (SUPERVISOR, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
+            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
+            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (PEER, "        if self.named() == pid:\n            self._stop()\n", ""),
+        ),
+    ),
+    Control(
+        "stays down, and no burst at the return",
+        "port_owner_stays_down",
+        (
+            (HANDOVER, "written = StopPort(fd).burst()", "written = True"),
+            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (STOPPER, "            else:\n                self._write()\n\n", "\n"),
+        ),
     ),
     Control(
         "nobody answers the port owner's death",
         "port_owner_dies",
-        ((SUPERVISOR, "written = self._port.burst()", "written = False"),),
-    ),
-    Control(
-        "a new port hides the loss of the old",
-        "replug",
         (
-            (
-                PORT_OWNER,
-                "            if self.wire.fd >= 0:\n                self._port_lost(now_ns)\n            fd, self",
-                "            fd, self",
-            ),
+            (SUPERVISOR, "written = self._port.burst()\n        self._tried", "written = False\n        self._tried"),
+            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
         ),
     ),
     Control(
         "no lease of the gate",
         "gate_hangs",
-        ((ADMISSION, "(layout.GATE, gate_ns), (layout.SUPERVISOR", "(layout.SUPERVISOR"),),
+        (
+            (
+                ADMISSION,
+                "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
+                "in ((layout.SUPERVISOR, supervisor_ns),):",
+            ),
+        ),
     ),
     Control(
         "a sleep of the machine goes unnoticed",
         "machine_sleeps",
         ((PORT_OWNER, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
     ),
-    Control(
-        "a refused frame stays in the ring",
-        "port_does_not_drain",
-        ((WIRE, 'self.unsent = b"" if self.lost else data[taken:] if taken else b""', "self.unsent = data[taken:]"),),
-    ),
 )
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a control was found: by which campaign, after how much of a processor's time, with how many faults."""
+
+    row: str
+    by: str
+    took_s: float
+    faults: int
+    story: str = ""
+
+
+def search(seconds: float) -> Iterator[Found]:
+    """Each control, by the single faults of its scenario, and else by seeds of it for so long."""
+    for control in CONTROLS:
+        begun_s = used_s()
+        single = explore(Plan(control.scenario, most=1, patches=control.patches, first=True))
+        if single.wrong:
+            run = single.wrong[0]
+            how = "single faults" if run.fault else "the scenario"
+            yield Found(control.row, how, used_s() - begun_s, int(bool(run.fault)), run.text())
+            continue
+        drawn = seeds(0, 1, seconds, control.patches, [control.scenario])
+        by = "seeds" if drawn.wrong else "NOTHING"
+        story, faults = (drawn.wrong[0].text(), len(drawn.wrong[0].events)) if drawn.wrong else ("", 0)
+        yield Found(control.row, by, used_s() - begun_s, faults, story)

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.lab.machine.files import Open, Port, Regular
+from failstop.lab.machine.files import Fifo, Open, Regular
 from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.witness import SERVICE, WRITERS
@@ -63,13 +64,18 @@ def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held
         yield errno.errorcode[number], _refused(stage, process, call, number)
     if call == "write" and opened and isinstance(opened.node, Port):
         yield "short write", lambda: _shortened(stage, process)
+        yield "short write, while somebody asks for a stop", lambda: _shortened(stage, process, asked=True)
         yield "dies in mid-write", lambda: _cut(stage, process, opened, about[1])
         yield f"held{told} in the write", lambda: _held_in_write(stage, process, opened, about[1], held_ns)
     if process.name in WRITERS:
+        yield "somebody asks for a stop", lambda: ask_beside(stage)
         for name in SERVICE:
             other = stage.robot.named(name)
             if other and other is not process:
                 yield f"{name} dies beside", lambda other=other: _beside(stage, other)  # type: ignore[misc]
+                if process.name == "port_owner":
+                    told = f"{name} dies beside, and a thread hears"
+                    yield told, lambda other=other: _beside(stage, other, process)  # type: ignore[misc]
 
 
 def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
@@ -78,6 +84,17 @@ def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
     if opened and isinstance(opened.node, Regular):
         return DISK_REFUSES
     return (SHORT_OF[call],) if call in SHORT_OF else ()
+
+
+def ask_beside(stage: Stage) -> None:
+    """Another program's bytes are in the stop pipe, where there is one that is read."""
+    here = stage.machine.root.names["run"]
+    for part in ("failstop", "failstop", "stop"):
+        here = getattr(here, "names", {}).get(part)  # type: ignore[assignment]
+    if isinstance(here, Fifo) and here.ends(0, 2):
+        stage.witness.asked()
+        here.data += b"beside\n"
+        here.notify()
 
 
 def _held(stage: Stage, process: Process, ns: int, *, starved: bool = False) -> None:
@@ -107,9 +124,11 @@ def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable
     return refuse
 
 
-def _shortened(stage: Stage, process: Process) -> None:
+def _shortened(stage: Stage, process: Process, *, asked: bool = False) -> None:
     stage.witness.tell(f"a write of {process.name} is taken by half")
     stage.machine.shortened = True
+    if asked:
+        ask_beside(stage)
 
 
 def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
@@ -118,7 +137,8 @@ def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
     stage.machine.die(process, -9)
 
 
-def _beside(stage: Stage, other: Process) -> None:
-    """On another core, while this call is still to come: who waits for that death runs before it."""
+def _beside(stage: Stage, other: Process, hears: Process | None = None) -> None:
+    """On another core, while this call is still to come: who waits for that death runs before it, or only the threads
+    of one process."""
     stage.machine.die(other, -9)
-    stage.machine.give_way()
+    stage.machine.give_way(hears)

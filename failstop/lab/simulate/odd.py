@@ -12,16 +12,20 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from failstop.lab.machine.files import Fifo, Port
-from failstop.lab.machine.kernel import Machine, Process, Thread
+from failstop.lab.machine.files import Epoll
+from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import Fault, faults, line_of
+from failstop.lab.simulate.places import Where
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
 from failstop.lab.simulate.witness import SERVICE, WRITERS
 
-OFTEN = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""How often there is a first event, a second, ..."""
+OFTEN = (1.0, 1.0, 0.6, 0.4, 0.2)
+"""How often there is a first event, a second, ... One alone is what the single faults are for."""
+WEIGHTS = {"port_owner": 8, "supervisor": 4, "gate": 3, "stopper": 2, "player.py": 2, "telemetry": 1}
+"""How often the first event is at a call of each."""
 KINDS = ("pauses", "held", "starved", "dies", "beside", "asked", "blocked", "sleeps", "refused")
 ON = 0.6
 """How often a kind is on in a run."""
@@ -32,8 +36,6 @@ NEAR = 0.6
 """How often the next event is counted in calls, not in time."""
 
 HANG_UP = "hang-up"
-Where = dict[str, list[int]]
-"""Of an unfaulted run: the lines of code with their calls' numbers."""
 
 
 @dataclass
@@ -49,7 +51,7 @@ class Event:
 
 def spread(dice: Random, least: float, most: float) -> int:
     """A number between the two, as often in each decade."""
-    return int(least * (most / least) ** dice.random())
+    return round(least * float((most / least) ** dice.random()))
 
 
 class Count:
@@ -92,18 +94,18 @@ class Odd:
             self._arm(where)
         stage.machine.at_seam = self._at
 
-    def late_hang_up_ns(self) -> Callable[[Any], int]:
+    def late_hang_up_ns(self) -> Callable[[Epoll], int]:
         """How much later each process is woken by the loss of the port."""
         if not self._free and not self._hangs:
-            return lambda opened: 0
+            return lambda epoll: 0
         late = self._tape.draw(HANG_UP, 1 + len(WRITERS), 0.5)
         dice = self._tape.dice(f"{HANG_UP} by")
         ns = spread(dice, 100_000, 100 * MS)
         name = WRITERS[late - 1] if late else ""
 
-        def of(opened: Any) -> int:
+        def of(epoll: Epoll) -> int:
             process = self._stage.robot.named(name) if name else None
-            return ns if process and opened in process.files.values() else 0
+            return ns if process and any(each.node is epoll for each in process.files.values()) else 0
 
         if late:
             self._tell(Event(HANG_UP, name, 0, f"{ns / MS:g} ms late", f"{name} hears of the loss of the port"))
@@ -121,7 +123,7 @@ class Odd:
         dice = self._tape.dice(f"{label} at")
         self._label, self._who, self._due_ns = label, "", 0
         if where is not None:
-            self._due = dice.choice(where[dice.choice(sorted(where))])
+            self._due = chosen(where, dice)
         elif dice.random() < NEAR:
             self._due = self._count.all + spread(dice, 1, BEHIND)
         else:
@@ -173,34 +175,27 @@ class Odd:
             yield _kind(name), (name, inject)
         if process.name not in SERVICE:
             return
-        yield "asked", ("somebody asks for a stop", lambda: ask_beside(stage))
         port = stage.robot.board.port
         if port and port.drains:
             yield "blocked", (f"the port refuses for {short_ns / MS:g} ms", lambda: refuse(stage, port, short_ns))
 
 
 def _kind(name: str) -> str:
+    if name.startswith("somebody"):
+        return "asked"
     if name.startswith("dies"):
         return "dies"
     if name.startswith(("held", "starved")):
         return name.split()[0]
-    return "beside" if name.endswith("beside") else "sleeps" if name == "machine sleeps" else "refused"
+    return "beside" if " beside" in name else "sleeps" if name == "machine sleeps" else "refused"
 
 
 def _pause(stage: Stage, process: Process, ns: int) -> None:
+    """The thread that runs does not go on for so long; the other threads of its process do."""
     stage.witness.late(process, ns)
-    stage.machine.pause(ns)
-
-
-def ask_beside(stage: Stage) -> None:
-    """Another program's bytes are in the stop pipe, where there is one that is read."""
-    here = stage.machine.root.names["run"]
-    for part in ("failstop", "failstop", "stop"):
-        here = getattr(here, "names", {}).get(part)  # type: ignore[assignment]
-    if isinstance(here, Fifo) and here.ends(0, 2):
-        stage.witness.asked()
-        here.data += b"beside\n"
-        here.notify()
+    until_ns = stage.machine.now_ns + ns
+    while stage.machine.now_ns < until_ns:
+        stage.machine.block(until_ns)
 
 
 def refuse(stage: Stage, port: Port, ns: int) -> None:
@@ -209,15 +204,8 @@ def refuse(stage: Stage, port: Port, ns: int) -> None:
     stage.machine.at(stage.machine.now_ns + ns, port.take_again)
 
 
-def places(machine: Machine) -> Where:
-    """Have every line that makes a call written down, with the numbers of its calls, while a run goes on."""
-    found: Where = {}
-    count = 0
-
-    def at(thread: Thread, call: str, about: tuple[Any, ...]) -> None:
-        nonlocal count
-        count += 1
-        found.setdefault(f"{thread.process.name} {call} {line_of(call, about)}", []).append(count)
-
-    machine.at_seam = at
-    return found
+def chosen(where: Where, dice: Random) -> int:
+    """The number of a call: most are of the port owner, since whatever is right or wrong happens there."""
+    name = dice.choices(tuple(WEIGHTS), tuple(WEIGHTS.values()))[0]
+    lines = [line for line in sorted(where) if line.startswith(f"{name} ")] or sorted(where)
+    return dice.choice(where[dice.choice(lines)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
@@ -10,6 +11,7 @@ Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
 """Servo, pulses of the tuck pose and of the drive pose."""
+SLOW_MPS = 0.01
 LOOKS = 60
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 KEYS = ("servo", "tuck", "drive")
@@ -72,6 +74,86 @@ for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry
 
 
 @scenario
+def port_owner_and_supervisor_hang(stage: Stage) -> None:
+    """Both are silent, and the stopper is the one that notices."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.hold_again("supervisor", 60, 640)
+    stage.freeze("port_owner", 700)
+    stage.drive(robot, 0.9)
+
+
+@scenario
+def stopper_alone_runs(stage: Stage) -> None:
+    """Nothing but the stopper runs for a while; supervisor and gate wake before the port owner, and judge nobody."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    for name in ("supervisor", "gate"):
+        stage.hold_again(name, 70, 187)
+    stage.freeze("port_owner", 260)
+    stage.drive(robot, 0.4)
+
+
+@scenario
+def port_owner_hangs_shortly(stage: Stage) -> None:
+    """The port owner is silent for hardly longer than the supervisor waits."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.freeze("port_owner", 112)
+    stage.drive(robot, 0.2)
+
+
+@scenario
+def port_owner_held_in_its_write(stage: Stage) -> None:
+    """It is past its checks when telemetry dies; a program goes on more slowly as soon as it may."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, 0.1)
+    stage.hold_in_write("port_owner", 76)
+    stage.drive(robot, 0.02)
+    stage.kill("telemetry")
+    robot.wait_for("latched", 1.0)
+    stage.enable(robot)
+    stage.drive(robot, 0.06, SLOW_MPS)
+
+
+def _die_once(stage: Stage, robot: Any) -> None:
+    """The next death of the port owner is the one after which it stays down; another process may still die."""
+    stage.kill("port_owner")
+    robot.wait_for("latched", 1.0)
+
+
+def _stays_down(stage: Stage) -> None:
+    """The port owner dies and is not started again; the board is unplugged meanwhile, and is back."""
+    robot = stage.connect()
+    _die_once(stage, robot)
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.unplug()
+    stage.kill("port_owner")
+    stage.time.sleep(0.03)
+    stage.replug()
+    stage.time.sleep(0.1)
+
+
+def _hangs_and_stays_down(stage: Stage) -> None:
+    """The port owner is silent, and not started again after it was killed for that."""
+    robot = stage.connect()
+    _die_once(stage, robot)
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    stage.freeze("port_owner", 160)
+    stage.drive(robot, 0.2)
+
+
+for _play in (_stays_down, _hangs_and_stays_down):
+    scenario(_play, f"port_owner{_play.__name__}", settings={"restart.deaths": 2})
+
+
+@scenario
 def telemetry_dies_often(stage: Stage) -> None:
     """Telemetry is killed until it is not restarted any more, then people reset."""
     robot = stage.connect()
@@ -116,7 +198,7 @@ def reset_races_stop(stage: Stage) -> None:
     robot.reset()
     stage.stop(robot, "again")
     stage.enable(robot)
-    stage.drive(robot, 0.02)
+    stage.drive(robot, 0.04, SLOW_MPS)
     robot.close()
 
 

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import gc
 import json
+import multiprocessing
 import os
 import resource
 import signal
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS
-from failstop.lab.simulate.odd import Event, Odd, Where, places
+from failstop.lab.simulate.odd import Event, Odd
+from failstop.lab.simulate.places import Places, Where
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Tape
@@ -26,6 +29,9 @@ from failstop.lab.simulate.tape import Tape
 WARM_NS = 300 * MS
 """After so long the service is ready, and a scenario begins."""
 RUN_S = 60
+"""A run that takes longer in real time has gone astray."""
+MOST_SHRUNK = 5
+"""So many failures of a campaign are shrunk."""
 COLD = 0.1
 """So many of the runs of a scenario whose faults may come before the service is ready begin with its start."""
 
@@ -51,7 +57,35 @@ class Seeded:
         return "\n".join((*lines, f"again: failstop simulate --seed {self.seed}"))
 
 
-def _used_s() -> float:
+@dataclass
+class Seeds:
+    """What a campaign of seeds came to."""
+
+    runs: int = 0
+    events: int = 0
+    took_s: float = 0.0
+    """Of a processor."""
+    wrong: list[Seeded] = field(default_factory=list)
+    marks: Counter[str] = field(default_factory=Counter)
+
+    def add(self, run: Seeded) -> None:
+        """One more run."""
+        self.runs += 1
+        self.events += len(run.events)
+        self.marks.update(run.marks)
+        if run.violations:
+            self.wrong.append(run)
+
+    def merge(self, other: Seeds) -> None:
+        """The result of another process."""
+        self.runs += other.runs
+        self.events += other.events
+        self.took_s += other.took_s
+        self.wrong += other.wrong
+        self.marks.update(other.marks)
+
+
+def used_s() -> float:
     """The processor's time of this process and of its children that have ended."""
     both = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return sum(each.ru_utime + each.ru_stime for each in both)
@@ -104,9 +138,9 @@ class Nursery:
 
     def _found(self, name: str, *, cold: bool) -> tuple[Where, list[str]]:
         stage = self._stage(name, cold=cold)
-        found = places(stage.machine)
+        found = Places(stage)
         stage.run()
-        return found, stage.robot.loader.loaded()
+        return found.where(), stage.robot.loader.loaded()
 
     def _judged(self, name: str, tape: Tape, fixed: list[Event] | None, *, cold: bool) -> dict[str, Any]:
         stage = self._stage(name, cold=cold)
@@ -129,6 +163,32 @@ class Nursery:
             if again.violations:
                 run = again
         return run
+
+
+def seeds(first: int, step: int, seconds: float, patches: Patches = (), names: list[str] | None = None) -> Seeds:
+    """What seeds come to: first, first + step, ... until so much of a processor's time is used."""
+    nursery, found, seed, begun_s = Nursery(names, patches), Seeds(), first, used_s()
+    while (took_s := used_s() - begun_s) < seconds:
+        run = nursery.run(seed)
+        found.add(run)
+        if run.violations and len(found.wrong) <= MOST_SHRUNK:
+            found.wrong[-1] = nursery.shrunk(run)
+            if patches:
+                break
+        seed += step
+    found.took_s = took_s
+    return found
+
+
+def many(first: int, seconds: float, jobs: int) -> Iterator[Seeds]:
+    """As seeds(), in so many processes."""
+    todo = [(first + job, jobs, seconds) for job in range(jobs)]
+    with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=1) as pool:
+        yield from pool.imap_unordered(_all, todo)
+
+
+def _all(arguments: tuple[int, int, float]) -> Seeds:
+    return seeds(*arguments)
 
 
 def _forked(what: Callable[[], Any]) -> Any:

@@ -10,7 +10,10 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from greenlet import getcurrent
+
+from failstop.lab.machine.files import Epoll
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
@@ -21,7 +24,7 @@ SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
 SPEED_MPS = 0.1
-SPEED_RPS = 0.398
+RPS_PER_MPS = 3.98
 LONGEST_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
 LIVE_NS = 2_000 * MS
@@ -42,14 +45,14 @@ class Stage:
         """`stores`: what is stored in shared memory is a place for a fault too."""
         self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
         self.machine = self.robot.machine
-        self.witness = Witness(self.robot, SPEED_RPS)
+        self.witness = Witness(self.robot)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time = self.robot.time
         self.take(play)
-        self.hang_up_ns: Callable[[Any], int] = lambda opened: 0
-        """How much later a descriptor tells of the loss of the port."""
+        self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
+        """How much later who waits there hears of the loss of the port."""
         self._begun = False
         self._keep = True
         self.player: Process | None = None
@@ -70,7 +73,11 @@ class Stage:
             store = getattr(where, name)
 
             def told(*arguments: Any, _store: Any = store) -> None:
-                machine.point("store")
+                thread = machine.current
+                if machine.at_seam and thread:
+                    if thread.process.dead or getcurrent() is not thread.greenlet:
+                        raise Death
+                    machine.at_seam(thread, "store", ())
                 _store(*arguments)
 
             setattr(where, name, told)
@@ -96,10 +103,16 @@ class Stage:
             robot.reset()
         self.witness.asks_for_motion()
         robot.enable()
+        self.witness.is_granted()
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
-        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0))
+
+        def asks() -> None:
+            self.witness.asks_for(speed_mps * RPS_PER_MPS)
+
+        asks()
+        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks)
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -186,6 +199,23 @@ class Stage:
         """Command what is no number, around the check of drive()."""
         robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
         self.must_stop("a program commands what is no number", 30)
+
+    def hold_again(self, name: str, after_ms: int, ms: int) -> None:
+        """Run nothing of a process for so long, from a moment on that is so far away."""
+        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms))
+
+    def hold_in_write(self, name: str, ms: int) -> None:
+        """Run nothing of a process for so long, from its next write to the port on, whose bytes are then late."""
+        board, heard = self.robot.board, self.robot.board.on_bytes
+
+        def late(data: bytes) -> None:
+            if found := self.robot.named(name):
+                board.on_bytes = heard
+                self.witness.held(found, ms * MS)
+                self.machine.hold(found, ms * MS)
+            heard(data)
+
+        board.on_bytes = late
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""

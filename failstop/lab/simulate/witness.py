@@ -9,10 +9,11 @@ one does.
 from __future__ import annotations
 
 from failstop.board.framing import MOTOR
-from failstop.lab.machine.files import Port
+from failstop.board.interface import BOARD
 from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS, Robot
-from failstop.lab.sim.model import Frame
+from failstop.lab.sim.model import BYTE_NS, Frame
 
 SERVICE = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 WRITERS = ("supervisor", "port_owner", "stopper")
@@ -35,9 +36,8 @@ SLACK_RPS = 1e-3
 class Witness:
     """Of one run. `violations` says what was wrong, each once; `story` what happened, with its time."""
 
-    def __init__(self, robot: Robot, max_rps: float) -> None:
+    def __init__(self, robot: Robot) -> None:
         self._robot, self._machine = robot, robot.machine
-        self._max_rps = max_rps
         self.violations: list[str] = []
         self.causes: list[str] = []
         """Those that the supervisor raised the epoch for, in order."""
@@ -51,12 +51,22 @@ class Witness:
         self._forbidden = "no program has asked for motion yet"
         """Why no frame may turn the wheels now; empty: one may."""
         self._asked = 0
+        self._asking = False
+        """A program has asked and has no answer yet."""
+        self._fastest_rps = 0.0
+        """What programs have asked the wheels for since they asked for motion last."""
+        self._wire_ns = 0
+        """When the board will have read all that was written to it."""
+        self._stops: dict[bool, tuple[int, int]] = {}
+        """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
+        a program asks for motion again."""
         self._late_ns = 0
         """Until then a thread of who writes to the board may pause."""
         self._late = False
         """The one frame that may follow a stop which came while the port owner was held up has come."""
         robot.machine.told = self._told
         robot.board.on_frame = self._frame
+        robot.board.on_bytes = self._written
 
     def tell(self, text: str) -> None:
         """One more step of the story."""
@@ -73,15 +83,40 @@ class Witness:
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
         self._asked += 1
+        self._asking = True
         self._forbidden, self._late = "", False
+        self._stops = {}
         self.tell("a program asks for motion")
 
-    def must_stop(self, why: str, within_ns: int) -> None:
-        """From `within_ns` on the wheels stand, until a program asks for motion again."""
-        self.tell(why)
-        self._judge_in(within_ns, why, self._asked, reached=True)
+    def is_granted(self) -> None:
+        """enable() has returned: what moves from now on was asked for from now on."""
+        self._asking = False
+        self._fastest_rps = 0.0
 
-    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool) -> None:
+    def asks_for(self, rps: float) -> None:
+        """A program commands this speed of the wheels."""
+        self._fastest_rps = max(self._fastest_rps, rps)
+
+    def _written(self, data: bytes) -> None:
+        """Bytes for the board, of whoever runs. What is stopped early, beside a port owner that may be about to write,
+        lets one frame through (S2 of docs/dev/model.md); a thread of the port owner's own, none."""
+        begun_ns = max(self._wire_ns, self._machine.now_ns)
+        self._wire_ns = begun_ns + len(data) * BYTE_NS
+        thread = self._machine.current
+        if thread is None or self._asking or not data.startswith(BOARD.first_stop):
+            return
+        own = thread.process.name == "port_owner"
+        if own and data != BOARD.first_stop:
+            return
+        self._stops.setdefault(own, (begun_ns + len(BOARD.first_stop) * BYTE_NS, 0 if own else 1))
+
+    def must_stop(self, why: str, within_ns: int) -> None:
+        """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
+        goes first."""
+        self.tell(why)
+        self._judge_in(within_ns, why, self._asked, reached=True, after_ns=self._wire_ns - self._machine.now_ns)
+
+    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0) -> None:
         def due() -> None:
             if self._asked != asked:
                 return
@@ -90,9 +125,10 @@ class Witness:
                 if any(self._robot.board.model.wheels):
                     self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
             else:
-                self._judge_in(within_ns, why, asked, reached=self.reached())
+                after_ns = self._wire_ns - self._machine.now_ns
+                self._judge_in(within_ns, why, asked, reached=self.reached(), after_ns=after_ns)
 
-        self._machine.at(self._machine.now_ns + within_ns, due)
+        self._machine.at(self._machine.now_ns + max(0, after_ns) + within_ns, due)
 
     def reached(self) -> bool:
         """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
@@ -107,11 +143,13 @@ class Witness:
 
     def _unnoticed(self) -> bool:
         held = [each for each in self._machine.processes.values() if each.held_until_ns and not each.dead]
-        both = {"supervisor", "port_owner"} <= {each.name for each in held}
-        return any(
-            self._machine.now_ns < each.held_since_ns + (STOPPER_NS if both else HANG_NS.get(each.name, 0))
-            for each in held
-        )
+        names = {each.name for each in held}
+        if names >= {"supervisor", "port_owner"}:
+            # The stopper has an eye on the port owner alone, and that is enough.
+            bars = {**HANG_NS, "port_owner": STOPPER_NS, "supervisor": 0}
+        else:
+            bars = HANG_NS
+        return any(self._machine.now_ns < each.held_since_ns + bars.get(each.name, 0) for each in held)
 
     def _frame(self, frame: Frame) -> None:
         if frame.func != MOTOR:
@@ -120,8 +158,13 @@ class Witness:
             self.moved_ns = frame.executed_ns
             if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
-            if max(map(abs, frame.speeds)) > self._max_rps + SLACK_RPS:
-                self.wrong(f"the wheels turn faster than any program asked for: {frame.speeds}")
+            for own, (stop_ns, more) in self._stops.items():
+                if frame.executed_ns > stop_ns:
+                    self._stops[own] = stop_ns, more - 1
+                    if more < 1:
+                        self.wrong("a frame turns the wheels behind a stop that was written early")
+            if not self._asking and max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS:
+                self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
         if frame.wild:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
 
