@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import re
 from math import inf, nan
@@ -130,6 +131,7 @@ def files(place: str) -> list[Path]:
     return [found] if found.suffix else sorted(found.rglob("*.py"))
 
 
+@functools.cache
 def names(path: Path) -> set[str]:
     """Of BOARD, in one file."""
     return {

@@ -156,6 +156,7 @@ def test_served_over_http_and_gone_afterwards() -> None:
         urllib.request.urlopen(url, timeout=10)
 
 
+@pytest.mark.slow
 def test_idle_connections_take_few_threads_and_keep_nobody_from_the_metrics() -> None:
     before = threading.active_count()
     with exposition.serving("nobody", "127.0.0.1", 0) as port, contextlib.ExitStack() as idle:
