@@ -88,7 +88,7 @@ def test_a_replayed_stop(enrol: Enrol, listener: Listener, settings: FleetSettin
 def test_a_replayed_stop_after_a_restart(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
     first = enrol("r1")
     stop_all(settings, first, listener)
-    pump("what is remembered to be written", lambda: not first._unsaved, first)
+    pump("what is remembered to be written", lambda: not first.unsaved, first)
     first.broker.close()
     topic, recorded = next((topic, payload) for topic, payload in listener.all if topic.endswith("/stop"))
     robot = Pretended()
@@ -170,7 +170,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        pump("the flood", lambda: publisher._obedience.forged > 500, publisher)
+        pump("the flood", lambda: publisher.obedience.forged > 500, publisher)
         tally = stop_all(settings, publisher)
     finally:
         ended.set()
@@ -309,7 +309,7 @@ def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
     publisher = enrol(robot=robot)
     (tmp_path / "r1").rename(tmp_path / "away")
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED)
-    pump("the complaint", lambda: not publisher._unsaved, publisher)
+    pump("the complaint", lambda: not publisher.unsaved, publisher)
     assert "a restart forgets what was obeyed" in " ".join(capsys.readouterr().err.split())
 
 
