@@ -147,13 +147,9 @@ def test_a_control_that_is_held_up_says_so() -> None:
     assert min(os.sched_getaffinity(0)) in {one.core for one in control.stalls if one.ms >= 55}
 
 
-def test_a_control_without_real_time_priority_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_control_without_real_time_priority_is_none() -> None:
     """Memory that is locked does not put it above the service."""
-    monkeypatch.setattr(sys, "argv", ["stalls", str(min(os.sched_getaffinity(0)))])
-    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: None)
-    monkeypatch.setattr(stalls.rights, "take_rights", lambda _: MEMORY_LOCKED)
-    monkeypatch.setattr(stalls, "_watch", lambda _: [])
-    assert stalls.main() == 1
+    assert stalls.loop(0, MEMORY_LOCKED) == 1
 
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (None, 0), (False, 1)])
