@@ -111,6 +111,7 @@ class Publisher:
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
         self.obedience = Obedience(self._key, robot_id, self._seen)
+        """Judges what claims to be a stop of the fleet."""
         self.unsaved = False
         """Written after the answers have left: a disk may take its time."""
         self._said_forged = 0
@@ -211,6 +212,7 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
+        """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
         found = []
         if off := self._off or self._denied():
             found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
