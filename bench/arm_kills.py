@@ -36,10 +36,10 @@ def measure(trial: ArmTrial, kills: int, seed: int, carriers: Carriers, say: Cal
             trial.settle()
             carriers.first()
             moving[process].append(arm.strike(trial, fault))
-    return [row for process in KILLS for row in _rows(process, driving[process], moving[process])]
+    return [row for process in KILLS for row in rows_of(process, driving[process], moving[process])]
 
 
-def _rows(process: str, driving: list[Stopped], moving: list[Rested]) -> list[Row]:
+def rows_of(process: str, driving: list[Stopped], moving: list[Rested]) -> list[Row]:
     """To the execution of the stop: it is there that a servo's frame holds it up, behind its arrival."""
     alone = [stopped.executed_ns for stopped in driving if stopped.executed_ns is not None]
     behind = [round(rested.wheels_ms * 1e6) for rested in moving if rested.wheels_ms is not None]

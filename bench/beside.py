@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ ONCE = (50,)
 OFTEN = (50, 99)
 """The percentiles of what a visit measures once, and of what it samples."""
 FAILED = "visits that failed"
+Said = dict[str, Any] | None
+"""What a visit told; None when it failed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,15 +102,12 @@ def main(ref: str, much: visit.Amounts, rounds: int, margin: float, out: str | N
     try:
         commit = _git("rev-parse", "--verify", "--quiet", f"{ref}^{{commit}}", what=f"no such commit: {ref}")
         with _checked_out(commit) as there:
-            here = Side("this tree", ROOT, sys.executable)
-            said = [_round(there, here, share(much, rounds, turn), turn, rounds) for turn in range(rounds)]
+            said = taken(there, Side("this tree", ROOT, sys.executable), much, rounds, _visit)
     except BenchError as error:
         progress("")
         print(error, file=sys.stderr)
         return 2
     progress("")
-    rows, counts = compared(said, margin)
-    every: list[Compared | Counted] = [*rows, *counts]
     known = {
         **facts(),
         "there": _git("log", "-1", "--format=%h %s", commit),
@@ -117,6 +116,13 @@ def main(ref: str, much: visit.Amounts, rounds: int, margin: float, out: str | N
         "margin": margin,
         "instrument differs": _git("diff", "--name-only", commit, "--", *INSTRUMENT).split(),
     }
+    return told(said, margin, known, out)
+
+
+def told(said: list[tuple[Said, Said]], margin: float, known: dict[str, Any], out: str | None) -> int:
+    """Compare the rounds, print, write; the exit code. `known`: facts to be told with it."""
+    rows, counts = compared(said, margin)
+    every: list[Compared | Counted] = [*rows, *counts]
     _print(known, every)
     if out:
         os.makedirs(os.path.dirname(out) or ".", exist_ok=True)
@@ -141,10 +147,6 @@ def share(much: visit.Amounts, rounds: int, turn: int) -> visit.Amounts:
         seconds=much.seconds / rounds,
         seed=much.seed + turn,
     )
-
-
-Said = dict[str, Any] | None
-"""What a visit told; None when it failed."""
 
 
 def compared(said: list[tuple[Said, Said]], margin: float) -> tuple[list[Compared], list[Counted]]:
@@ -181,13 +183,18 @@ def _added(pairs: list[tuple[int, int]]) -> tuple[int, int]:
     return sum(found for found, _ in pairs), sum(of for _, of in pairs)
 
 
-def _round(there: Side, here: Side, much: visit.Amounts, turn: int, rounds: int) -> tuple[Said, Said]:
-    sides = (there, here) if turn % 2 == 0 else (here, there)
-    found = {}
-    for side in sides:
-        progress(f"round {turn + 1} of {rounds}: {side.name}")
-        found[side.name] = _visit(side, much)
-    return found[there.name], found[here.name]
+def taken(
+    there: Side, here: Side, much: visit.Amounts, rounds: int, visited: Callable[[Side, visit.Amounts], Said]
+) -> list[tuple[Said, Said]]:
+    """What both sides told in each round, (there, here); they are visited in the order ABBA."""
+    said = []
+    for turn in range(rounds):
+        found = {}
+        for side in (there, here) if turn % 2 == 0 else (here, there):
+            progress(f"round {turn + 1} of {rounds}: {side.name}")
+            found[side.name] = visited(side, share(much, rounds, turn))
+        said.append((found[there.name], found[here.name]))
+    return said
 
 
 def _visit(side: Side, much: visit.Amounts) -> Said:

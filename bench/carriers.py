@@ -15,15 +15,31 @@ from collections.abc import Iterator
 from types import TracebackType
 
 _KTHREADD = 2
-_PRIORITY = os.sched_param(50)
+_PRIORITY = 50
 """Of interrupt threads: Linux, kernel/sched/syscalls.c, sched_set_fifo()."""
-_ORDINARY = os.sched_param(0)
+
+
+class Kernel:
+    """The workers and their scheduling, as the kernel tells and sets them."""
+
+    def workers(self) -> Iterator[int]:
+        """Their pids."""
+        return workers()
+
+    def policy(self, pid: int) -> int:
+        """Of one of them. Raises ProcessLookupError."""
+        return os.sched_getscheduler(pid)
+
+    def schedule(self, pid: int, policy: int, priority: int) -> None:
+        """Another policy. Raises PermissionError, ProcessLookupError."""
+        os.sched_setscheduler(pid, policy, os.sched_param(priority))
 
 
 class Carriers:
     """A context manager; at its end the workers are as they were. It needs CAP_SYS_NICE, and does nothing without."""
 
-    def __init__(self) -> None:
+    def __init__(self, kernel: Kernel | None = None) -> None:
+        self._kernel = kernel or Kernel()
         self._changed: set[int] = set()
         self.priority = "ordinary"
         """What they have had: real-time or ordinary."""
@@ -32,16 +48,16 @@ class Carriers:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for pid in self._changed & set(workers()):
+        for pid in self._changed & set(self._kernel.workers()):
             with contextlib.suppress(ProcessLookupError):
-                os.sched_setscheduler(pid, os.SCHED_OTHER, _ORDINARY)
+                self._kernel.schedule(pid, os.SCHED_OTHER, 0)
 
     def first(self) -> None:
         """Call before each measurement: workers come and go."""
-        for pid in workers():
+        for pid in self._kernel.workers():
             with contextlib.suppress(PermissionError, ProcessLookupError):
-                if os.sched_getscheduler(pid) == os.SCHED_OTHER:
-                    os.sched_setscheduler(pid, os.SCHED_FIFO, _PRIORITY)
+                if self._kernel.policy(pid) == os.SCHED_OTHER:
+                    self._kernel.schedule(pid, os.SCHED_FIFO, _PRIORITY)
                     self._changed.add(pid)
                     self.priority = "real-time"
 

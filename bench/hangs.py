@@ -46,15 +46,16 @@ def measure(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
             trial.drive(AFTERMATH_S)
             found[process].append(judge(trial.board.events(), hung_ns, was_moving))
             wait_for("the service to be whole again", trial.service.ready)
-    return _rows(found)
+    return rows_of(found)
 
 
-def _rows(found: dict[str, list[Stopped]]) -> list[stats.Row]:
+def rows_of(found: dict[str, list[Stopped]]) -> list[stats.Row]:
+    """Of the hangs of each process: how long the board waited, and whether the stop came and held."""
     deadlines = deadlines_ms()
     rows = []
     for process, row in found.items():
         times = [stopped.stop_ns for stopped in row if stopped.stop_ns is not None]
-        rows.append(_row(process, deadlines[process], times))
+        rows.append(row_of(process, deadlines[process], times))
     every = [stopped for row in found.values() for stopped in row]
     missed = sum(stopped.stop_ns is None or not stopped.was_moving for stopped in every)
     moved = sum(stopped.motion_after for stopped in every)
@@ -65,7 +66,8 @@ def _rows(found: dict[str, list[Stopped]]) -> list[stats.Row]:
     ]
 
 
-def _row(process: str, deadline_ms: float, times: list[int]) -> stats.Row:
+def row_of(process: str, deadline_ms: float, times: list[int]) -> stats.Row:
+    """Of one process, with its deadline as the bar."""
     row = stats.timing(
         f"hang of {process} (deadline {deadline_ms:g} ms) -> stop frame", times, p50_ms=None, p99_ms=None
     )

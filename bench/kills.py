@@ -67,10 +67,11 @@ def measure(
                 pid = trial.service.pids()[process]
                 found[process].append(trial.kill(process, chance.uniform(0.1, 0.2)))
                 trial.recover(process, pid)
-    return _rows(pidfds, floors, found, f", of {ballast_mb} MB" if ballast_mb else "")
+    return rows_of(pidfds, floors, found, f", of {ballast_mb} MB" if ballast_mb else "")
 
 
-def _rows(pidfds: list[int], floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
+def rows_of(pidfds: list[int], floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
+    """Of the kills of each process, with what the machine itself takes; `what`: words about the service."""
     least = stats.percentiles(floors)
     rows = []
     if pidfds:

@@ -101,10 +101,11 @@ def command_timeouts(trial: Trial, count: int, seed: int, progress: Callable[[st
         trial.robot.drive(0.1, 0.0, 0.0)
         samples.append(_until(trial, commanded_ns, lambda event: event.is_motor and not any(event.speeds)))
     trial.robot.disable()
-    return _timeout_row(samples)
+    return timeout_row(samples)
 
 
-def _timeout_row(samples: list[int]) -> stats.Row:
+def timeout_row(samples: list[int]) -> stats.Row:
+    """Of the command timeout: as long as it should be, and little longer."""
     row = stats.timing("last drive() -> zero frame (command timeout 0.3 s)", samples, p50_ms=None, p99_ms=None)
     row.numbers["min_ms"] = min(samples, default=0) / 1e6
     row.result = f"min {row.numbers['min_ms']:.1f}  {row.result}"

@@ -151,8 +151,8 @@ def measure(messages: int, progress: Callable[[str], None]) -> list[stats.Row]:
         asleep = _in_turns(pairs, lots, progress)
         with awake():
             kept_awake = _in_turns(pairs, lots, progress)
-    rows = _judged(asleep)
-    rows += [_row(name, samples, AWAKE) for name, samples in kept_awake.items()]
+    rows = judged(asleep)
+    rows += [row_of(name, samples, AWAKE) for name, samples in kept_awake.items()]
     return rows + [
         stats.Row(_measure(name), f"skipped: {why}", "-", None, {"skipped": why}) for name, why in missing.items()
     ]
@@ -168,9 +168,9 @@ def _in_turns(pairs: list[Pair], lots: int, progress: Callable[[str], None]) -> 
     return taken
 
 
-def _judged(taken: dict[str, list[int]]) -> list[stats.Row]:
+def judged(taken: dict[str, list[int]]) -> list[stats.Row]:
     """The rows, failstop's with its bar."""
-    rows = {name: _row(name, samples) for name, samples in taken.items()}
+    rows = {name: row_of(name, samples) for name, samples in taken.items()}
     peers = {name: row.numbers["p50_us"] for name, row in rows.items() if name not in (OURS, FLOOR)}
     best = min(peers, key=lambda name: peers[name])
     ours = rows[OURS]
@@ -185,7 +185,8 @@ def _measure(name: str, condition: str = "") -> str:
     return f"one way, 64 bytes at 1 kHz{condition}: {name}" + (" (the floor)" if name == FLOOR else "")
 
 
-def _row(name: str, samples: list[int], condition: str = "") -> stats.Row:
+def row_of(name: str, samples: list[int], condition: str = "") -> stats.Row:
+    """Of one transport; `condition`: words about the receiver."""
     p50, p99 = (float(value) for value in np.percentile(np.array(samples) / 1e3, (50, 99)))
     numbers = {"p50_us": p50, "p99_us": p99, "max_us": max(samples) / 1e3, "samples": len(samples)}
     return stats.Row(_measure(name, condition), f"p50 {p50:.1f}  p99 {p99:.1f} us", "-", None, numbers)

@@ -43,7 +43,7 @@ def measure(kills: int, seed: int, progress: Callable[[str], None]) -> list[stat
     chance = random.Random(seed)
     ours = _ours(kills, chance, progress)
     theirs, missing = _theirs(kills, chance, progress)
-    return _rows(ours, theirs, missing)
+    return rows_of(ours, theirs, missing)
 
 
 def _ours(kills: int, chance: random.Random, progress: Callable[[str], None]) -> dict[str, list[int]]:
@@ -58,7 +58,7 @@ def _ours(kills: int, chance: random.Random, progress: Callable[[str], None]) ->
                     trial.enable()
                     pid = trial.service.pids()[process]
                     stopped = trial.kill(process, chance.uniform(0.1, 0.2))
-                    found[process].append(_stop_ns(f"failstop, {process} killed", stopped))
+                    found[process].append(checked_ns(f"failstop, {process} killed", stopped))
                     trial.recover(process, pid)
     return found
 
@@ -102,17 +102,18 @@ def sample(peer: Peer, board: SimBoard, drive_s: float) -> int:
     except TimeoutError as error:
         raise PeerFailed(f"{peer.label}: no stop within {STOP_S:g} s of the kill: {error}") from None
     peer.settle()
-    return _stop_ns(peer.label, judge(board.events(), killed_ns, moving))
+    return checked_ns(peer.label, judge(board.events(), killed_ns, moving))
 
 
-def _stop_ns(label: str, stopped: Stopped) -> int:
+def checked_ns(label: str, stopped: Stopped) -> int:
     """A sample counts only if the wheels turned before, and the stop came and held."""
     if stopped.stop_ns is None or stopped.motion_after or not stopped.was_moving:
         raise PeerFailed(f"{label}: this was no stop of turning wheels: {stopped}")
     return stopped.stop_ns
 
 
-def _rows(ours: dict[str, list[int]], theirs: dict[str, list[int]], missing: dict[str, str]) -> list[stats.Row]:
+def rows_of(ours: dict[str, list[int]], theirs: dict[str, list[int]], missing: dict[str, str]) -> list[stats.Row]:
+    """Of failstop, of each peer, of each that is missing, and the verdict."""
     rows = [
         stats.timing(f"failstop: kill {key} -> stop frame", row, p50_ms=None, p99_ms=None) for key, row in ours.items()
     ]

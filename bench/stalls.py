@@ -119,7 +119,12 @@ def main() -> int:
     """One core's loop."""
     core = int(sys.argv[1])
     os.sched_setaffinity(0, {core})
-    if not rights.take_rights(PRIORITY) & REALTIME:
+    return loop(core, rights.take_rights(PRIORITY))
+
+
+def loop(core: int, taken: int) -> int:
+    """`taken`: the rights that this process has. Exit code 1 without real-time priority: it would say nothing."""
+    if not taken & REALTIME:
         return 1
     print(json.dumps(_watch(core)))
     return 0

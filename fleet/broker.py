@@ -81,22 +81,22 @@ class Broker:
         self._newest_first = newest_first
         self._wait_s = FIRST_WAIT_S
         self._try_at_s = 0.0
-        self._client: Client = Client(
+        self.client: Client = Client(
             CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=True, reconnect_on_failure=False
         )
-        self._client.connect_timeout = CONNECT_S
-        self._client.max_queued_messages_set(BACKLOG)
-        self._client.on_connect = self._on_connect
-        self._client.on_disconnect = self._on_disconnect
-        self._client.on_subscribe = self._on_subscribe
-        self._client.on_socket_open = self._on_socket
+        self.client.connect_timeout = CONNECT_S
+        self.client.max_queued_messages_set(BACKLOG)
+        self.client.on_connect = self._on_connect
+        self.client.on_disconnect = self._on_disconnect
+        self.client.on_subscribe = self._on_subscribe
+        self.client.on_socket_open = self._on_socket
         self._secure()
 
     def _secure(self) -> None:
         settings = self._settings
         if user := settings.text("broker.user"):
             path = settings.secret("broker.password_file", "broker.password")
-            self._client.username_pw_set(user, read_secret(path) if path else None)
+            self.client.username_pw_set(user, read_secret(path) if path else None)
         if not settings.on("broker.tls"):
             return
         try:
@@ -105,25 +105,25 @@ class Broker:
                 context.load_cert_chain(certificate, settings.text("broker.cert_key_file") or None)
         except (OSError, ssl.SSLError) as error:
             raise FleetError(f"broker.ca_file, broker.cert_file: {error}") from None
-        self._client.tls_set_context(context)
+        self.client.tls_set_context(context)
 
     def will(self, topic: str, payload: bytes) -> None:
         """Set the broker's retained message for when this client is lost; counts from the next connection on."""
-        self._client.will_set(topic, payload, qos=ONCE, retain=True)
+        self.client.will_set(topic, payload, qos=ONCE, retain=True)
 
     def say(self, topic: str, payload: bytes, *, qos: int = ONCE, retain: bool = False) -> None:
         """Publish; nothing happens while there is no connection."""
         if not self.problem:
-            self._client.publish(topic, payload, qos=qos, retain=retain)
+            self.client.publish(topic, payload, qos=qos, retain=retain)
 
     def fileno(self) -> int:
         """The descriptor to wait for; -1 while there is no connection."""
-        found = self._client.socket()
+        found = self.client.socket()
         return found.fileno() if found else -1
 
     def wants_write(self) -> bool:
         """True while something waits to be sent."""
-        return bool(self._client.want_write())
+        return bool(self.client.want_write())
 
     def turn(self, timeout_s: float) -> None:
         """Wait for the broker at most so long, and do what there is to do."""
@@ -132,7 +132,7 @@ class Broker:
             if self.fileno() < 0:
                 time.sleep(timeout_s)
             return
-        self.serve(readable=self._poll(0.0 if self._client.buffered() else timeout_s))
+        self.serve(readable=self._poll(0.0 if self.client.buffered() else timeout_s))
 
     def _poll(self, timeout_s: float) -> bool:
         """Wait at most so long; True when something is there to be read, or the connection has ended."""
@@ -145,27 +145,27 @@ class Broker:
     def serve(self, *, readable: bool) -> None:
         """Read what has come, write what waits, keep the connection alive."""
         for _ in range(MOST_READS):
-            if not (readable or self._client.buffered()):
+            if not (readable or self.client.buffered()):
                 break
-            self._client.loop_read()
+            self.client.loop_read()
             readable = self._poll(0.0)
-        self._deliver()
+        self.deliver()
         if self.wants_write():
-            self._client.loop_write()
-        self._client.loop_misc()
+            self.client.loop_write()
+        self.client.loop_misc()
 
-    def _deliver(self) -> None:
+    def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         """Hand on the messages that were read. Where the newest comes first, a flood's older ones are dropped: the
         sender of a genuine one repeats it."""
-        messages = self._client.wire.messages()
+        messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
                 self._hear(*message)
             return
-        until_s = time.monotonic() + HEAR_S
+        until_s = clock_s() + HEAR_S
         for message in reversed(messages):
             self._hear(*message)
-            if time.monotonic() > until_s:
+            if clock_s() > until_s:
                 return
 
     def connect(self, now_s: float) -> None:
@@ -176,7 +176,7 @@ class Broker:
         self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
         settings = self._settings
         try:
-            self._client.connect(
+            self.client.connect(
                 settings.text("broker.host"),
                 int(settings.number("broker.port")),
                 int(settings.number("broker.keepalive_s")),
@@ -187,12 +187,12 @@ class Broker:
     def close(self) -> None:
         """In order: the last will is not said."""
         with contextlib.suppress(OSError, ValueError):
-            self._client.disconnect()
+            self.client.disconnect()
 
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
         """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._client.wire = Wire()
+        self.client.wire = Wire()
 
     def _on_connect(self, client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):

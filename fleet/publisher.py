@@ -110,8 +110,9 @@ class Publisher:
         self._key, self._off = _key(settings)
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
-        self._obedience = Obedience(self._key, robot_id, self._seen)
-        self._unsaved = False
+        self.obedience = Obedience(self._key, robot_id, self._seen)
+        """Judges what claims to be a stop of the fleet."""
+        self.unsaved = False
         """Written after the answers have left: a disk may take its time."""
         self._said_forged = 0
         self._said_denied = ""
@@ -143,15 +144,15 @@ class Publisher:
             return
         busy = self.busy(now_s)
         state, note = self._robot.read()
-        for answer in self._obedience.look(state, now_s):
+        for answer in self.obedience.look(state, now_s):
             self._answer(answer)
         self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
         if busy and now_s - self._built_s < LOOK_S:
             return
         self._built_s = now_s
         self._publish(state, note, now_s)
-        if self._unsaved and not self.broker.wants_write():
-            self._unsaved = False
+        if self.unsaved and not self.broker.wants_write():
+            self.unsaved = False
             self._remember()
         if not self.broker.problem:
             for event in self._robot.events()[-MOST_EVENTS:]:
@@ -167,10 +168,10 @@ class Publisher:
 
     def busy(self, now_s: float) -> bool:
         """True while a stop of the fleet is carried out."""
-        return self._obedience.busy(now_s)
+        return self.obedience.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
-        return BUSY_LOOK_S if self._obedience.waits(now_s) else LAST_LOOK_S
+        return BUSY_LOOK_S if self.obedience.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
         """In order: the robot is OFFLINE, which is not lost."""
@@ -196,7 +197,7 @@ class Publisher:
     def _publish(self, state: State | None, note: str, now_s: float) -> None:
         if self.broker.problem:
             return
-        body = vda5050.body(state, note, self._own_errors(now_s))
+        body = vda5050.body(state, note, self.own_errors(now_s))
         steady = vda5050.steady(body)
         age_s = now_s - self._published_s
         new = steady != self._shown[0] or (body != self._shown[1] and age_s >= CHANGES_S)
@@ -210,7 +211,8 @@ class Publisher:
         payload = self._header.message(topics.EVENT, {**body, "fields": event.fields}, time.time())
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
-    def _own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
+    def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
+        """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
         found = []
         if off := self._off or self._denied():
             found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
@@ -224,24 +226,24 @@ class Publisher:
         if self._off:
             return
         now_s, unix_s = time.monotonic(), time.time()
-        order, answer = self._obedience.hear(payload, now_s, unix_s)
+        order, answer = self.obedience.hear(payload, now_s, unix_s)
         if order:
             state, _ = self._robot.read()
             if problem := self._robot.stop(order.reason, order.by):
-                answer = self._obedience.failed(order, problem)
+                answer = self.obedience.failed(order, problem)
             else:
-                self._obedience.begin(order, now_s, unix_s, state)
-                self._look_at_s, self._unsaved = now_s + FIRST_LOOK_S, True
+                self.obedience.begin(order, now_s, unix_s, state)
+                self._look_at_s, self.unsaved = now_s + FIRST_LOOK_S, True
             standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
         if answer:
             self._answer(answer)
         self._note_forged(now_s)
 
     def _note_forged(self, now_s: float) -> None:
-        if self._obedience.forged > self._said_forged:
+        if self.obedience.forged > self._said_forged:
             if now_s - self._forged_s > FORGED_S:
-                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self._obedience.last_forged}")
-            self._said_forged, self._forged_s = self._obedience.forged, now_s
+                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.obedience.last_forged}")
+            self._said_forged, self._forged_s = self.obedience.forged, now_s
 
     def _answer(self, answer: Answer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)

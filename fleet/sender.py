@@ -43,7 +43,7 @@ class Sender:
         self._order = Order(self.id, 0.0, reason, by)
         self._manufacturer = found.text("robot.manufacturer")
         self._probe = topics.answer(self._manufacturer, self.id, "probe/end")
-        self._heard_all = False
+        self.heard_all = False
         """The broker has said whom it knows."""
         self._again_s = 0.0
         wanted = (
@@ -64,7 +64,7 @@ class Sender:
                 self._send(now_s)
             self.broker.turn(TURN_S)
             progress(self.tally)
-            if self._heard_all and self.tally.all_confirmed():
+            if self.heard_all and self.tally.all_confirmed():
                 if self.tally.all_reached(levels.OBSERVED):
                     break
                 enough_s = min(enough_s, now_s + OBSERVED_S)
@@ -73,7 +73,7 @@ class Sender:
         self.broker.close()
         if self.sent_s is None:
             raise FleetError(f"NO ROBOT WAS STOPPED: {self.broker.problem}; stop them by hand (power switch)")
-        return self._heard_all and self.tally.all_confirmed()
+        return self.heard_all and self.tally.all_confirmed()
 
     def _up(self) -> None:
         self._send(time.monotonic())
@@ -87,7 +87,7 @@ class Sender:
         missing = [row.robot for row in self.tally.missing()]
         many = len(missing) > MOST_SINGLE
         most = len(missing) > max(MOST_SINGLE, len(self.tally.robots()) // 2)
-        some = self.sent_s is not None and self._heard_all and not most
+        some = self.sent_s is not None and self.heard_all and not most
         self._again_s = now_s + (ALL_AGAIN_S if many else AGAIN_S)
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
@@ -95,7 +95,7 @@ class Sender:
 
     def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         if topic == self._probe:
-            self._heard_all = True
+            self.heard_all = True
             return
         robot, last = topics.robot_of(topic)
         if last == topics.CONNECTION:

@@ -81,9 +81,8 @@ def tried(version: str, at: Path) -> tuple[bool, str]:
     return good, line if good else f"{said}\n{line}"
 
 
-def main() -> int:
+def main(at: Path) -> int:
     """All versions at once, since each waits for the network first; exit code 1 when one fails."""
-    at = Path(sys.argv[1]).resolve()
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(lambda version: tried(version, at), VERSIONS))
     print(*(line for _, line in found), sep="\n")
@@ -91,4 +90,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(Path(sys.argv[1]).resolve()))

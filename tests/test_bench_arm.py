@@ -84,12 +84,12 @@ MOVING = Rested(ROWS[0], 8.0, 1.5, 3.9, 0, None, ())
 @pytest.mark.parametrize(("behind_ms", "met"), [(3.9, True), (4.1, False)])
 def test_the_bar_of_a_stop_behind_the_arm_is_that_of_the_run_s_own_kills(behind_ms: float, met: bool) -> None:
     moving = dataclasses.replace(MOVING, wheels_ms=behind_ms)
-    least, behind, rest, wrong = arm_kills._rows("gate", [DRIVING] * 5, [moving] * 5)
+    least, behind, rest, wrong = arm_kills.rows_of("gate", [DRIVING] * 5, [moving] * 5)
     assert (least.met, behind.met, rest.met, wrong.met) == (None, met, True, True)
 
 
 def test_a_stop_that_never_came_is_no_good_time() -> None:
     silent = dataclasses.replace(MOVING, wheels_ms=None, wrong=("the arm was not stopped",))
-    _, behind, _, wrong = arm_kills._rows("gate", [DRIVING] * 5, [silent] * 5)
+    _, behind, _, wrong = arm_kills.rows_of("gate", [DRIVING] * 5, [silent] * 5)
     assert (behind.met, wrong.met) == (False, False)
-    assert not arm_kills._rows("gate", [], [MOVING])[1].met
+    assert not arm_kills.rows_of("gate", [], [MOVING])[1].met

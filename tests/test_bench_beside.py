@@ -1,6 +1,5 @@
 """The judge of `python -m bench --beside`: what it calls slower, what it calls not known, and what its exit code is."""
 
-import contextlib
 import json
 import sys
 from pathlib import Path
@@ -172,15 +171,19 @@ def test_what_is_slower_is_the_exit_code(
     code: int,
     said: str,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    there = beside.Side("there", tmp_path, sys.executable)
-    monkeypatch.setattr(beside, "_checked_out", lambda _: contextlib.nullcontext(there))
-    monkeypatch.setattr(beside, "_git", lambda *_, **__: "abc")
-    monkeypatch.setattr(beside, "_visit", lambda side, _: visits[side is not there])
+    there, here = (beside.Side(name, tmp_path, sys.executable) for name in ("there", "here"))
+    order = []
+
+    def visited(side: beside.Side, _: visit.Amounts) -> beside.Said:
+        order.append(side)
+        return visits[side is here]
+
+    taken = beside.taken(there, here, MUCH, 8, visited)
+    assert order == [there, here, here, there] * 4
     out = tmp_path / "rows.json"
-    assert beside.main("abc", MUCH, 8, MARGIN, str(out)) == code
+    assert beside.told(taken, MARGIN, {}, str(out)) == code
     assert said in capsys.readouterr().out
     verdicts = {row["verdict"] for row in json.loads(out.read_text())["rows"]}
     assert (ratio.SLOWER in verdicts) == (code == 1)

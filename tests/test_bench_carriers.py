@@ -5,58 +5,61 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import carriers
-from bench.carriers import Carriers
+from bench.carriers import Carriers, Kernel
 
 OTHER, FIFO = os.SCHED_OTHER, os.SCHED_FIFO
 NAMED_SO = "import sys, time; open('/proc/self/comm', 'w').write('kworker/u9:1'); print(flush=True); sys.stdin.read()"
 
 
-@pytest.fixture
-def machine(monkeypatch: pytest.MonkeyPatch) -> dict[int, int]:
-    """Workers and their policies."""
-    policies = {10: OTHER, 11: FIFO, 12: OTHER}
+class Machine(Kernel):
+    """Workers and their policies, which can be without the right to change them."""
 
-    def setscheduler(pid: int, policy: int, parameter: os.sched_param) -> None:
-        if pid not in policies:
+    def __init__(self) -> None:
+        self.policies = {10: OTHER, 11: FIFO, 12: OTHER}
+        self.allowed = True
+
+    def workers(self) -> Iterator[int]:
+        return iter(list(self.policies))
+
+    def policy(self, pid: int) -> int:
+        return self.policies[pid]
+
+    def schedule(self, pid: int, policy: int, priority: int) -> None:
+        if not self.allowed:
+            raise PermissionError
+        if pid not in self.policies:
             raise ProcessLookupError
-        assert bool(parameter.sched_priority) == (policy == FIFO)
-        policies[pid] = policy
-
-    monkeypatch.setattr(carriers, "workers", lambda: iter(list(policies)))
-    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: policies[pid])
-    monkeypatch.setattr(os, "sched_setscheduler", setscheduler)
-    return policies
+        assert bool(priority) == (policy == FIFO)
+        self.policies[pid] = policy
 
 
-def test_they_come_first_and_are_given_back(machine: dict[int, int]) -> None:
-    with Carriers() as first:
+def test_they_come_first_and_are_given_back() -> None:
+    machine = Machine()
+    with Carriers(machine) as first:
         assert first.priority == "ordinary"
         first.first()
-        assert machine == {10: FIFO, 11: FIFO, 12: FIFO}
-        del machine[12]
-        machine[13] = OTHER
+        assert machine.policies == {10: FIFO, 11: FIFO, 12: FIFO}
+        del machine.policies[12]
+        machine.policies[13] = OTHER
         first.first()
-        assert machine == {10: FIFO, 11: FIFO, 13: FIFO}
-    assert machine == {10: OTHER, 11: FIFO, 13: OTHER}, "one that was first before stays so"
+        assert machine.policies == {10: FIFO, 11: FIFO, 13: FIFO}
+    assert machine.policies == {10: OTHER, 11: FIFO, 13: OTHER}, "one that was first before stays so"
     assert first.priority == "real-time"
 
 
-def test_without_the_right_nothing_is_changed(machine: dict[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object) -> None:
-        raise PermissionError
-
-    monkeypatch.setattr(os, "sched_setscheduler", refused)
-    with Carriers() as first:
+def test_without_the_right_nothing_is_changed() -> None:
+    machine = Machine()
+    machine.allowed = False
+    with Carriers(machine) as first:
         first.first()
     assert first.priority == "ordinary"
-    assert machine == {10: OTHER, 11: FIFO, 12: OTHER}
+    assert machine.policies == Machine().policies
 
 
 def test_a_program_of_such_a_name_is_none() -> None:

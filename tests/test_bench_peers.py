@@ -73,13 +73,13 @@ def test_a_peer_that_is_closed_while_driving_ends_its_driver(nothing_left: None,
 )
 def test_what_is_no_stop_is_no_sample(stopped: Stopped) -> None:
     with pytest.raises(peers.PeerFailed):
-        peers._stop_ns("peer", stopped)
+        peers.checked_ns("peer", stopped)
 
 
 @pytest.mark.parametrize(("theirs_ms", "met"), [((39, 100), False), ((41, 100), True)])
 def test_the_bar_is_the_fastest_peer_against_the_slower_kill(theirs_ms: tuple[int, int], met: bool) -> None:
     theirs = {f"peer {ms}": [ms * MS] for ms in theirs_ms}
-    rows = peers._rows({"gate": [1 * MS], "port_owner": [2 * MS]}, theirs, {"absent": "not installed"})
+    rows = peers.rows_of({"gate": [1 * MS], "port_owner": [2 * MS]}, theirs, {"absent": "not installed"})
     assert rows[-1].met is met
     assert f"peer {theirs_ms[0]}" in rows[-1].result
     assert [row.result for row in rows if row.measure == "absent"] == ["skipped: not installed"]
@@ -104,7 +104,7 @@ def test_a_pair_that_fails_says_why() -> None:
 
 @pytest.mark.parametrize(("ours", "met"), [(110_000, True), (112_000, False)])
 def test_the_floor_is_no_peer(ours: int, met: bool) -> None:
-    rows = oneway._judged({OURS: [ours], FLOOR: [50_000], "ZeroMQ": [100_000], "Unix datagrams": [200_000]})
+    rows = oneway.judged({OURS: [ours], FLOOR: [50_000], "ZeroMQ": [100_000], "Unix datagrams": [200_000]})
     judged = [row for row in rows if row.met is not None]
     assert [row.met for row in judged] == [met]
     assert judged[0].numbers["best_peer"] == "ZeroMQ"
@@ -123,6 +123,6 @@ def test_cores_are_kept_awake_by_processes_that_give_way() -> None:
 
 
 def test_rows_are_those_of_the_table() -> None:
-    row = oneway._row("ZeroMQ", [1000, 2000, 3000], oneway.AWAKE)
+    row = oneway.row_of("ZeroMQ", [1000, 2000, 3000], oneway.AWAKE)
     assert isinstance(row, stats.Row)
     assert row.numbers == {"p50_us": 2.0, "p99_us": pytest.approx(2.98), "max_us": 3.0, "samples": 3}

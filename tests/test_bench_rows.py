@@ -62,15 +62,15 @@ def test_counts_and_limits() -> None:
     ],
 )
 def test_a_bad_kill_misses_its_row(bad: Stopped, missed: str) -> None:
-    rows = kills._rows([MS], [MS], {"gate": [GOOD, bad]}, "")
+    rows = kills.rows_of([MS], [MS], {"gate": [GOOD, bad]}, "")
     assert [row.measure for row in rows if row.met is False] == [missed]
-    assert not [row for row in kills._rows([MS], [MS], {"gate": [GOOD]}, "") if row.met is False]
+    assert not [row for row in kills.rows_of([MS], [MS], {"gate": [GOOD]}, "") if row.met is False]
 
 
 def test_a_hang_that_is_noticed_late_misses_its_row() -> None:
     late_ns = round((60 + hangs.MARGIN_MS) * MS)
-    assert [hangs._row("gate", 60.0, [ns]).met for ns in (late_ns - MS, late_ns)] == [True, False]
-    assert hangs._row("gate", 60.0, []).met is False
+    assert [hangs.row_of("gate", 60.0, [ns]).met for ns in (late_ns - MS, late_ns)] == [True, False]
+    assert hangs.row_of("gate", 60.0, []).met is False
 
 
 def test_the_soak_s_bars() -> None:
@@ -95,16 +95,16 @@ def test_the_soak_s_bars() -> None:
     ],
 )
 def test_a_bad_hang_misses_its_row(bad: Stopped, missed: str) -> None:
-    rows = hangs._rows({"gate": [GOOD, bad]})
+    rows = hangs.rows_of({"gate": [GOOD, bad]})
     assert [row.measure for row in rows if row.met is False] == [missed]
-    assert not [row for row in hangs._rows({"gate": [GOOD]}) if row.met is False]
+    assert not [row for row in hangs.rows_of({"gate": [GOOD]}) if row.met is False]
 
 
 @pytest.mark.parametrize(
     ("samples_ms", "met"), [([300, 320], True), ([299, 310], False), ([300, 321], False), ([], False)]
 )
 def test_a_deadman_that_is_too_soon_or_too_late_misses_its_row(samples_ms: list[int], met: bool) -> None:
-    assert latency._timeout_row([ms * MS for ms in samples_ms]).met is met
+    assert latency.timeout_row([ms * MS for ms in samples_ms]).met is met
 
 
 def test_the_control_tells_what_the_machine_did_from_what_the_service_did() -> None:
@@ -147,13 +147,9 @@ def test_a_control_that_is_held_up_says_so() -> None:
     assert min(os.sched_getaffinity(0)) in {one.core for one in control.stalls if one.ms >= 55}
 
 
-def test_a_control_without_real_time_priority_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_control_without_real_time_priority_is_none() -> None:
     """Memory that is locked does not put it above the service."""
-    monkeypatch.setattr(sys, "argv", ["stalls", str(min(os.sched_getaffinity(0)))])
-    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: None)
-    monkeypatch.setattr(stalls.rights, "take_rights", lambda _: MEMORY_LOCKED)
-    monkeypatch.setattr(stalls, "_watch", lambda _: [])
-    assert stalls.main() == 1
+    assert stalls.loop(0, MEMORY_LOCKED) == 1
 
 
 @pytest.mark.parametrize(("met", "code"), [(True, 0), (None, 0), (False, 1)])

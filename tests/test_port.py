@@ -445,7 +445,7 @@ def stuck_socket() -> tuple[int, socket.socket]:
     return sender.detach(), peer
 
 
-def test_a_close_that_would_wait_for_an_hour_is_cut_short_and_the_timer_is_given_back() -> None:
+def test_a_close_that_would_wait_for_an_hour_is_cut_short_and_gives_the_timer_back() -> None:
     handler = signal.getsignal(signal.SIGALRM)
     descriptor, peer = stuck_socket()
     others = signal.setitimer(signal.ITIMER_REAL, 1000.0, 7.0)

@@ -122,7 +122,7 @@ def test_motor_frames_and_the_stop_s_own_write_cut_anywhere() -> None:
         judge(WRITE[:cut] + WRITE, {})
 
 
-def test_control_a_servo_s_stop_of_its_own_behind_a_cut_burst_leaves_the_receiver_deaf_to_it() -> None:
+def test_control_a_servo_s_own_stop_behind_a_cut_burst_goes_unheard_by_the_receiver() -> None:
     """Why it is no write of its own: it goes as the rest of whatever was cut, a motor frame too."""
     alone = WRITE[len(BURST) :]
     taken_for_a_motor_s = 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +10,19 @@ import pytest
 from tests.support.commands import script
 
 PROGRAM = Path(__file__).parents[1] / "packaging/versions.py"
+PYTHON = """#!/bin/sh
+PATH=/usr/bin:/bin
+case "$1 $2" in
+"-c "*) echo 3.10 ;;
+"-m venv") mkdir -p "$4/bin" && cp "$0" "$4/bin/python" ;;
+"-m pip") ;;
+"-m pytest")
+    echo "what pytest said"
+    last=$(ls {at}/code* | tail -n 1)
+    code=$(cat "$last") && rm "$last" && exit "$code" ;;
+esac
+"""
+"""An interpreter of 3.10 whose tests end with the codes that are written there, the last file's first."""
 
 
 @pytest.fixture(scope="module")
@@ -39,23 +51,35 @@ def test_the_first_that_works(versions: ModuleType, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("good", "code", "said"),
-    [(True, 0, "python 3.10: good, "), (False, 1, "python 3.10: FAILED, ")],
+    ("codes", "code", "said"),
+    [
+        ("0", 0, "python 3.10: good, "),
+        ("1 0", 0, "python 3.10: good, "),
+        ("1 1", 1, "python 3.10: FAILED, "),
+        ("2", 1, "python 3.10: FAILED, "),
+    ],
 )
 def test_what_is_said(
     versions: ModuleType,
-    good: bool,
+    codes: str,
     code: int,
     said: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["versions", str(tmp_path)])
-    monkeypatch.setattr(versions, "find", lambda version, _: "python" if version == "3.10" else None)
-    monkeypatch.setattr(versions, "run", lambda *_: (good, "" if good else "what pytest said\n"))
-    assert versions.main() == code
+    """What fails beside others is tried again alone."""
+    for name, folder in (("PATH", "bin"), ("HOME", "home"), ("PYENV_ROOT", "pyenv"), ("UV_PYTHON_INSTALL_DIR", "uv")):
+        monkeypatch.setenv(name, str(tmp_path / folder))
+    for left, one in enumerate(reversed(codes.split())):
+        (tmp_path / f"code{left}").write_text(one)
+    python = tmp_path / "bin/python3.10"
+    python.parent.mkdir()
+    python.write_text(PYTHON.format(at=tmp_path))
+    python.chmod(0o755)
+    assert versions.main(tmp_path / "at") == code
     out = capsys.readouterr().out
     assert said in out
-    assert good or out.startswith("what pytest said\n")
+    assert code == 0 or out.startswith("what pytest said\n")
     assert out.endswith("python 3.13: none here (on the path, of pyenv, of uv): not tried\n")
+    assert not list(tmp_path.glob("code*"))

@@ -96,7 +96,7 @@ def test_with_the_page_s_access_list_a_robot_writes_what_is_its_own_alone(guarde
     stranger.broker.say(own, b"by r1")
     pump("its own", lambda: own in operator.last, operator, stranger, other)
     assert not [topic for topic in forbidden if operator.last.get(topic) == b"by r1"]
-    assert other._obedience.forged == 0
+    assert other.obedience.forged == 0
     for broker in (operator.broker, stranger.broker, other.broker):
         broker.close()
 
@@ -133,7 +133,7 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
             f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
             "see its access list"
         )
-        [error] = [row for row in publisher._own_errors(0.0) if row["errorType"] == vda5050.DEAF]
+        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.DEAF]
         assert error["errorDescription"] == publisher.deaf()
         publisher.turn(0.0)
         assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from bench.fleet_flood import packet
-from failstop.fleet import broker as broker_module
 from failstop.fleet import levels, signed, topics
+from failstop.fleet.broker import HEAR_S
 from failstop.fleet.levels import Answer, Order
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
@@ -88,7 +88,7 @@ def test_a_replayed_stop(enrol: Enrol, listener: Listener, settings: FleetSettin
 def test_a_replayed_stop_after_a_restart(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
     first = enrol("r1")
     stop_all(settings, first, listener)
-    pump("what is remembered to be written", lambda: not first._unsaved, first)
+    pump("what is remembered to be written", lambda: not first.unsaved, first)
     first.broker.close()
     topic, recorded = next((topic, payload) for topic, payload in listener.all if topic.endswith("/stop"))
     robot = Pretended()
@@ -170,7 +170,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        pump("the flood", lambda: publisher._obedience.forged > 500, publisher)
+        pump("the flood", lambda: publisher.obedience.forged > 500, publisher)
         tally = stop_all(settings, publisher)
     finally:
         ended.set()
@@ -181,29 +181,25 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     assert sum(sent) > 1000
 
 
-def test_of_a_pile_the_newest_is_heard_first(enrol: Enrol, key: str, settings: FleetSettings) -> None:
+def test_of_a_pile_the_newest_is_heard_first(enrol: Enrol, key: str) -> None:
     """The rest is left when the time for one turn is over."""
-    heard: list[bytes] = []
-    publisher = enrol()
-    broker = publisher.broker
+    robot = Pretended()
+    broker = enrol(robot=robot).broker
     ticks = iter(range(100))
-    junk = [f"{number}".encode() for number in range(10)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(broker, "_hear", lambda _topic, payload, _retained: heard.append(payload))
-        patch.setattr("failstop.fleet.broker.time.monotonic", lambda: next(ticks) * broker_module.HEAR_S / 3)
-        broker._client.wire.feed(b"".join(packet("t", payload, 0) for payload in junk))
-        broker._deliver()
-    assert heard == [b"9", b"8", b"7", b"6"]
-    assert broker._client.wire.messages() == []
+    pile = [order(key, id=f"{number:032x}", reason=str(number)) for number in range(10)]
+    broker.client.wire.feed(b"".join(packet("t", payload, 0) for payload in pile))
+    broker.deliver(lambda: next(ticks) * HEAR_S / 3)
+    assert [reason for reason, _ in robot.asked] == ["9", "8", "7", "6"]
+    assert broker.client.wire.messages() == []
 
 
 def test_a_message_of_twenty_megabytes(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
     robot = Pretended()
     publisher = enrol(robot=robot)
-    wire = publisher.broker._client.wire
+    wire = publisher.broker.client.wire
     listener.broker.say(topics.stop(settings.text("robot.manufacturer")), bytes(20_000_000), qos=0)
     pump("it to be skipped", lambda: wire.skipped, publisher, listener)
-    assert publisher.broker._client.wire is wire, "on the same connection"
+    assert publisher.broker.client.wire is wire, "on the same connection"
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
 
 
@@ -309,7 +305,7 @@ def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
     publisher = enrol(robot=robot)
     (tmp_path / "r1").rename(tmp_path / "away")
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED)
-    pump("the complaint", lambda: not publisher._unsaved, publisher)
+    pump("the complaint", lambda: not publisher.unsaved, publisher)
     assert "a restart forgets what was obeyed" in " ".join(capsys.readouterr().err.split())
 
 

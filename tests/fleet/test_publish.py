@@ -193,7 +193,7 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
         answer = Answer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0))
         listener.broker.say(topics.answer(maker(request), asking.id, name), answer.message(signed.read_key(key)))
     confirmed = lambda: len(asking.tally.reached(levels.OBSERVED)) == some  # noqa: E731
-    pump("the answers", lambda: asking._heard_all and confirmed(), asking.broker, listener)
+    pump("the answers", lambda: asking.heard_all and confirmed(), asking.broker, listener)
     asking._send(time.monotonic())
     pump("the rest", lambda: f"{first}/{names[-1]}" in listener.last, asking.broker, listener)
     asking.broker.close()

@@ -31,7 +31,7 @@ def tops(entries: list[Any]) -> set[str]:
     return {entry.path.split("/")[3] for entry in entries if entry.path.startswith(tree.SITE)}
 
 
-def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_package(running: list[Any]) -> None:
+def test_the_running_environment_is_whole_and_has_of_the_checkout_the_package_alone(running: list[Any]) -> None:
     paths = [entry.path for entry in running]
     assert len(paths) == len(set(paths))
     found = {name.split("-")[0].split(".")[0] for name in tops(running)}

@@ -60,7 +60,7 @@ def test_wanted_joints_are_asked_in_turn_at_first_twice_as_fast_as_the_bus_allow
     assert bench.reader.free_ns() == times[-1] + APART_NS
 
 
-def test_nobody_waits_and_each_joint_is_asked_twice_for_its_place_and_once_for_the_rest(bench: Bench) -> None:
+def test_an_idle_reader_asks_each_joint_twice_for_its_place_and_once_for_the_rest(bench: Bench) -> None:
     asked = []
     for _ in range(18):
         question = bench.ask()

@@ -36,7 +36,7 @@ def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_stopper_s(scene: S
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 1), (scene.port_owner.pid, 3, 1)]
 
 
-def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_port_owner_down(scene: Scene) -> None:
+def test_its_first_stop_does_not_wait_until_the_dying_port_owner_is_taken_down(scene: Scene) -> None:
     """On one core it would, in a thread that does not run above it."""
     assert scene.early.dying[scene.port_owner.pid] == BY_NAME[layout.PORT_OWNER].priority
 

@@ -26,7 +26,7 @@ CONSENT = ("--on-the-stand", "--wheels-are-free")
 PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}
 
 
-def test_every_path_of_prove_but_the_person_s_and_every_row_that_the_service_survives() -> None:
+def test_a_campaign_takes_every_path_but_a_person_s_and_every_row_survived() -> None:
     found = campaign.paths()
     assert set(BY_PATH) - set(found) == {"pad"}
     rows = [BY_NAME[name] for name in found if name not in BY_PATH]

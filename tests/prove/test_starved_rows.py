@@ -95,7 +95,7 @@ def latched(cause: Cause | None) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize("what", EXCUSABLE)
-def test_a_time_that_is_late_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(what: str) -> None:
+def test_a_late_time_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(what: str) -> None:
     made = run()
     EXCUSABLE[what](made)
     assert wrong(made)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.ros2.scene import Ros, Scene, new_name
+from tests.ros2.scene import BridgeTrial, Ros, new_name
 
 
 @pytest.fixture(scope="module", params=["stand-in", "real"])
@@ -21,16 +21,16 @@ def name() -> str:
 
 
 @pytest.fixture(scope="module")
-def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[Scene]:
+def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[BridgeTrial]:
     """A service and a bridge for all cases of a module, which may name options of the one (BRIDGE) and settings of the
     other (SETTINGS)."""
     words = getattr(request.module, "BRIDGE", ())
-    with Scene(ros, new_name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
+    with BridgeTrial(ros, new_name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
         yield made
 
 
 @pytest.fixture
-def scene(stage: Scene) -> Scene:
+def scene(stage: BridgeTrial) -> BridgeTrial:
     """The module's, as at its start."""
     stage.fresh()
     return stage

@@ -224,7 +224,7 @@ class Bridge:
         self._log.close()
 
 
-class Scene:
+class BridgeTrial:
     """Board, service, bridge, and a node that looks on."""
 
     def __init__(
@@ -244,7 +244,7 @@ class Scene:
         self.words = words
         self.nodes: list[Node] = []
 
-    def __enter__(self) -> Scene:
+    def __enter__(self) -> BridgeTrial:
         self.trial.__enter__()
         try:
             self.bridge = Bridge(self.ros, self.trial.name, *self.words, environment=self._environment)

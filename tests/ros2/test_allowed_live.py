@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from tests.ros2.scene import Scene
+from tests.ros2.scene import BridgeTrial
 
 BRIDGE = ("--ros-args", "-p", "allowed_publishers:=['/nav', 'teleop']")
 
 
 @pytest.mark.parametrize("who", ["nav", "teleop"])
-def test_who_is_on_the_list_drives(scene: Scene, who: str) -> None:
+def test_who_is_on_the_list_drives(scene: BridgeTrial, who: str) -> None:
     scene.scan()
     scene.drive(who)
     scene.enable()
     scene.moving()
 
 
-def test_a_stranger_latches_and_moves_nothing(scene: Scene) -> None:
+def test_a_stranger_latches_and_moves_nothing(scene: BridgeTrial) -> None:
     scene.scan()
     scene.enable()
     scene.trial.board.events()

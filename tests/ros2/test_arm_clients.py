@@ -9,7 +9,7 @@ import pytest
 
 from failstop.lab.trial import wait_for
 from tests.ros2.arm_scene import ARM_SETTINGS, goal, point, send
-from tests.ros2.scene import Ros, Scene, new_name
+from tests.ros2.scene import BridgeTrial, Ros, new_name
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -17,7 +17,7 @@ def test_a_client_of_the_action_that_is_killed_or_stopped_holds_the_arm(ros: Ros
     """DDS counts it for 20 s: what is missing at once is its acknowledgement of the feedback."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
-    with Scene(ros, new_name(), settings=ARM_SETTINGS) as scene:
+    with BridgeTrial(ros, new_name(), settings=ARM_SETTINGS) as scene:
         planner = scene.node("planner")
         assert send(planner, goal(point(20, -0.5)))
         scene.state(lambda state: state["arm_moving"])
@@ -42,7 +42,7 @@ def test_without_control_msgs_the_log_and_the_diagnostics_say_so(ros: Ros) -> No
     if ros.real:
         pytest.skip("the stand-in alone can be without")
     without = {"FAILSTOP_STANDIN_WITHOUT": "control_msgs"}
-    with Scene(ros, new_name(), settings=ARM_SETTINGS, environment=without) as scene:
+    with BridgeTrial(ros, new_name(), settings=ARM_SETTINGS, environment=without) as scene:
         said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
         wait_for("the line", lambda: scene.bridge.said().count(said) == 1)
         scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")

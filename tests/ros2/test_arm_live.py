@@ -9,13 +9,13 @@ import pytest
 
 from failstop.lab.trial import wait_for
 from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, goal, point, publish_once, send
-from tests.ros2.scene import NODE, Node, Scene
+from tests.ros2.scene import NODE, BridgeTrial, Node
 from tests.support.arm_settings import DRIVE, SERVOS
 
 SETTINGS = ARM_SETTINGS
 
 
-def test_drive_pose_hold_and_state(scene: Scene) -> None:
+def test_drive_pose_hold_and_state(scene: BridgeTrial) -> None:
     assert scene.eyes.call("arm/drive") == (True, "arm is there")
     state = scene.state(lambda state: not state["arm_moving"])
     assert state["arm_enabled"]
@@ -27,7 +27,7 @@ def test_drive_pose_hold_and_state(scene: Scene) -> None:
     assert set(json.loads(text)) == {"base", "shoulder", "elbow", "wrist", "roll", "gripper"}
 
 
-def test_enable_goes_to_the_drive_pose_and_the_arm_is_refused_then(scene: Scene) -> None:
+def test_enable_goes_to_the_drive_pose_and_the_arm_is_refused_then(scene: BridgeTrial) -> None:
     assert scene.eyes.call("enable", data=True) == (True, "enabled")
     joints = scene.trial.board.joints()
     assert [joints[servo] for servo in SERVOS[1:5]] == pytest.approx(DRIVE[1:5], abs=2)
@@ -35,7 +35,7 @@ def test_enable_goes_to_the_drive_pose_and_the_arm_is_refused_then(scene: Scene)
     assert scene.eyes.call("enable", data=False) == (True, "disabled")
 
 
-def test_a_blocked_joint_refuses_in_the_words_of_the_driver_before(scene: Scene) -> None:
+def test_a_blocked_joint_refuses_in_the_words_of_the_driver_before(scene: BridgeTrial) -> None:
     scene.trial.board.servo(2, position=400, blocked=True)
     try:
         done, text = scene.eyes.call("enable", data=True)
@@ -45,7 +45,7 @@ def test_a_blocked_joint_refuses_in_the_words_of_the_driver_before(scene: Scene)
     assert text.startswith("refused: arm is not in the drive pose")
 
 
-def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
+def test_the_arm_s_joints_are_joint_states(scene: BridgeTrial) -> None:
     scene.eyes.hear("joint_states", "sensor_msgs/msg/JointState")
     found = scene.eyes.next("joint_states", lambda message: "base" in message["name"])
     assert len(found["name"]) == len(found["position"]) == len(found["velocity"])
@@ -54,14 +54,14 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
 
 
 @pytest.fixture
-def planner(scene: Scene, offers: bool) -> Node:
+def planner(scene: BridgeTrial, offers: bool) -> Node:
     """A client of the action."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
     return scene.node("planner")
 
 
-def test_a_trajectory_by_the_action(scene: Scene, planner: Node) -> None:
+def test_a_trajectory_by_the_action(scene: BridgeTrial, planner: Node) -> None:
     assert send(planner, goal(point(0, 0.0), point(1, 0.2), point(2, 0.1)))
     assert not send(planner, goal(point(1, 0.0))), "a second one while the first is under way"
     assert "cancel that first" in scene.bridge.said()
@@ -74,7 +74,7 @@ def test_a_trajectory_by_the_action(scene: Scene, planner: Node) -> None:
     assert max(desired) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
 
 
-def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: Scene, planner: Node) -> None:
+def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: BridgeTrial, planner: Node) -> None:
     assert not send(planner, goal(point(1, 9.0)))
     assert not send(planner, goal(point(1, 0.0), joint="tail"))
     assert not send(planner, goal(point(1)))
@@ -85,7 +85,7 @@ def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: Scene, pla
         assert words in said
 
 
-def test_a_goal_that_is_cancelled_is_held(scene: Scene, planner: Node) -> None:
+def test_a_goal_that_is_cancelled_is_held(scene: BridgeTrial, planner: Node) -> None:
     assert send(planner, goal(point(20, 0.5)))
     wait_for("the arm to move", lambda: scene.state()["arm_moving"])
     other = scene.node("other")
@@ -97,7 +97,7 @@ def test_a_goal_that_is_cancelled_is_held(scene: Scene, planner: Node) -> None:
     scene.state(lambda state: not state["arm_moving"])
 
 
-def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Node) -> None:
+def test_the_end_of_the_action_s_client_holds_the_arm(scene: BridgeTrial, planner: Node) -> None:
     assert send(planner, goal(point(20, -0.5)))
     wait_for("the arm to move", lambda: scene.state()["arm_moving"])
     scene.leave(planner)
@@ -105,13 +105,13 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
     assert "nobody hears of the goal any more: held" in scene.bridge.said()
 
 
-def test_a_listener_of_the_feedback_is_no_hindrance(scene: Scene, planner: Node) -> None:
+def test_a_listener_of_the_feedback_is_no_hindrance(scene: BridgeTrial, planner: Node) -> None:
     assert send(planner, goal(point(0, 0.0), point(2, 0.1)))
     assert not send(scene.node("ear"), goal(point(1, 0.0))), "it hears the feedback from now on"
     assert planner.ask("outcome")["status"] == 4
 
 
-def test_a_goal_of_the_topic_ends_with_its_publisher(scene: Scene) -> None:
+def test_a_goal_of_the_topic_ends_with_its_publisher(scene: BridgeTrial) -> None:
     sender = scene.node("sender")
     start = scene.trial.board.joints()[1]
     wait_for("the arm to be seen", lambda: scene.state()["arm_enabled"])
@@ -123,7 +123,7 @@ def test_a_goal_of_the_topic_ends_with_its_publisher(scene: Scene) -> None:
     assert abs(scene.trial.board.joints()[1] - start) < 180, "0.9 rad are 215 pulses"
 
 
-def test_a_long_goal_of_the_topic_is_refused(scene: Scene) -> None:
+def test_a_long_goal_of_the_topic_is_refused(scene: BridgeTrial) -> None:
     sender = scene.node("sender")
     publish_once(sender, {"joint_names": ["base"], "points": [point(1, 0.1), point(8, 0.2)]})
     said = "arm/goal: refused: it takes 8 s, and nobody can see whether its sender lives: 3 s at most (arm.unwatched_s)"
@@ -131,7 +131,7 @@ def test_a_long_goal_of_the_topic_is_refused(scene: Scene) -> None:
     assert not scene.state()["arm_moving"]
 
 
-def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: Scene) -> None:
+def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: BridgeTrial) -> None:
     first, second = scene.node("first"), scene.node("second")
     for node in (first, second):
         node.ask("advertise", topic="arm/goal", type=GOAL)
@@ -150,7 +150,7 @@ def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: Scene) ->
     wait_for("a reset", reset)
 
 
-def test_a_goal_that_is_old_moves_nothing(scene: Scene) -> None:
+def test_a_goal_that_is_old_moves_nothing(scene: BridgeTrial) -> None:
     """By its stamp, or since the bridge did not run while it lay there."""
     planner = scene.node("old_planner")
     late = {"joint_names": ["base"], "points": [point(1, 0.3)]}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import FORWARD, NODE, TWIST, Ros, Scene, lacks
+from tests.ros2.scene import FORWARD, NODE, TWIST, BridgeTrial, Ros, lacks
 
 
 @pytest.fixture(scope="module")
@@ -23,14 +23,14 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
     return found
 
 
-def said(scene: Scene, *words: str) -> str:
+def said(scene: BridgeTrial, *words: str) -> str:
     """What a command that ended well printed, in one line."""
     done = scene.ros.run(*words)
     assert done.returncode == 0, done.stdout + done.stderr
     return " ".join(done.stdout.split())
 
 
-def test_topic_info(scene: Scene) -> None:
+def test_topic_info(scene: BridgeTrial) -> None:
     scene.drive()
     text = said(scene, "ros2", "topic", "info", "-v", "--no-daemon", "--spin-time", "3", "/cmd_vel")
     assert "Type: geometry_msgs/msg/Twist Publisher count: 1 Node name: nav" in text
@@ -38,7 +38,7 @@ def test_topic_info(scene: Scene) -> None:
     assert "Reliability: RELIABLE" in text
 
 
-def test_service_call(scene: Scene) -> None:
+def test_service_call(scene: BridgeTrial) -> None:
     text = said(scene, "ros2", "service", "call", f"{NODE}/enable", "std_srvs/srv/SetBool", "{data: true}")
     assert "SetBool_Response(success=True, message='enabled')" in text
     text = said(scene, "ros2", "service", "call", f"{NODE}/stop", "std_srvs/srv/Trigger")
@@ -49,7 +49,7 @@ def test_service_call(scene: Scene) -> None:
     assert "message='e-stop cleared (was: stop service); motion still disabled')" in text
 
 
-def test_param_get_and_set(scene: Scene) -> None:
+def test_param_get_and_set(scene: BridgeTrial) -> None:
     words = ("--no-daemon", "--spin-time", "3", NODE)
     assert said(scene, "ros2", "param", "get", *words, "max_linear") == "Double value is: 0.2"
     assert said(scene, "ros2", "param", "get", *words, "imu_frame_id") == "String value is: imu_link"
@@ -57,7 +57,7 @@ def test_param_get_and_set(scene: Scene) -> None:
     assert "change limits.vx_mps and limits.vy_mps in failstop's TOML file" in done.stdout + done.stderr
 
 
-def test_topic_pub_and_echo(scene: Scene) -> None:
+def test_topic_pub_and_echo(scene: BridgeTrial) -> None:
     scene.scan()
     scene.enable()
     done = scene.ros.run("ros2", "topic", "pub", "-t", "40", "-r", "20", "/cmd_vel", TWIST, str(FORWARD))
@@ -68,11 +68,11 @@ def test_topic_pub_and_echo(scene: Scene) -> None:
     assert any(event.is_motion for event in scene.trial.board.events())
 
 
-def bridges(scene: Scene) -> set[int]:
+def bridges(scene: BridgeTrial) -> set[int]:
     return {client.pid for client in scene.trial.robot.state.clients if client.name == "ros2"}
 
 
-def test_launch_with_an_exit_handler(scene: Scene, tmp_path: Path) -> None:
+def test_launch_with_an_exit_handler(scene: BridgeTrial, tmp_path: Path) -> None:
     """The launch file of the driver before, with this bridge in its place: the handler still runs when it dies."""
     name = scene.trial.name
     launch = tmp_path / "old.launch.py"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, Scene
+from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, BridgeTrial
 from tests.support.commands import failstop
 from tests.support.waiting import until
 
 BACKWARD = {"linear": {"x": -0.2}}
 
 
-def told(scene: Scene, text: str, *words: str) -> None:
+def told(scene: BridgeTrial, text: str, *words: str) -> None:
     """Wait until a command tells it: the bridge's own topics do so first."""
     command = (*words, "--name", scene.trial.name)
     until(lambda: text in " ".join(failstop(*command).stdout.split()), f"`failstop {' '.join(words)}` to tell: {text}")
@@ -19,7 +19,7 @@ def told(scene: Scene, text: str, *words: str) -> None:
 
 @pytest.mark.parametrize("kind", [TWIST, STAMPED])
 @pytest.mark.parametrize("reliable", [True, False])
-def test_a_second_publisher_latches_and_moves_nothing(scene: Scene, kind: str, reliable: bool) -> None:
+def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: str, reliable: bool) -> None:
     scene.scan()
     scene.drive()
     scene.enable()
@@ -44,7 +44,7 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: Scene, kind: str, r
 
 
 def test_the_second_publisher_is_named_wherever_the_cause_is_told(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+    scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its process is new: the graph knows its publisher before its name."""
     scene.drive()
@@ -63,14 +63,14 @@ def test_the_second_publisher_is_named_wherever_the_cause_is_told(
     told(scene, "/joystick", "incident", "list")
 
 
-def test_a_silent_second_publisher_latches_too(scene: Scene) -> None:
+def test_a_silent_second_publisher_latches_too(scene: BridgeTrial) -> None:
     scene.drive()
     second = scene.node("joystick")
     second.ask("advertise", topic="cmd_vel", type=TWIST)
     assert scene.state(lambda state: state["estop"])["estop"].startswith("multiple cmd_vel publishers: ")
 
 
-def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
+def test_reset_is_refused_while_somebody_commands_motion(scene: BridgeTrial) -> None:
     driver = scene.drive()
     scene.trial.robot.estop("hand near wheel")
     scene.state(lambda state: state["estop"] and state["publishers"] == ["/nav"])
@@ -85,7 +85,7 @@ def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
     assert found[1].endswith("; motion still disabled")
 
 
-def test_a_wrong_type_is_told_everywhere(scene: Scene) -> None:
+def test_a_wrong_type_is_told_everywhere(scene: BridgeTrial) -> None:
     wrong = scene.node("confused")
     wrong.publish("cmd_vel", BOOL, {"data": True}, match=False)
     said = "/confused publishes Bool on cmd_vel, which is Twist or TwistStamped"
@@ -104,13 +104,13 @@ def test_a_wrong_type_is_told_everywhere(scene: Scene) -> None:
     told(scene, said, "events", "--kind", "said")
 
 
-def test_best_effort_is_not_heard_and_is_told(scene: Scene) -> None:
+def test_best_effort_is_not_heard_and_is_told(scene: BridgeTrial) -> None:
     shy = scene.node("shy")
     shy.publish("cmd_vel", TWIST, FORWARD, match=False, qos={"reliable": False})
     scene.state(lambda state: "/shy publishes cmd_vel as best effort" in (state["wrong"] or ""))
 
 
-def test_a_wrong_scan_and_a_wrong_estop(scene: Scene) -> None:
+def test_a_wrong_scan_and_a_wrong_estop(scene: BridgeTrial) -> None:
     node = scene.node("confused")
     node.publish("scan", "sensor_msgs/msg/PointCloud2", {}, match=False)
     node.publish("estop", "std_msgs/msg/String", {}, match=False)
@@ -118,7 +118,7 @@ def test_a_wrong_scan_and_a_wrong_estop(scene: Scene) -> None:
     scene.state(lambda state: "/confused publishes String on estop, which is Bool" in (state["wrong"] or ""))
 
 
-def test_status_names_who_commands(scene: Scene) -> None:
+def test_status_names_who_commands(scene: BridgeTrial) -> None:
     scene.scan()
     scene.drive()
     scene.state(lambda state: state["publishers"] == ["/nav"] and state["wrong"] is None)

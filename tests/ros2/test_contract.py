@@ -10,7 +10,7 @@ from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
 from failstop.shm.records import CAUSE
-from tests.ros2.scene import NODE, Scene
+from tests.ros2.scene import NODE, BridgeTrial
 from tests.support import states
 
 RELIABLE_10 = Qos(10, reliable=True, transient_local=False)
@@ -131,7 +131,7 @@ def test_words_of_the_driver_before() -> None:
 
 
 @pytest.mark.parametrize("topic", [*INWARD, *OUTWARD], ids=lambda topic: topic.name)
-def test_the_running_bridge_offers_it(scene: Scene, topic: contract.Topic) -> None:
+def test_the_running_bridge_offers_it(scene: BridgeTrial, topic: contract.Topic) -> None:
     name = topic.name.replace("~", NODE)
     name = name if name.startswith("/") else f"/{name}"
     of = "subscriptions" if topic in INWARD else "publishers"
@@ -150,7 +150,7 @@ def test_the_running_bridge_offers_it(scene: Scene, topic: contract.Topic) -> No
     ]
 
 
-def test_the_running_bridge_offers_the_services(scene: Scene) -> None:
+def test_the_running_bridge_offers_the_services(scene: BridgeTrial) -> None:
     services = scene.eyes.ask("graph")["services"]
     for name, kind in SERVICE_TYPES.items():
         assert services[name.replace("~", NODE)] == [kind]

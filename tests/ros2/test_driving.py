@@ -7,18 +7,18 @@ import math
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, Scene
+from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, BridgeTrial
 from tests.support.commands import failstop
 
 
-def latched(scene: Scene) -> str:
+def latched(scene: BridgeTrial) -> str:
     """The cause, once there is one."""
     estop: str = scene.state(lambda state: state["estop"])["estop"]
     return estop
 
 
 @pytest.mark.parametrize("kind", [TWIST, STAMPED])
-def test_cmd_vel_drives(scene: Scene, kind: str) -> None:
+def test_cmd_vel_drives(scene: BridgeTrial, kind: str) -> None:
     scene.scan()
     scene.drive(kind=kind, stamp=kind == STAMPED)
     scene.enable()
@@ -29,14 +29,14 @@ def test_cmd_vel_drives(scene: Scene, kind: str) -> None:
     wait_for("full speed", lambda: abs(scene.trial.board.wheels()[0] - 0.796) < 0.001)
 
 
-def test_a_zero_stamp_counts_as_now(scene: Scene) -> None:
+def test_a_zero_stamp_counts_as_now(scene: BridgeTrial) -> None:
     scene.scan()
     scene.drive(kind=STAMPED)
     scene.enable()
     scene.moving()
 
 
-def test_an_old_stamp_is_refused(scene: Scene) -> None:
+def test_an_old_stamp_is_refused(scene: BridgeTrial) -> None:
     scene.scan()
     driver = scene.node("nav")
     driver.publish("cmd_vel", STAMPED, {"twist": FORWARD, "header": {"stamp": {"sec": 1_600_000_000}}})
@@ -46,7 +46,7 @@ def test_an_old_stamp_is_refused(scene: Scene) -> None:
     assert not scene.trial.moving()
 
 
-def test_whose_clock_disagrees_is_told_everywhere(scene: Scene) -> None:
+def test_whose_clock_disagrees_is_told_everywhere(scene: BridgeTrial) -> None:
     scene.scan()
     driver = scene.node("nav")
     stamp = {"sec": 1_600_000_000}
@@ -78,7 +78,7 @@ def test_whose_clock_disagrees_is_told_everywhere(scene: Scene) -> None:
         ("angular", "z", math.nan),
     ],
 )
-def test_what_is_not_finite_latches(scene: Scene, part: str, axis: str, value: float) -> None:
+def test_what_is_not_finite_latches(scene: BridgeTrial, part: str, axis: str, value: float) -> None:
     """Also in the fields that a wheeled base has no use for: the publisher's sums went wrong somewhere."""
     scene.scan()
     driver = scene.drive()
@@ -89,7 +89,7 @@ def test_what_is_not_finite_latches(scene: Scene, part: str, axis: str, value: f
     scene.state(lambda state: state["estop"] == "command from /nav is not finite")
 
 
-def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
+def test_estop_latches_and_false_does_nothing(scene: BridgeTrial) -> None:
     scene.eyes.hear(f"{NODE}/emergency_stop", BOOL)
     button = scene.node("button")
     button.publish("estop", BOOL, {"data": False})
@@ -108,13 +108,13 @@ def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("qos", [{"reliable": False}, {"reliable": True}, {"lasting": True}], ids=str)
-def test_every_publisher_of_estop_can_stop(scene: Scene, qos: dict[str, bool]) -> None:
+def test_every_publisher_of_estop_can_stop(scene: BridgeTrial, qos: dict[str, bool]) -> None:
     scene.node("button").publish("estop", BOOL, {"data": True}, hz=2.0, qos=qos)
     assert latched(scene) == "estop topic"
     assert scene.state()["wrong"] == "nobody publishes scan: start the lidar's node, or remap its topic"
 
 
-def test_one_message_of_estop_is_one_stop(scene: Scene) -> None:
+def test_one_message_of_estop_is_one_stop(scene: BridgeTrial) -> None:
     """Both subscriptions of the bridge hear a reliable publisher."""
     button = scene.node("button")
     button.publish("estop", BOOL, {"data": False}, hz=1.0)
@@ -128,7 +128,7 @@ def test_one_message_of_estop_is_one_stop(scene: Scene) -> None:
         assert scene.bridge.said().count("E-STOP: estop topic") == before + 2
 
 
-def test_who_looks_late_sees_the_emergency_stop(scene: Scene) -> None:
+def test_who_looks_late_sees_the_emergency_stop(scene: BridgeTrial) -> None:
     scene.trial.robot.estop("hand near wheel")
     latched(scene)
     dashboard = scene.node("dashboard")
@@ -137,7 +137,7 @@ def test_who_looks_late_sees_the_emergency_stop(scene: Scene) -> None:
     assert dashboard.next(f"{NODE}/emergency_stop")["data"] is True
 
 
-def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: Scene) -> None:
+def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: BridgeTrial) -> None:
     scene.drive()
     scene.enable()
     state = scene.state(lambda state: state["blocked"] == "no scan")
@@ -155,7 +155,7 @@ def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: Scene) -> None:
     scene.moving()
 
 
-def test_a_silent_driver_stops_the_wheels(scene: Scene) -> None:
+def test_a_silent_driver_stops_the_wheels(scene: BridgeTrial) -> None:
     scene.scan()
     driver = scene.drive()
     scene.enable()
@@ -167,7 +167,7 @@ def test_a_silent_driver_stops_the_wheels(scene: Scene) -> None:
     assert scene.state()["enabled"]
 
 
-def test_scan_may_be_reliable_too(scene: Scene) -> None:
+def test_scan_may_be_reliable_too(scene: BridgeTrial) -> None:
     lidar = scene.node("lidar")
     lidar.publish("scan", SCAN, {}, qos={"reliable": True})
     scene.state(lambda state: state["scan_age"] is not None and state["scan_age"] < 0.2 and state["wrong"] is None)

@@ -13,11 +13,11 @@ import pytest
 from failstop import Robot
 from failstop.lab.trial import wait_for
 from failstop.shm.layout import CLIENT_SLOTS
-from tests.ros2.scene import BOOL, FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene, new_name
+from tests.ros2.scene import BOOL, FORWARD, NODE, TWIST, Bridge, BridgeTrial, Node, Ros, new_name
 from tests.support.commands import failstop
 
 
-def driving(scene: Scene) -> Node:
+def driving(scene: BridgeTrial) -> Node:
     scene.scan()
     driver = scene.drive()
     scene.enable()
@@ -26,14 +26,14 @@ def driving(scene: Scene) -> Node:
     return driver
 
 
-def zero_after(scene: Scene, ns: int, within_s: float) -> float:
+def zero_after(scene: BridgeTrial, ns: int, within_s: float) -> float:
     """Seconds until the wheels were told to stand."""
     stop = scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > ns, within_s)
     return (stop.arrival_ns - ns) / 1e9
 
 
 def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(ros: Ros) -> None:
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         driving(scene)
         with open(f"/proc/{scene.bridge.process.pid}/maps", encoding="utf-8") as file:
             assert "/dev/shm/fastrtps" not in file.read()
@@ -56,7 +56,7 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(ros: Ros) -
 
 
 def test_a_stopped_bridge_stops_the_wheels_and_passes_on_nothing_old(ros: Ros) -> None:
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         driver = driving(scene)
         stopped_ns = time.monotonic_ns()
         scene.bridge.send(signal.SIGSTOP)
@@ -72,7 +72,7 @@ def test_a_stopped_bridge_stops_the_wheels_and_passes_on_nothing_old(ros: Ros) -
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_told_to_end(ros: Ros, number: int) -> None:
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         driving(scene)
         told_ns = time.monotonic_ns()
         scene.bridge.send(number)
@@ -82,7 +82,7 @@ def test_told_to_end(ros: Ros, number: int) -> None:
 
 
 def test_a_service_that_was_started_anew_is_found_again(ros: Ros) -> None:
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         driving(scene)
         scene.trial.leave()
         scene.trial.service.kill()
@@ -115,7 +115,7 @@ def test_without_a_service_it_waits_and_says_so(ros: Ros) -> None:
 
 def test_the_interlock_holds_while_one_at_most_publishes(ros: Ros) -> None:
     settings = '[interlocks.ros2]\ntimeout_s = 0.3\nrefusal = "ROS 2 is away"\n'
-    with Scene(ros, new_name(), settings=settings) as scene:
+    with BridgeTrial(ros, new_name(), settings=settings) as scene:
         scene.scan()
         scene.drive()
         scene.enable()
@@ -130,7 +130,7 @@ def test_the_interlock_holds_while_one_at_most_publishes(ros: Ros) -> None:
 def test_the_namespace_and_remaps_are_roses(ros: Ros) -> None:
     words = ("--ros-args", "-r", "__ns:=/left", "-r", "cmd_vel:=/base/cmd_vel")
     name = new_name()
-    with Scene(ros, name) as scene:
+    with BridgeTrial(ros, name) as scene:
         bridge = Bridge(ros, name, *words)
         try:
             node = scene.node("nav")
@@ -164,7 +164,7 @@ def test_parameters_that_make_no_sense(ros: Ros, words: tuple[str, ...], says: s
 
 def test_a_stop_needs_no_client_slot(ros: Ros) -> None:
     """A bridge that can drive nothing goes on trying, and is asked to stop in the middle of that."""
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         scene.bridge.kill()
         with contextlib.ExitStack() as stack:
             others = [stack.enter_context(Robot(scene.trial.name, client=f"other{n}")) for n in range(CLIENT_SLOTS)]

@@ -15,12 +15,12 @@ from failstop.lab.trial import wait_for
 from failstop.ros2.link import Link
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
-from tests.ros2.scene import NODE, Scene
+from tests.ros2.scene import NODE, BridgeTrial
 
 SECONDS = 2.0
 
 
-def heard(scene: Scene, topic: str, kind: str, count: int, **qos: Any) -> list[tuple[int, float, dict[str, Any]]]:
+def heard(scene: BridgeTrial, topic: str, kind: str, count: int, **qos: Any) -> list[tuple[int, float, dict[str, Any]]]:
     """So many messages, from the first one on."""
     scene.eyes.hear(topic, kind, **qos)
     found: list[tuple[int, float, dict[str, Any]]] = []
@@ -42,7 +42,7 @@ def rate(times: list[float]) -> float:
     return (len(times) - 1) / (times[-1] - times[0])
 
 
-def test_imu(scene: Scene) -> None:
+def test_imu(scene: BridgeTrial) -> None:
     found = heard(scene, "imu/data_raw", "sensor_msgs/msg/Imu", 300, depth=100)
     times = stamps(found)
     assert times == sorted(set(times))
@@ -56,7 +56,7 @@ def test_imu(scene: Scene) -> None:
     assert all(abs(message["angular_velocity"][axis]) < 0.2 for axis in "xyz")
 
 
-def test_odometry(scene: Scene) -> None:
+def test_odometry(scene: BridgeTrial) -> None:
     scene.scan()
     scene.drive()
     scene.enable()
@@ -79,7 +79,7 @@ def test_odometry(scene: Scene) -> None:
     assert "/tf" not in scene.eyes.ask("graph")["topics"], "an EKF owns it"
 
 
-def test_battery(scene: Scene) -> None:
+def test_battery(scene: BridgeTrial) -> None:
     found = heard(scene, "battery", "sensor_msgs/msg/BatteryState", 3)
     assert rate(stamps(found)) == pytest.approx(1.0, rel=0.1)
     message = found[-1][2]
@@ -88,7 +88,7 @@ def test_battery(scene: Scene) -> None:
     assert message["power_supply_status"] == 0
 
 
-def test_gamepad(scene: Scene) -> None:
+def test_gamepad(scene: BridgeTrial) -> None:
     scene.eyes.hear("gamepad", "sensor_msgs/msg/Joy")
 
     def frame() -> bool:
@@ -104,7 +104,7 @@ def test_gamepad(scene: Scene) -> None:
     assert message["buttons"] == [int(bit == 8) for bit in range(16)]
 
 
-def test_joint_states(scene: Scene) -> None:
+def test_joint_states(scene: BridgeTrial) -> None:
     scene.scan()
     scene.drive()
     scene.enable()
@@ -120,7 +120,7 @@ def test_joint_states(scene: Scene) -> None:
     assert turned == pytest.approx([5.0 * seconds] * 4, rel=0.1)
 
 
-def test_state_and_emergency_stop_come_ten_times_a_second(scene: Scene) -> None:
+def test_state_and_emergency_stop_come_ten_times_a_second(scene: BridgeTrial) -> None:
     for topic, kind in (("state", "String"), ("emergency_stop", "Bool")):
         scene.eyes.take(f"{NODE}/state")
         found = heard(scene, f"{NODE}/{topic}", f"std_msgs/msg/{kind}", 30)
@@ -129,7 +129,7 @@ def test_state_and_emergency_stop_come_ten_times_a_second(scene: Scene) -> None:
     scene.eyes.hear(f"{NODE}/state", "std_msgs/msg/String")
 
 
-def test_typed_status(scene: Scene) -> None:
+def test_typed_status(scene: BridgeTrial) -> None:
     if f"{NODE}/status" not in scene.eyes.ask("graph")["topics"]:
         pytest.skip("failstop_msgs is not built here")
     message = heard(scene, f"{NODE}/status", "failstop_msgs/msg/Status", 3)[-1][2]
@@ -137,7 +137,7 @@ def test_typed_status(scene: Scene) -> None:
     assert message["link"] == "alive"
 
 
-def test_diagnostics(scene: Scene) -> None:
+def test_diagnostics(scene: BridgeTrial) -> None:
     found = heard(scene, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 3)[-1][2]
     rows = {row["name"].partition(": ")[2]: row for row in found["status"]}
     assert {row["name"].partition(": ")[0] for row in found["status"]} == {NODE[1:]}
@@ -151,7 +151,7 @@ def test_diagnostics(scene: Scene) -> None:
     scene.eyes.next("/diagnostics", lambda message: message["status"][0]["level"] == 2)
 
 
-def test_without_a_service_no_wheel_turns(scene: Scene) -> None:
+def test_without_a_service_no_wheel_turns(scene: BridgeTrial) -> None:
     scene.scan()
     scene.drive()
     scene.enable()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import Ros, Scene, new_name
+from tests.ros2.scene import BridgeTrial, Ros, new_name
 from tests.support.amounts import amount
 
 RESTARTS = amount(3, 40)
 
 
 def test_nothing_drives_before_an_enable(ros: Ros) -> None:
-    with Scene(ros, new_name()) as scene:
+    with BridgeTrial(ros, new_name()) as scene:
         robot = scene.trial.robot
         scene.scan()
         scene.drive()

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from failstop.ros2.mirrors import TABLE
-from tests.ros2.scene import NODE, Scene
+from tests.ros2.scene import NODE, BridgeTrial
 
 BRIDGE = (
     *("--ros-args", "-p", "max_linear:=0.5", "-p", "cmd_timeout:=0.3", "-p", "gyro_noise_rad_s:=0.1"),
@@ -15,7 +15,7 @@ BRIDGE = (
 )
 
 
-def test_enable_and_disable(scene: Scene) -> None:
+def test_enable_and_disable(scene: BridgeTrial) -> None:
     assert scene.eyes.call("enable", data=True) == (True, "enabled")
     assert scene.trial.robot.state.enabled
     assert scene.eyes.call("enable", data=True) == (True, "enabled")
@@ -23,7 +23,7 @@ def test_enable_and_disable(scene: Scene) -> None:
     assert not scene.trial.robot.state.enabled
 
 
-def test_reset(scene: Scene) -> None:
+def test_reset(scene: BridgeTrial) -> None:
     assert scene.eyes.call("reset_estop") == (True, "e-stop cleared (was: None); motion still disabled")
     button = scene.node("button")
     button.publish("estop", "std_msgs/msg/Bool", {"data": True}, hz=1.0)
@@ -37,7 +37,7 @@ def test_reset(scene: Scene) -> None:
     assert not scene.trial.robot.state.enabled
 
 
-def test_stop_tells_its_three_levels(scene: Scene) -> None:
+def test_stop_tells_its_three_levels(scene: BridgeTrial) -> None:
     scene.eyes.call("enable", data=True)
     begun_s = time.monotonic()
     done, text = scene.eyes.call("stop")
@@ -51,7 +51,7 @@ def test_stop_tells_its_three_levels(scene: Scene) -> None:
     assert time.monotonic() - begun_s < 3.0
 
 
-def test_parameters_show_the_settings(scene: Scene) -> None:
+def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
     names = [mirror.name for mirror in TABLE]
     values = scene.eyes.ask("get_parameters", node=NODE, names=names)["values"]
     fields = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 8: "double_array_value"}
@@ -92,20 +92,22 @@ def test_parameters_show_the_settings(scene: Scene) -> None:
         ("cmd_vel_type", "twist", "read once, at the start of the bridge"),
     ],
 )
-def test_a_parameter_is_not_set_and_says_what_to_change(scene: Scene, name: str, value: float | str, says: str) -> None:
+def test_a_parameter_is_not_set_and_says_what_to_change(
+    scene: BridgeTrial, name: str, value: float | str, says: str
+) -> None:
     results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=value)["results"]
     assert [result["successful"] for result in results] == [False]
     assert says in results[0]["reason"]
     test_parameters_show_the_settings(scene)
 
 
-def test_a_launch_file_that_wants_otherwise_is_told_of_by_name(scene: Scene) -> None:
+def test_a_launch_file_that_wants_otherwise_is_told_of_by_name(scene: BridgeTrial) -> None:
     said = scene.bridge.said()
     assert "parameter max_linear = 0.5 is not taken, 0.2 holds: change limits.vx_mps and limits.vy_mps in" in said
     assert "parameter gyro_noise_rad_s = 0.1 is not taken, 0.0012 holds: remove it" in said
     assert "parameter cmd_timeout" not in said, "the same value is no contradiction"
 
 
-def test_frames_are_the_bridges_own_parameters(scene: Scene) -> None:
+def test_frames_are_the_bridges_own_parameters(scene: BridgeTrial) -> None:
     scene.eyes.hear("imu/data_raw", "sensor_msgs/msg/Imu")
     assert scene.eyes.next("imu/data_raw")["header"]["frame_id"] == "imu_left"

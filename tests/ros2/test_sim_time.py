@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import FORWARD, STAMPED, Ros, Scene, new_name
+from tests.ros2.scene import FORWARD, STAMPED, BridgeTrial, Ros, new_name
 
 
 def test_with_a_simulator_s_time_that_nobody_publishes(ros: Ros) -> None:
-    with Scene(ros, new_name(), "--ros-args", "-p", "use_sim_time:=true") as scene:
+    with BridgeTrial(ros, new_name(), "--ros-args", "-p", "use_sim_time:=true") as scene:
         scene.scan()
         driver = scene.node("nav")
         driver.publish("cmd_vel", STAMPED, {"twist": FORWARD}, stamp=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene, lacks, new_name
+from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, BridgeTrial, Node, Ros, lacks, new_name
 from tests.support.commands import failstop
 
 NOBODY = 65534
@@ -48,7 +48,7 @@ def test_a_node_of_another_user(ros: Ros, tmp_path: Path, own_profile: bool, loc
     own = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(tmp_path / "own.xml")}
     drop = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", PYTHON)
     try:
-        with Scene(ros, new_name(), environment=own if own_profile else None) as scene:
+        with BridgeTrial(ros, new_name(), environment=own if own_profile else None) as scene:
             lidar = scene.node("lidar")
             lidar.publish("scan", SCAN, {}, qos=SENSOR)
             scene.enable()

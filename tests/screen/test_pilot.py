@@ -324,8 +324,8 @@ def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time() -> None
     press(pilot, SPACE, seen=ARM)
     assert scribe.asked == ["estop"]
     scribe.let.set()
-    assert pilot._enabling
-    pilot._enabling.join(10)
+    assert pilot.enabling
+    pilot.enabling.join(10)
     assert scribe.asked == ["estop", "enable"]
 
 
@@ -337,8 +337,8 @@ def test_with_an_arm_an_enable_that_is_under_way_is_given_up_at_the_end() -> Non
         press(pilot, seen=ARM)
     assert pilot.leave() == "disable done"
     scribe.let.set()
-    assert pilot._enabling
-    pilot._enabling.join(10)
+    assert pilot.enabling
+    pilot.enabling.join(10)
 
 
 def test_with_an_arm_a_state_of_before_the_answer_takes_nothing_away() -> None:
@@ -348,8 +348,8 @@ def test_with_an_arm_a_state_of_before_the_answer_takes_nothing_away() -> None:
     press(pilot, "e", seen=ARM)
     press(pilot, seen=ARM)
     scribe.let.set()
-    assert pilot._enabling
-    pilot._enabling.join(10)
+    assert pilot.enabling
+    pilot.enabling.join(10)
     press(pilot, seen=ARM)
     press(pilot)
     assert pilot.leave() == "disable done"

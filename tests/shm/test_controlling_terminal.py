@@ -11,7 +11,7 @@ from failstop.shm import durable
 from tests.support.children import call
 
 
-def test_a_terminal_planted_after_the_look_is_not_the_one_whose_hangup_ends_the_service(
+def test_a_terminal_planted_after_the_look_does_not_end_the_service_by_its_hangup(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     master, slave = os.openpty()

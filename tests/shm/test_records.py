@@ -244,9 +244,7 @@ def test_a_goal_of_no_joint_or_of_more_than_there_may_be_or_cut_off_is_no_goal(d
         (struct.pack("<BH", 1, 1) + bytes(1 + 24), "1 joints and 1 points in 28 bytes"),
     ],
 )
-def test_a_trajectory_of_no_joint_or_of_too_many_or_of_other_points_than_it_says_is_none(
-    data: bytes, told: str
-) -> None:
+def test_a_trajectory_of_a_wrong_number_of_joints_or_points_is_refused(data: bytes, told: str) -> None:
     with pytest.raises(ValueError, match=f"^a trajectory of {told}$"):
         records.ARM_PATH.unpack(bytes(16) + data)
 

@@ -209,7 +209,7 @@ def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_cell() -> None:
     assert writer_of(memory).seq == 5
 
 
-def test_an_entry_whose_length_leads_into_the_next_cell_is_none_even_with_a_right_crc() -> None:
+def test_an_entry_with_a_right_crc_that_leads_into_the_next_cell_is_none() -> None:
     memory = ring_memory()
     data = cell.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
     memory.data[place(1) : place(1) + len(data)] = data

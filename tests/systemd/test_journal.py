@@ -146,7 +146,7 @@ JOURNAL = ("systemd-journald.socket", "systemd-journald-dev-log.socket", "system
 
 
 @pytest.mark.slow
-def test_without_the_journal_everything_stops_as_before_and_with_it_entries_come_again(scene: Scene) -> None:
+def test_without_the_journal_all_stops_as_before_and_with_it_entries_come_again(scene: Scene) -> None:
     scene.box.ctl("stop", *JOURNAL, check=False)
     try:
         assert scene.box.show(JOURNAL[2], "ActiveState")["ActiveState"] == "inactive"

@@ -19,7 +19,7 @@ from .installing import LINK, SETTINGS, Place
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
 
-def test_a_way_back_to_a_package_that_asks_says_what_to_answer_and_asks_nothing_with_the_option(
+def test_a_way_back_to_a_package_that_asks_says_the_answer_and_an_option_answers(
     place: Place, package: str, asking: str
 ) -> None:
     place.plug()
@@ -87,9 +87,7 @@ def test_a_purge_takes_the_page_s_keys_and_devices_and_what_the_fleet_remembers(
     assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
 
 
-def test_where_systemd_does_not_run_the_installation_says_that_nothing_stops_the_wheels(
-    place: Place, package: str
-) -> None:
+def test_an_installation_without_systemd_says_that_nothing_stops_the_wheels(place: Place, package: str) -> None:
     hidden = "mount -t tmpfs tmpfs /run/systemd && dpkg -i"
     said = place.box.run("unshare", "--mount", "sh", "-c", f"{hidden} {package}", timeout_s=90)
     assert "systemd does not run here, so nothing was started: NOTHING STOPS THE WHEELS" in said.stderr

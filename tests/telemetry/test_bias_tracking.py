@@ -177,7 +177,7 @@ def test_time_that_does_not_move_the_bias_is_not_averaged() -> None:
     assert tested.bias_radps[2] == pytest.approx(dps(0.0, 0.0, 0.4 * 0.01 / 3.02)[2], rel=0.02)
 
 
-def test_a_bias_that_no_calibration_found_follows_with_the_time_constant_from_the_start() -> None:
+def test_a_bias_without_calibration_follows_by_the_time_constant_from_the_start() -> None:
     """Else the first reading would be the bias."""
     tested = gyro()
     tested.follow(False, 0)
@@ -215,7 +215,7 @@ def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest(seed: int) -
     assert without_deg > 4 * with_deg
 
 
-def test_a_bias_that_moves_0_15_deg_per_s_costs_3_degrees_with_tracking_and_36_without() -> None:
+def test_a_bias_that_moves_0_15_dps_costs_3_degrees_with_tracking_and_36_without() -> None:
     """20 s x 0.15 deg/s; without, half of it over 480 s. The time constant is the price of not following the noise."""
     ramp = {"ramp_dps": 0.15, "walk_dps": 0.0, "noise_radps": 0.0}
     with_deg = heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, 0, **ramp))

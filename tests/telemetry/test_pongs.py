@@ -28,7 +28,7 @@ def answer(index: int) -> tuple[int, bytes]:
 # The pings.
 
 
-def test_as_many_as_the_layout_has_words_for_all_different_and_the_first_as_published() -> None:
+def test_the_pings_differ_fill_the_layout_s_words_and_begin_with_the_published_one() -> None:
     assert len(BOARD.pings) == len(set(BOARD.pings)) == layout.PINGS
     assert BOARD.pings[0] == bytes.fromhex("AA5504020501E0")
 

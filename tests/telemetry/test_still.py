@@ -50,7 +50,7 @@ class Shaken:
         return self.judge.still_ns > 0
 
 
-def test_still_after_a_window_and_the_hold_since_the_first_sample_of_the_first_window() -> None:
+def test_still_is_told_after_window_and_hold_and_counts_from_the_first_sample() -> None:
     tested = Shaken()
     begun_ns = tested.t_ns + STEP_NS
     tested.feed(FULL + HELD, 0.002)
@@ -284,7 +284,7 @@ def shake(scene: Scene, count: int, std_dps: float) -> int:
     return rang
 
 
-def test_both_words_follow_each_sample_and_a_change_of_the_verdict_rings_the_supervisor(scene: Scene) -> None:
+def test_both_words_follow_each_sample_and_another_verdict_rings_the_supervisor(scene: Scene) -> None:
     scene.gate["body_vel"] = [0.1, 0.0, 0.0]
     scene.turn()
     scene.rung("supervisor_bell")

@@ -120,7 +120,8 @@ class Pilot:
         self._full = full
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
-        self._enabling: threading.Thread | None = None
+        self.enabling: threading.Thread | None = None
+        """Asks an arm's service for motion, beside the keys; None before the first time."""
         self._seen: object = None
         """Of the state, what the lines for people depend on, as it was seen last."""
         self._told: Span = self.note
@@ -171,7 +172,7 @@ class Pilot:
 
     def _asking(self) -> bool:
         """With an arm, motion is enabled beside the keys."""
-        return bool(self._enabling and self._enabling.is_alive())
+        return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
         """The end: the wheels stop. Motion that this program enabled is disabled; what somebody else enabled, others
@@ -210,8 +211,8 @@ class Pilot:
                 elif key == "e" and not state.arm:
                     self._enable()
                 elif key == "e" and not self._asking():
-                    self._enabling = threading.Thread(target=self._enable_beside, daemon=True)
-                    self._enabling.start()
+                    self.enabling = threading.Thread(target=self._enable_beside, daemon=True)
+                    self.enabling.start()
                     self._asked = True
 
     def _enable(self) -> None:
