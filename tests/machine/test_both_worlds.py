@@ -29,7 +29,7 @@ KINDS: tuple[str, ...] = (
     "down",
 )
 KINDS += ("device_lost", "device_back", "driver_gone", "unstill")
-HELD = (
+HELD: tuple[str, ...] = (
     "port_owner_and_supervisor_hang",
     "stopper_alone_runs",
     "port_owner_hangs_shortly",
