@@ -40,7 +40,7 @@ OFTEN = (50, 99)
 """The percentiles of what a visit measures once, and of what it samples."""
 FAILED = "visits that failed"
 Said = dict[str, Any] | None
-"""What a visit told; None when it failed."""
+"""Values and counts that a visit told; None when it failed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _added(pairs: list[tuple[int, int]]) -> tuple[int, int]:
 def taken(
     there: Side, here: Side, much: visit.Amounts, rounds: int, visited: Callable[[Side, visit.Amounts], Said]
 ) -> list[tuple[Said, Said]]:
-    """What both sides told in each round, (there, here); they are visited in the order ABBA."""
+    """Visit both sides in each round, in the order ABBA; returns what they told, (there, here)."""
     said = []
     for turn in range(rounds):
         found = {}

@@ -23,15 +23,15 @@ class Kernel:
     """The workers and their scheduling, as the kernel tells and sets them."""
 
     def workers(self) -> Iterator[int]:
-        """Their pids."""
+        """Pids of the workers."""
         return workers()
 
     def policy(self, pid: int) -> int:
-        """Of one of them. Raises ProcessLookupError."""
+        """Policy of one of them. Raises ProcessLookupError."""
         return os.sched_getscheduler(pid)
 
     def schedule(self, pid: int, policy: int, priority: int) -> None:
-        """Another policy. Raises PermissionError, ProcessLookupError."""
+        """Give one another policy. Raises PermissionError, ProcessLookupError."""
         os.sched_setscheduler(pid, policy, os.sched_param(priority))
 
 

@@ -50,7 +50,7 @@ def measure(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
 
 
 def rows_of(found: dict[str, list[Stopped]]) -> list[stats.Row]:
-    """Of the hangs of each process: how long the board waited, and whether the stop came and held."""
+    """Rows of the hangs of each process: how long the board waited, and whether the stop came and held."""
     deadlines = deadlines_ms()
     rows = []
     for process, row in found.items():
@@ -67,7 +67,7 @@ def rows_of(found: dict[str, list[Stopped]]) -> list[stats.Row]:
 
 
 def row_of(process: str, deadline_ms: float, times: list[int]) -> stats.Row:
-    """Of one process, with its deadline as the bar."""
+    """Row of one process, with its deadline as the bar."""
     row = stats.timing(
         f"hang of {process} (deadline {deadline_ms:g} ms) -> stop frame", times, p50_ms=None, p99_ms=None
     )

@@ -71,7 +71,7 @@ def measure(
 
 
 def rows_of(pidfds: list[int], floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
-    """Of the kills of each process, with what the machine itself takes; `what`: words about the service."""
+    """Rows of the kills of each process, with what the machine itself takes; `what`: words about the service."""
     least = stats.percentiles(floors)
     rows = []
     if pidfds:

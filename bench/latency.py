@@ -105,7 +105,7 @@ def command_timeouts(trial: Trial, count: int, seed: int, progress: Callable[[st
 
 
 def timeout_row(samples: list[int]) -> stats.Row:
-    """Of the command timeout: as long as it should be, and little longer."""
+    """Row of the command timeout: as long as it should be, and little longer."""
     row = stats.timing("last drive() -> zero frame (command timeout 0.3 s)", samples, p50_ms=None, p99_ms=None)
     row.numbers["min_ms"] = min(samples, default=0) / 1e6
     row.result = f"min {row.numbers['min_ms']:.1f}  {row.result}"

@@ -113,7 +113,7 @@ def checked_ns(label: str, stopped: Stopped) -> int:
 
 
 def rows_of(ours: dict[str, list[int]], theirs: dict[str, list[int]], missing: dict[str, str]) -> list[stats.Row]:
-    """Of failstop, of each peer, of each that is missing, and the verdict."""
+    """Rows of failstop, of each peer, of each that is missing, and the verdict."""
     rows = [
         stats.timing(f"failstop: kill {key} -> stop frame", row, p50_ms=None, p99_ms=None) for key, row in ours.items()
     ]

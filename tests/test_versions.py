@@ -68,7 +68,7 @@ def test_what_is_said(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What fails beside others is tried again alone."""
+    """Tests that fail beside others are tried again alone."""
     for name, folder in (("PATH", "bin"), ("HOME", "home"), ("PYENV_ROOT", "pyenv"), ("UV_PYTHON_INSTALL_DIR", "uv")):
         monkeypatch.setenv(name, str(tmp_path / folder))
     for left, one in enumerate(reversed(codes.split())):

@@ -121,7 +121,6 @@ class Pilot:
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
         self.enabling: threading.Thread | None = None
-        """Asks an arm's service for motion, beside the keys; None before the first time."""
         self._seen: object = None
         """Of the state, what the lines for people depend on, as it was seen last."""
         self._told: Span = self.note
