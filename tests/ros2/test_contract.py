@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from failstop.api.errors import NoService, Refused
+from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
@@ -135,10 +138,15 @@ def test_the_running_bridge_offers_it(scene: BridgeTrial, topic: contract.Topic)
     name = topic.name.replace("~", NODE)
     name = name if name.startswith("/") else f"/{name}"
     of = "subscriptions" if topic in INWARD else "publishers"
-    ends = [end for end in scene.eyes.ask("ends", topic=name, of=of)["ends"] if end["node"] == NODE]
-    if topic is contract.STATUS and not ends:
-        pytest.skip("failstop_msgs is not built here")
     wanted = [topic, contract.ESTOP_LOSSY] if topic is contract.ESTOP else [topic]
+
+    def offered() -> list[dict[str, Any]]:
+        return [end for end in scene.eyes.ask("ends", topic=name, of=of)["ends"] if end["node"] == NODE]
+
+    if topic is contract.STATUS and not offered():
+        pytest.skip("failstop_msgs is not built here")
+    wait_for("its ends to be seen", lambda: len(offered()) >= len(wanted))
+    ends = offered()
     assert sorted(ends, key=lambda end: not end["reliable"]) == [
         {
             "node": NODE,

@@ -17,7 +17,6 @@ PART = (
     "tests/incidents/test_find.py",
     "tests/incidents/test_live.py::test_a_full_disk",
     "tests/telemetry/test_state_files.py",
-    "tests/shm/test_instance.py::test_of_two_that_start_at_once_one_runs",
     "tests/doctor/test_gathering.py::test_all_of_it_is_quick",
     "tests/screen/test_follow.py::test_where_nothing_is_left",
     "tests/screen/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",

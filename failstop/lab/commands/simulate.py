@@ -17,9 +17,9 @@ EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --whole         # every call
 failstop simulate --scenario replug --call 1041 --fault dies
-failstop simulate --seeds 60      # faults and orders that are drawn, for a minute of each core
-failstop simulate --seed 537      # one of them again, with what it needs to fail
-failstop simulate --controls      # is what is taken out of the protocol missed?
+failstop simulate --seeds 60      # faults and orders by chance, a minute long
+failstop simulate --seed 537      # one of them again
+failstop simulate --controls      # parts of the protocol are taken out
 """
 CONTROL_S = 60.0
 STORIES = 3
