@@ -2,4 +2,4 @@
 
 
 class BenchError(Exception):
-    """What keeps a measurement from being made; one line, with the remedy."""
+    """The obstacle to a measurement; one line, with the remedy."""

@@ -34,7 +34,7 @@ INSTRUMENT = (
         "failstop/lab/trial.py",
     ),
 )
-"""What measures, of each commit its own: where it differs, so may the numbers."""
+"""Files that measure, of each commit its own: where they differ, so may the numbers."""
 ONCE = (50,)
 OFTEN = (50, 99)
 """The percentiles of what a visit measures once, and of what it samples."""
@@ -67,7 +67,7 @@ class Compared:
         return ratio.worst([one.verdict for one in self.ratios.values()])
 
     def lines(self) -> Iterator[str]:
-        """What it says of each percentile."""
+        """Its verdict on each percentile."""
         samples = min(sum(len(one[side]) for one in self.rounds) for side in (0, 1))
         for percentile, one in self.ratios.items():
             found = f"{samples} samples in {len(self.rounds)} rounds: too few"
@@ -80,7 +80,7 @@ class Compared:
 
 @dataclasses.dataclass(frozen=True)
 class Counted:
-    """What should not happen, and how often it did: (found, of), the other commit's and this one's."""
+    """Counts of things that should not happen: (found, of), the other commit's and this one's."""
 
     measure: str
     there: tuple[int, int]
@@ -93,7 +93,7 @@ class Counted:
         return ratio.SLOWER if now * of_there > was * of_here else ratio.NO_SLOWER
 
     def lines(self) -> Iterator[str]:
-        """What was counted."""
+        """The counts."""
         yield "there {} of {}, here {} of {}".format(*self.there, *self.here)
 
 
@@ -135,7 +135,7 @@ def told(said: list[tuple[Said, Said]], margin: float, known: dict[str, Any], ou
 
 
 def share(much: visit.Amounts, rounds: int, turn: int) -> visit.Amounts:
-    """What one round measures of the whole; the moments are each round's own, and the same on both sides."""
+    """The rows of one round; the moments are each round's own, and the same on both sides."""
 
     def part(whole: int) -> int:
         return whole * (turn + 1) // rounds - whole * turn // rounds
@@ -239,7 +239,7 @@ def _git(*words: str, what: str = "") -> str:
 
 
 def _run(*command: str, what: str = "") -> str:
-    """What a command printed. Raises BenchError with what it complained of, or with `what`."""
+    """The output of a command. Raises BenchError with what it complained of, or with `what`."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     except FileNotFoundError as error:

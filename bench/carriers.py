@@ -42,7 +42,7 @@ class Carriers:
         self._kernel = kernel or Kernel()
         self._changed: set[int] = set()
         self.priority = "ordinary"
-        """What they have had: real-time or ordinary."""
+        """The scheduling that they have had: real-time or ordinary."""
 
     def __enter__(self) -> Carriers:
         return self

@@ -231,7 +231,7 @@ class Container:
         return self.pid != 0 and os.path.exists(f"/proc/{self.pid}/root/run/systemd/private")
 
     def said(self) -> str:
-        """What the boot and systemd itself have written outside the journal."""
+        """The words of the boot and of systemd itself outside the journal."""
         with contextlib.suppress(OSError):
             return (self.base / "log").read_text(errors="replace").strip()
         return ""

@@ -1,4 +1,4 @@
-"""What the service costs: processor and memory, driving with the IMU at 110 Hz."""
+"""Cost of the service: processor and memory, driving with the IMU at 110 Hz."""
 
 from __future__ import annotations
 

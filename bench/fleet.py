@@ -133,7 +133,7 @@ class View:
 
 
 def idle(watched: dict[str, psutil.Process], count: int) -> list[stats.Row]:
-    """What it costs while nothing happens but the robots' states."""
+    """Cost while nothing happens but the robots' states."""
 
     def used_s() -> dict[str, float]:
         return {name: sum(process.cpu_times()[:2]) for name, process in watched.items()}

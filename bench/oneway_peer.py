@@ -58,7 +58,7 @@ class RingAndBell:
         self._silent = EventBell.create()
 
     def sender(self) -> Send:
-        """What the gate does: put, then ring."""
+        """As the gate does: put, then ring."""
         writer = segment.attach(self._instance, "gate", 1, write=True).ring_writer("frames")
         ring = self._bell.ring
 
@@ -69,7 +69,7 @@ class RingAndBell:
         return send
 
     def receiver(self) -> Receive:
-        """What the port owner does: wait for the set until the next tick, clear the bell, drain the ring."""
+        """As the port owner does: wait for the set until the next tick, clear the bell, drain the ring."""
         reader = segment.attach(self._instance, "gate", 1).ring_reader("frames")
         bell = self._bell
         loop = Loop()
@@ -94,7 +94,7 @@ class RingAndBell:
 
 
 class RingAndBellAlone(RingAndBell):
-    """The same for a receiver that has nothing else to wait for, as the peers' receivers have not."""
+    """A way of waiting for a receiver that has nothing else to wait for, as the peers' receivers have not."""
 
     def receiver(self) -> Receive:
         """Block in the bell's read, then take the entry."""
@@ -158,7 +158,8 @@ class PosixQueue:
 
 
 class PosixQueueInLoop(PosixQueue):
-    """The same for a receiver that waits for other things too, as the port owner does: behind failstop's own loop."""
+    """A way of waiting for a receiver that waits for other things too, as the port owner does: behind failstop's own
+    loop."""
 
     def receiver(self) -> Receive:
         """Wait for the set until the next tick, then mq_receive."""

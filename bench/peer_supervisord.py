@@ -108,7 +108,7 @@ class Supervisord:
 
 
 class BusySupervisord(Supervisord):
-    """The same, beside a program that logs."""
+    """Its times beside a program that logs."""
 
     label = Supervisord.label + ", beside a program that logs 10 lines a second"
     config = CONFIG + LOGGER

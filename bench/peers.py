@@ -27,7 +27,7 @@ from failstop.shm import layout
 
 PEERS: tuple[type[Peer], ...] = (ExitHandler, Supervisord, BusySupervisord, Systemd)
 OURS = (layout.GATE, layout.PORT_OWNER)
-"""What a driver is to the peers is divided here: one decides, the other has the port."""
+"""A driver's job is divided here: one process decides, the other has the port."""
 TIMES_SOONER = 20.0
 STOP_S = 15.0
 OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Round = tuple[Sequence[float], Sequence[float]]
-"""What one round measured: the other commit's samples, and this one's."""
+"""The samples of one round: the other commit's samples, and this one's."""
 
 LEAST_SAMPLES = {50: 8, 99: 100}
 """Percentile -> samples a side below which nothing is said of it: the median lies between the smallest and the largest
@@ -38,8 +38,8 @@ class Ratio:
 
 
 def verdict(interval: tuple[float, float] | None, margin: float) -> str:
-    """What an interval of ratios says of a margin (0.1: a tenth slower): slower when all of it lies above, no slower
-    when none of it does. Of many rows some lie wholly above 1 by chance; hardly one does so above the margin."""
+    """The verdict of an interval of ratios on a margin (0.1: a tenth slower): slower when all of it lies above, no
+    slower when none of it does. Of many rows some lie wholly above 1 by chance; hardly one does so above the margin."""
     if interval is None:
         return NOT_KNOWN
     low, high = interval

@@ -34,7 +34,7 @@ LEASE_S = 30.0
 """Longer than Fast DDS counts a publisher that was killed."""
 SETTLED_S = 2.0
 MOST_PERCENT = 8.0
-"""What the bridge may take of a core."""
+"""The share of a core that the bridge may take."""
 RIVAL_HZ = 100.0
 DEATH_EVERY = 50
 BRIDGE_DEATH_EVERY = 100
@@ -258,7 +258,7 @@ def cost(scene: Scene, seconds_s: float) -> list[stats.Row]:
 
 
 def processor(pid: int, seconds_s: float) -> float:
-    """What a process takes, in % of a core."""
+    """A process's use, in % of a core."""
     process = psutil.Process(pid)
     time.sleep(SETTLED_S)
     before, start_s = process.cpu_times(), time.monotonic()

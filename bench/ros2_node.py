@@ -26,14 +26,14 @@ from failstop.ros2.contract import IMU, ODOMETRY, SCAN, STATE, TWIST
 from failstop.ros2.fill import type_of
 
 BARE = ((IMU, 0.009), (ODOMETRY, 0.02), (STATE, 0.1))
-"""What, and how often, in s; the state with as many bytes as a robot's."""
+"""Topics, and their periods in s; the state with as many bytes as a robot's."""
 STATE_BYTES = 1500
 FORWARD = (0.2, 0.195)
 BACKWARD = -0.2
 
 
 class Node:
-    """What it publishes and hears."""
+    """Publish and hear."""
 
     def __init__(self, name: str) -> None:
         rclpy.init(args=[])

@@ -51,7 +51,7 @@ WINDOW = """\
 
 
 def shown(*words: str) -> str:
-    """What the command prints on a terminal of COLUMNS columns. Raises CalledProcessError."""
+    """The output of the command on a terminal of COLUMNS columns. Raises CalledProcessError."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", ROWS, COLUMNS, 0, 0))
     environment = {**os.environ, "TERM": "xterm-256color", "LANG": "C.UTF-8"}

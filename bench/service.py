@@ -50,7 +50,7 @@ FAULTS = (
 
 
 class Samples:
-    """What was seen of one kind of fault."""
+    """The measurements of one kind of fault."""
 
     def __init__(self) -> None:
         self.stops: list[Stopped] = []
@@ -100,7 +100,7 @@ def _boot(progress: Callable[[str], None]) -> int:
 
 
 def rows_of(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
-    """What was seen of each fault, and the ns of each boot, as rows."""
+    """The measurements of each fault, and the ns of each boot, as rows."""
     rows = []
     for fault, samples in found.items():
         times = [stopped.stop_ns for stopped in samples.stops if stopped.stop_ns is not None]

@@ -190,5 +190,5 @@ class Scene:
 
 
 def _as(user: str) -> tuple[str, ...]:
-    """What a command becomes another user's with."""
+    """The program that makes a command another user's."""
     return ("setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", "--")

@@ -53,7 +53,7 @@ silent for too long."""
 
 @dataclasses.dataclass
 class Soak:
-    """What a drive has brought to light."""
+    """The findings of a drive."""
 
     seconds: float = 0.0
     commanded_ns: list[int] = dataclasses.field(default_factory=list)
@@ -268,7 +268,8 @@ def explained(soak: Soak, control: stalls.Control) -> list[float]:
 
 
 def stall_rows(soak: Soak, control: stalls.Control) -> list[stats.Row]:
-    """What the machine withheld from a bare loop above all of the service, and the stops that this does not explain."""
+    """The time that the machine withheld from a bare loop above the service, and the stops that this does not
+    explain."""
     within_s = sum(one.ms / 1e3 + LOOK_BACK_NS / 1e9 for one in control.stalls if one.ms >= EXPLAINS_MS)
     by_core = []
     for core in sorted({one.core for one in control.stalls}):

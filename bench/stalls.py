@@ -36,7 +36,7 @@ class Stall:
     begin_ns: int
     end_ns: int
     stolen_ms: float
-    """What the host says that it took from this core in that time and the tenth of a second before it, to 10 ms."""
+    """The time that the host says it took from this core in that time and the tenth of a second before it, to 10 ms."""
 
     @property
     def ms(self) -> float:

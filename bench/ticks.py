@@ -31,7 +31,7 @@ def stretches(events: Sequence[Event], commanded_ns: Sequence[int]) -> list[Stre
     """From each first motor frame that moves a wheel to the frame that stops them, or to a pause of the commands."""
     pauses = [(one + COMMANDED_NS, other) for one, other in pairwise(commanded_ns) if other - one > COMMANDED_NS]
     times = [(event.arrival_ns, event.is_motion) for event in events if event.is_motion or event.is_stop]
-    # What moves in a pause is neither counted nor a beginning: it is made into a stop.
+    # Motion in a pause is neither counted nor a beginning: it is made into a stop.
     times = [(t_ns, moves and not any(begin <= t_ns < end for begin, end in pauses)) for t_ns, moves in times]
     times += [(begin, False) for begin, _ in pauses]
     times += [(commanded_ns[-1], False)] if commanded_ns else []

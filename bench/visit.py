@@ -34,7 +34,7 @@ class Amounts:
 
 
 def rows(trial: Trial, carriers: Carriers, much: Amounts, progress: Callable[[str], None]) -> list[stats.Row]:
-    """What is measured of a living service."""
+    """The measures of a living service."""
     return [
         *cost.measure(trial, much.seconds, progress),
         latency.stop_requests(trial, much.samples, much.seed, progress),
@@ -66,7 +66,7 @@ def samples() -> Iterator[dict[str, list[float]]]:
 
 
 def told(found: list[stats.Row], times: dict[str, list[float]]) -> dict[str, Any]:
-    """What a visit says: measure -> samples in the row's unit, and measure -> (found, of) for what is counted."""
+    """The samples of a visit: measure -> samples in the row's unit, and measure -> (found, of) for what is counted."""
     values = {row.measure: ([row.numbers["value"]], row.numbers["unit"]) for row in found if "unit" in row.numbers}
     counts = {row.measure: (row.numbers["found"], row.numbers["of"]) for row in found if "found" in row.numbers}
     return {"values": {**values, **{measure: (ms, "ms") for measure, ms in times.items()}}, "counts": counts}

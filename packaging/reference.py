@@ -26,7 +26,7 @@ SECTIONS = (
 )
 """Title, module, and the classes that are shown of it; none named: all."""
 SHARED = {"Calls": "robot", "Session": "session"}
-"""What is shown with the first class that is made of it."""
+"""Classes that are shown with the first one that is made of them."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
 
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VERSIONS = ("3.10", "3.13")
 QUICK = ("--quick", "--quiet", "-m", "not slow and not alone and not starts")
 AGAIN = ("--last-failed", "--last-failed-no-failures", "none")
-"""What fails beside others is tried again by itself, as `make test` does."""
+"""A test that fails beside others is tried again by itself, as `make test` does."""
 ASK = "import sys, venv, ensurepip; print('{}.{}'.format(*sys.version_info))"
 
 

@@ -11,15 +11,29 @@ from pathlib import Path
 from failstop.policy.settings import DECLARED
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("board", "shm", "policy", "procs", "supervisor", "web", "fleet", "ros2", "failstop")
-ELSEWHERE = ("failstop/lab/", "ros2/packages/")
+ROOMS = (
+    "board",
+    "shm",
+    "policy",
+    "procs",
+    "supervisor",
+    "web",
+    "fleet",
+    "ros2",
+    "failstop",
+    "bench",
+    "packaging",
+    "model",
+)
+MADE = "build"
+"""A folder of what is built."""
 LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)
 
 
 def paths() -> Iterator[Path]:
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("*.py")):
-            if not str(path.relative_to(ROOT)).startswith(ELSEWHERE):
+            if MADE not in path.relative_to(ROOT).parts:
                 yield path
 
 

@@ -64,7 +64,7 @@ class Run:
         return f"{whole_s:.0f} s, of a processor {used.ru_utime + used.ru_stime:.0f}: {', '.join(self._phases)}"
 
     def take(self, line: str) -> None:
-        """What the trials in a guest print."""
+        """The lines that the trials in a guest print."""
         try:
             fields = json.loads(line)
             found = table.result(fields)

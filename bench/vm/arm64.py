@@ -42,7 +42,7 @@ NEEDED = {
     "setpriv": "util-linux",
 }
 BESIDE = ("hypothesis", "pytest", "pytest-timeout")
-"""What the tests need besides failstop's own."""
+"""Packages that the tests need besides failstop's own."""
 PLATFORMS = tuple(f"manylinux{glibc}_aarch64" for glibc in ("2014", "_2_17", "_2_28"))
 DISK_SIZE, PAYLOAD_SIZE = "2G", 64 << 20
 MEMORY_MB = 1536
@@ -159,7 +159,7 @@ def command(made: tuple[Path, Path, Path], payload_disk: Path) -> list[str]:
 
 
 def lines(words: list[str], whole_s: float = WHOLE_S) -> Iterator[str]:
-    """What the guest prints, until it has ended. Raises ImageError after `whole_s`."""
+    """The guest's output, until it has ended. Raises ImageError after `whole_s`."""
     with subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
     ) as process:

@@ -27,8 +27,8 @@ MEMORY_MB = 768
 WAITS = "shift=2"
 """An instruction takes 4 ns of guest time; where the guest waits, its time is that of the machine outside."""
 LEAPS = "shift=2,sleep=off"
-"""The same, but a guest that waits goes on at once, to the time it waits for: for what is wholly inside. From a state
-that was saved with it either can go on, from one that was saved without it only the other."""
+"""A clock by which a guest that waits goes on at once, to the time it waits for: for what is wholly inside. From a
+state that was saved with it either can go on, from one that was saved without it only the other."""
 STATE = "ready"
 """The saved state of the booted guest, inside its disk."""
 BOOT_S = 420.0
@@ -46,7 +46,7 @@ MACHINE = "q35,sata=off,smbus=off,i8042=off,vmport=off"
 
 
 LOGS = Path("build", "vm")
-"""What the guests of the last run said, a folder for each: what a message points to outlives the run."""
+"""The output of the guests of the last run, a folder for each: what a message points to outlives the run."""
 CONSOLE = "console.log"
 QEMU = "qemu.log"
 
@@ -149,7 +149,7 @@ class Guest:
         return lines
 
     def lines(self, *words: str, timeout_s: float, wait_s: float) -> Iterator[str | int]:
-        """What a command prints, line by line, then its exit code."""
+        """The output of a command, line by line, then its exit code."""
         self._number += 1
         message = {"id": self._number, "run": words, "timeout_s": timeout_s}
         self.agent.sendall(json.dumps(message).encode() + b"\n")
@@ -268,7 +268,7 @@ def state(image: Image, payload: Path) -> Path:
         guest.start()
         guest.greeted()
         guest.must("systemctl", "is-system-running", "--wait", timeout_s=120.0)
-        # What every trial would load first.
+        # Modules that every trial would load first.
         guest.must("/srv/venv/bin/python", "-c", "import numpy, psutil, msgpack, serial", timeout_s=120.0)
         guest.must("modprobe", "-a", "vhci-hcd", "cdc-acm")
         guest.must("sync")

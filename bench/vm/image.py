@@ -92,7 +92,7 @@ class ImageError(Exception):
 
 
 class Image(NamedTuple):
-    """What is booted. `key` says what all of it was made from."""
+    """The things that are booted. `key` says what all of it was made from."""
 
     key: str
     disk: Path
@@ -116,7 +116,7 @@ def check(needed: dict[str, str] = NEEDED) -> None:
 
 
 def dependencies() -> list[str]:
-    """What failstop needs, and what it and its Debian package are built with."""
+    """Packages that failstop needs, and what it and its Debian package are built with."""
     found = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras = found["project"]["optional-dependencies"]
     needed = [*found["project"]["dependencies"], *extras["fleet"], *extras["web"], *extras["deb"]]

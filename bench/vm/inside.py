@@ -284,7 +284,7 @@ def drain(scene: Scene) -> Iterator[Result]:
 
 
 def drain_kill(scene: Scene) -> Iterator[Result]:
-    """Who could have written dies meanwhile."""
+    """The writers die meanwhile."""
     _stall(scene, 0.5)
     os.kill(scene.pid("port_owner"), signal.SIGKILL)
     scene.run(1.0)

@@ -275,7 +275,7 @@ def boot(scene: Scene) -> Result:
 def _readiness(scene: Scene, result: Result) -> str:
     if (state := scene.shown("ActiveState")) != "active":
         result.wrong.append(f"after the boot the unit is {state}")
-    # Which try it was depends on what comes first, the board or the service.
+    # The number of tries depends on what comes first, the board or the service.
     node = float(scene.machine.must("sh", "-c", NODE_S)[0])
     stop = float(scene.machine.must("sh", "-c", STOP_S)[0])
     ready = int(scene.shown("ActiveEnterTimestampMonotonic")) / 1e6

@@ -49,7 +49,7 @@ class Patience:
         return max(0.0, min(self._wait_s - (passed_s - held_s), MOST * self._wait_s - passed_s))
 
     def why(self) -> str:
-        """What the silence means, once it is over."""
+        """The meaning of the silence, once it is over."""
         passed_s, ran_s, held_s = self._passed()
         told = f"in {passed_s:.0f} s qemu ran for {ran_s:.0f} s and waited {held_s:.0f} s for a processor"
         if passed_s >= MOST * self._wait_s:

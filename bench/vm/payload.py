@@ -1,4 +1,5 @@
-"""What is tried: this checkout, its laboratory and the trials, as a tar that the guest sees as a disk of its own."""
+"""Payload of the trials: this checkout, its laboratory and the trials, as a tar that the guest sees as a disk of its
+own."""
 
 from __future__ import annotations
 
@@ -11,10 +12,10 @@ from pathlib import Path
 from bench.vm.image import PYTHON, ROOT, ImageError
 
 SIZE = 32 << 20
-"""The same each time: a saved guest knows its disks by their sizes."""
+"""One size each time: a saved guest knows its disks by their sizes."""
 DISK = "/dev/vdb"
 TRIALS = ("bench/__init__.py", "bench/vm", "packaging/deb", "systemd", "LICENSE")
-"""And what the package is built of, in there."""
+"""Folders that the package is built of, in there."""
 SITE = f"lib/python{PYTHON}/site-packages"
 UNPACK = f"""set -e
 blockdev --flushbufs {DISK}
@@ -23,7 +24,7 @@ tar --extract --warning=no-timestamp --file {DISK} --directory /srv/trials
 cp --archive /srv/trials/site/. /srv/venv/{SITE}
 rm -r /srv/trials/site
 """
-"""What pip does with a wheel; its start alone takes the guest ten seconds."""
+"""As pip does with a wheel; its start alone takes the guest ten seconds."""
 
 
 def blank(path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""What every trial in the guest needs: the board on the guest's vhci_hcd, the client, commands."""
+"""Scene of the trials in the guest: the board on the guest's vhci_hcd, the client, commands."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def sh(*words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
 
 
 def beside(scene: Scene, *words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
-    """The same while the client goes on commanding."""
+    """Wait while the client goes on commanding."""
     answer: list[tuple[int, str, float]] = []
     thread = threading.Thread(target=lambda: answer.append(sh(*words, timeout_s=timeout_s)))
     thread.start()

@@ -24,7 +24,7 @@ class Trial(NamedTuple):
     bar_ms: float | None = None
     """For each of its times; None: there is none."""
     floors: float | None = None
-    """Or: a bar for their median, in floors' medians."""
+    """A bar for their median instead, in floors' medians."""
     times: int = 1
     fresh: bool = False
     """In a guest that has not slept yet: of a second sleep qemu 7.2 was seen to tell nothing. That to disk is last:
@@ -33,7 +33,7 @@ class Trial(NamedTuple):
 
 @dataclasses.dataclass
 class Result:
-    """What one round of a trial showed."""
+    """The findings of one round of a trial."""
 
     trial: str
     ms: float | None = None
@@ -42,7 +42,7 @@ class Result:
     after: int = 0
     """Motion frames that it executed after the stop."""
     wrong: list[str] = dataclasses.field(default_factory=list)
-    """What else was not as it must be."""
+    """Other faults."""
     note: str = ""
 
 
@@ -107,7 +107,7 @@ class Row:
 
     @property
     def problems(self) -> list[str]:
-        """What is not as it must be; empty when all is."""
+        """Faults; empty when all is as it must be."""
         found = [text for result in self.results for text in result.wrong]
         if not self.results:
             return ["not run"]
@@ -138,7 +138,7 @@ def rows(results: list[Result], names: list[str]) -> list[Row]:
 
 
 def lives(names: list[str]) -> list[list[str]]:
-    """The same names, by the guests that they are run in, one after the other."""
+    """Names of trials, by the guests that they are run in, one after the other."""
     found: list[list[str]] = []
     for name in names:
         if not found or BY_NAME[name].fresh:

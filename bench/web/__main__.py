@@ -98,7 +98,7 @@ def taps(trial: Trial, web: Web, cases: int) -> list[stats.Row]:
 
 
 def bare_taps(trial: Trial, browser: Browser, cases: int) -> list[int]:
-    """The same fingers in the same browser beside the same robot, on a page that does nothing but send."""
+    """Fingers in one browser beside one robot, on a page that does nothing but send."""
     found = []
     with Bare() as bare:
         tab = browser.tab(bare.url)

@@ -33,7 +33,7 @@ OPTIONS = (
 
 
 class BrowserError(BenchError):
-    """What was waited for did not come; says what the page said instead."""
+    """A wait was in vain; the message has the page's words instead."""
 
 
 class Browser:
@@ -104,7 +104,7 @@ class Tab:
         self._loop = loop
         self._number = 0
         self.errors: list[str] = []
-        """What scripts threw."""
+        """Errors that scripts threw."""
         self.connection: WebSocketClientConnection = self._wait(
             lambda: websocket_connect(url, max_message_size=1 << 28), START_S
         )
@@ -164,7 +164,7 @@ class Tab:
         return found["result"].get("value")
 
     def text(self, selector: str) -> str:
-        """What stands there."""
+        """The text that stands there."""
         return str(self.run(f"document.querySelector({json.dumps(selector)})?.textContent ?? ''"))
 
     def until(self, script: str, what: str = "", timeout_s: float = WAIT_S) -> Any:
@@ -231,7 +231,7 @@ class Tab:
         )
 
     def picture(self, path: str | Path, *, whole: bool = False) -> None:
-        """What it looks like, as PNG."""
+        """A picture of it, as PNG."""
         self.call("Page.bringToFront")
         found = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         Path(path).write_bytes(base64.b64decode(found["data"]))

@@ -38,7 +38,7 @@ class Cut:
         self._passes.clear()
 
     def mend(self) -> None:
-        """What was held back passes now."""
+        """Let pass what was held back."""
         self._passes.set()
 
     def _run(self) -> None:

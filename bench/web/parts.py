@@ -102,7 +102,7 @@ class Web:
             connection.close()
 
     def get(self, path: str) -> Any:
-        """What is there, as an object. Raises AssertionError."""
+        """The content, as an object. Raises AssertionError."""
         status, _, content = self.ask("GET", path)
         assert status == 200, (status, content)
         return json.loads(content)

@@ -30,7 +30,7 @@ class Strip:
         self._found: list[Image.Image] = []
 
     def add(self, tab: Tab) -> None:
-        """What it looks like now."""
+        """A picture of it."""
         tab.picture(self._path)
         with Image.open(self._path) as found:
             high = round(found.height * WIDE / found.width)

@@ -107,7 +107,7 @@ class Viewer:
                 return {}
 
     def epoch(self) -> int:
-        """What the newest face said; 0: there was none yet."""
+        """The number in the newest face; 0: there was none yet."""
         return next((message["face"]["epoch"] for message in reversed(self.seen) if "face" in message), 0)
 
     def stay(self, seconds: float, drive: str = "") -> None:

@@ -1,1 +1,2 @@
-"""What breaks a robot on purpose: simulated board, fault table, campaigns, stand test; and what makes the pages."""
+"""Laboratory: it breaks a robot on purpose: simulated board, fault table, campaigns, stand test; and what makes the
+pages."""

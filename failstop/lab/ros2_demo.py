@@ -15,7 +15,7 @@ SEEN_S = 10.0
 MOVED_S = 0.3
 
 Row = tuple[str, Stopped, float]
-"""What happened, what the board saw of it, and how many ms later it is too late."""
+"""The fault, the board's view of it, and how many ms later it is too late."""
 
 
 def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
@@ -72,7 +72,7 @@ def _second(trial: Trial, second: Process) -> Stopped:
 
 
 def _judged(trial: Trial, fault_ns: int) -> Stopped:
-    """What the board saw, once its wheels stand."""
+    """The board's view, once its wheels stand."""
     wait_for("the wheels to stand", lambda: not trial.moving(), SEEN_S)
     time.sleep(MOVED_S)
     return judge(trial.board.events(), fault_ns, was_moving=True)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Stopped:
-    """What the board saw after a fault. Times in ns from the fault; None: it never came."""
+    """The board's view of a fault. Times in ns from the fault; None: it never came."""
 
     fault_ns: int
     stop_ns: int | None
@@ -28,7 +28,7 @@ class Stopped:
 
 
 def judge(events: Sequence[Event | Frame], fault_ns: int, was_moving: bool) -> Stopped:
-    """What the board's events say of a fault at `fault_ns`."""
+    """Judge a fault at `fault_ns` by the board's events."""
     after = [event for event in events if event.is_motor and event.arrival_ns >= fault_ns]
     stop = next((event for event in after if event.is_stop), None)
     if stop is None:

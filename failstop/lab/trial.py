@@ -104,7 +104,7 @@ class Service:
             return False
 
     def said(self, since: int = 0) -> str:
-        """What it wrote to stderr so far, without the first `since` bytes."""
+        """Its words on stderr so far, without the first `since` bytes."""
         with open(self._log.name, "rb") as file:
             file.seek(since)
             return file.read().decode("utf-8", "replace")

@@ -108,7 +108,7 @@ def files() -> dict[str, str]:
 
 
 def papers(package: str) -> dict[str, str]:
-    """What Debian wants to see in each package, by path."""
+    """Files that Debian wants to see in each package, by path."""
     licences = f"\nThe packages below {tree.PREFIX} have licences of their own, in their .dist-info directories.\n"
     return {
         f"usr/share/doc/{package}/changelog.gz": changelog(package),
@@ -117,7 +117,8 @@ def papers(package: str) -> dict[str, str]:
 
 
 def maintainer(environ: Mapping[str, str], folder: Path = CHECKOUT) -> str:
-    """Who answers for this package: DEBFULLNAME and DEBEMAIL, as Debian's tools have it, else git's user, or nobody."""
+    """The maintainer of this package: DEBFULLNAME and DEBEMAIL, as Debian's tools have it, else git's user, or
+    nobody."""
     name, mail = environ.get("DEBFULLNAME") or _git("user.name", folder), environ.get("DEBEMAIL")
     mail = mail or _git("user.email", folder)
     return f"{name} <{mail}>" if name and mail else NOBODY
@@ -132,7 +133,7 @@ def _git(key: str, folder: Path) -> str:
 
 
 def changelog(package: str) -> str:
-    """What Debian wants to see of a version."""
+    """A version as Debian wants to see it."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
     return f"{package} ({VERSION}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"

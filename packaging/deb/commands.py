@@ -18,7 +18,7 @@ Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help`
 """
 
 SECOND = "The same as "
-"""What the help of a second name begins with."""
+"""The begin of the help of a second name."""
 
 
 def main() -> None:
@@ -39,7 +39,7 @@ def page() -> str:
 
 
 def command(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """What the page has of one command."""
+    """The page's part on one command."""
     what = completion.what(parser)
     yield f"### {parser.prog}\n"
     yield f"{what}\n"

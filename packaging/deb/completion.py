@@ -17,7 +17,7 @@ from failstop.cli import main as cli
 
 SHELLS = ("bash", "zsh", "fish")
 FILES = ("FILE", "PATH", "LINK", "F", "F.PNG", "F.MCAP")
-"""What the help calls values that are files."""
+"""The help's word for values that are files."""
 # Bash takes a word apart at each "=", and shtab counts the parts.
 EQUALS = """
 _failstop() {
@@ -75,7 +75,7 @@ def arguments(parser: ArgumentParser) -> list[argparse.Action]:
 
 
 def value(action: argparse.Action) -> str:
-    """What the help calls its value; empty: it has none."""
+    """The help's word for its value; empty: it has none."""
     if action.nargs == 0:
         return ""
     if isinstance(action.metavar, str):
@@ -86,13 +86,13 @@ def value(action: argparse.Action) -> str:
 
 
 def what(parser: ArgumentParser) -> str:
-    """What a command is for, as a sentence."""
+    """The purpose of a command, as a sentence."""
     text = " ".join((parser.description or "").split())
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def explained(parser: ArgumentParser, action: argparse.Action) -> str:
-    """What the help says of an argument; empty: nothing."""
+    """The help on an argument; empty: there is none."""
     return " ".join(parser._get_formatter()._expand_help(action).split()) if action.help else ""
 
 

@@ -96,8 +96,8 @@ def write(entries: Collection[Entry], directory: Path) -> None:
 
 
 def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Distribution]:
-    """What failstop needs with these extras, directly or not, as far as it is needed on this Python. Raises
-    BuildError."""
+    """Distributions that failstop needs with these extras, directly or not, as far as it is needed on this Python.
+    Raises BuildError."""
     found: dict[str, Distribution] = {}
     waiting = ["failstop"]
     while waiting:

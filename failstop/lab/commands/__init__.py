@@ -12,8 +12,8 @@ T = TypeVar("T")
 
 
 def matching(only: str | None, known: Mapping[str, T], missing: str) -> list[T]:
-    """What the patterns of an option choose, in the order of `known`; everything without them. `missing`: the refusal
-    of a pattern that chooses nothing, with a place for it. Raises FailstopError."""
+    """The names that the patterns of an option choose, in the order of `known`; everything without them. `missing`: the
+    refusal of a pattern that chooses nothing, with a place for it. Raises FailstopError."""
     if only is None:
         return list(known.values())
     found: set[str] = set()

@@ -57,7 +57,7 @@ class Row:
         self.late_ms = late_ms
 
     def fault(self) -> str:
-        """What went wrong; empty when the stop was in time and final."""
+        """The fault; empty when the stop was in time and final."""
         found = self.stopped
         if not found.was_moving:
             return "the wheels were not turning"

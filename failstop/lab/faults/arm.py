@@ -61,7 +61,7 @@ HEALTHY = {"temperature_c": 35}
 
 @dataclasses.dataclass(frozen=True)
 class Rested:
-    """What the servos did after a fault, ms from it."""
+    """The servos' acts after a fault, ms from it."""
 
     fault: ArmFault
     rest_ms: float | None
@@ -225,7 +225,7 @@ def _latched(trial: ArmTrial, fault: ArmFault) -> Cause | None:
 
 
 def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg], latched: Cause | None) -> Rested:
-    """What the board's servos say; it asks the code under test nothing but what it latched."""
+    """The word of the board's servos; it asks the code under test nothing but what it latched."""
     # Of zero frames there are five a second while the wheels stand: the arm's stop follows a burst alone.
     arms = [event for event in events if event.func == BUS_SERVO and event.arrival_ns >= fault_ns]
     stop = next((event for event in arms if event.data[0] == STOP), None)

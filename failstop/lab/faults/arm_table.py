@@ -23,9 +23,9 @@ KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST, UNPLUG, SECOND, POSING, SERVO = (
     "posing",
     "servo",
 )
-"""What is done."""
+"""The injection."""
 BY_ITSELF_MS = float(LONGEST_MOVE_MS)
-"""What a servo goes on for when nobody sends it anything any more."""
+"""The time that a servo goes on for when nobody sends it anything any more."""
 STOP_MS = 5.0
 GOAL_MS = 500.0
 """After so long without a new goal the gate holds the arm (arm.goal_timeout_s)."""
@@ -38,7 +38,7 @@ class ArmFault:
     name: str
     cause: str
     first: str
-    """Who stops the arm first."""
+    """The process that stops the arm first."""
     what: str
     process: str = ""
     latched: tuple[Wanted, ...] = ()
@@ -47,7 +47,7 @@ class ArmFault:
     bar_ms: float | None = BY_ITSELF_MS
     """To the last joint at rest; None: motion is not enabled."""
     servo: tuple[tuple[str, float], ...] = ()
-    """What is wrong with the elbow's servo, as the simulated board takes it."""
+    """The fault of the elbow's servo, as the simulated board takes it."""
     refused: str = ""
     """How the answer to an enable begins, behind `arm is not in the drive pose: joint elbow`."""
     weight: int = 1
@@ -112,4 +112,4 @@ ROWS = (
 )
 BY_NAME = {row.name: row for row in ROWS}
 SWINGING = (KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST)
-"""What can be done on a stand, to an arm that a program moves."""
+"""Faults that can be injected on a stand, to an arm that a program moves."""

@@ -35,7 +35,7 @@ STORY_AFTER = 20
 
 @dataclasses.dataclass
 class Outcome:
-    """What became of one injection. `wrong` is empty when all was as the row says."""
+    """The outcome of one injection. `wrong` is empty when all was as the row says."""
 
     fault: Row
     index: int

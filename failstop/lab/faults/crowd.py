@@ -28,7 +28,7 @@ class Helper:
             self.pid = os.fork()
         if self.pid == 0:
             try:
-                # What the campaign has open, its client slot above all, is not for this process to keep alive.
+                # The campaign's descriptors, its client slot above all, are not for this process to keep alive.
                 low = 3
                 for fd in (*sorted(keep), _DESCRIPTORS):
                     os.closerange(low, fd)
@@ -75,7 +75,7 @@ class ChildDriver(Helper):
 
     def _drive(self) -> None:
         for number, action in ((signal.SIGHUP, signal.SIG_DFL), (signal.SIGUSR1, _fail), (signal.SIGTERM, _end)):
-            signal.signal(number, action)  # whatever the campaign was started with
+            signal.signal(number, action)  # all signals, whatever the campaign was started with
         _ballast = bytearray(b"x") * (self._megabytes << 20)
         client = Client(self._name, "child")
         try:

@@ -17,7 +17,7 @@ HANG = "hang"
 CONTINUE = "continue"
 SPIN = "spin"
 CRASH = "crash"
-"""What is done to a process: SIGKILL, SIGSTOP, SIGCONT, an endless loop put into its code, SIGSEGV."""
+"""Injections into a process: SIGKILL, SIGSTOP, SIGCONT, an endless loop put into its code, SIGSEGV."""
 
 DEATH = "a process dies"
 HANGS = "a process hangs"
@@ -49,7 +49,7 @@ def fits(cause: Cause | None, wanted: tuple[Wanted, ...]) -> bool:
 
 
 def told(wanted: tuple[Wanted, ...]) -> str:
-    """The same in words."""
+    """The injection in words."""
     return " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in wanted)
 
 
@@ -61,21 +61,21 @@ class Fault:
     event: str
     """One of EVENTS."""
     cause: str
-    """What goes wrong, in words."""
+    """The fault, in words."""
     first: str
-    """Who stops first; "nobody" where nothing is to stop."""
+    """The process that stops first; "nobody" where nothing is to stop."""
     latched: tuple[Wanted, ...]
     """The cause that stays latched is one of these; empty: nothing does."""
     cleared: str
     """RESET, ENABLE, ITSELF or NEW_RUN."""
     logged: str
-    """What the service says, besides of the stop that is latched; empty: nothing more."""
+    """Words of the service besides those on the latched stop; empty: none."""
     bar_ms: float | None
     """The time to the first stop frame that is aimed at (p99); None: this must not stop the wheels."""
     injector: str
     """A name in inject.INJECTORS."""
     steps: tuple[Step, ...] = ()
-    """What is done to which process, in this order."""
+    """Injections by process, in this order."""
     counted_from: str = "the fault"
     """The moment that times are taken from."""
     aftermath_s: float = 0.15
@@ -85,7 +85,7 @@ class Fault:
     stop_tool: bool = False
     """Nobody who can write is left: the campaign starts the stop tool, as systemd's ExecStopPost does."""
     link: str = ""
-    """What `status` says of the link to the board meanwhile; empty: not looked at."""
+    """The link to the board by `status` meanwhile; empty: not looked at."""
     weight: int = 4
     """How often a campaign draws it, against the others."""
 

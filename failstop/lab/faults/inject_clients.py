@@ -263,7 +263,7 @@ class StopPipeFlood(StopPipe):
 
     def heal(self, scene: Scene) -> None:
         super().heal(scene)
-        # What waits in the pipe is a stop still, and would latch again after the reset.
+        # A byte that waits in the pipe is a stop still, and would latch again after the reset.
         scene.driver.run(DRAINED_S)
 
 

@@ -88,7 +88,7 @@ class _NoMore(AskedMeanwhile):
 
     @staticmethod
     def used(pid: int) -> int:
-        """What it uses now."""
+        """The resource that it uses."""
         raise NotImplementedError
 
     def trouble(self, scene: Scene) -> None:

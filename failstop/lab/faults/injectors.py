@@ -10,7 +10,7 @@ from failstop.lab.faults.steps import Steps
 
 
 class Processes(Injector):
-    """What the row's steps say."""
+    """Inject the row's steps."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)

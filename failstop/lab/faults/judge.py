@@ -8,8 +8,8 @@ from failstop.lab.trial import Stopped, judge
 
 
 def verdict(fault: Fault, events: list[Event], fault_ns: int, was_moving: bool) -> tuple[Stopped, list[str]]:
-    """What happened, and everything that must not have. `events` reach from before the fault up to the next enable (for
-    a fault that clears by itself: up to its end), the clients commanding all the while."""
+    """The verdict: the stop, and everything that must not have happened. `events` reach from before the fault up to the
+    next enable (for a fault that clears by itself: up to its end), the clients commanding all the while."""
     stopped = judge(events, fault_ns, was_moving)
     wrong = []
     if not was_moving:

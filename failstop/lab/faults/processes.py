@@ -82,7 +82,7 @@ def _row(
     fenced_s: float = 0.0,
     weight: int = 2,
 ) -> Fault:
-    """What stays latched is the first cause; a service that lost its supervisor starts again, with nothing latched.
+    """The first cause stays latched; a service that lost its supervisor starts again, with nothing latched.
     `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
     hangs = (causes.HANGS, causes.STARVED)
     fates = {KILL: (causes.DIED,), CRASH: (causes.DIED,), HANG: hangs, SPIN: (*hangs, causes.DIED)}

@@ -1,4 +1,4 @@
-"""What a campaign found: by row with its times, and as a page of documentation."""
+"""Report of a campaign: by row with its times, and as a page of documentation."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Scene:
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
         self._config = os.path.join(self._folder.name, "chaos.toml")
         theirs = read(config)
-        checked(theirs, config)  # what a campaign overrides is refused too
+        checked(theirs, config)  # values that a campaign overrides are refused too
         write_settings(self._config, {**theirs, **SETTINGS})
         self.trial = self._new_trial()
         self.driver = Driver(name)
@@ -129,7 +129,7 @@ class Scene:
     # The part of systemd.
 
     def start_stop_tool(self) -> None:
-        """What ExecStopPost does, once the supervisor is gone."""
+        """Do as ExecStopPost does, once the supervisor is gone."""
         if self.trial.service.process:
             self.trial.service.process.wait(GONE_S)
         command = [sys.executable, "-m", "failstop", "stop", "--device", self.trial.link, "--wait", "5"]

@@ -262,4 +262,4 @@ BEYOND = (
     ("no power to USB, the cable is cut and stays cut", "a relay in the motors' supply that needs a living signal"),
     ("the board is deaf, does not drain, or does not obey", "the POWER SWITCH, or a relay run by `still.command`"),
 )
-"""What no program on this side of the wire can answer, and the hardware that helps."""
+"""Faults that no program on this side of the wire can answer, and the hardware that helps."""

@@ -26,7 +26,7 @@ class Calls:
         return self.machine.call(name, *about)
 
     def opened(self, process: Process, fd: Any) -> Open:
-        """What a descriptor, or an object with one, is open on. Raises OSError."""
+        """The open file of a descriptor, or of an object with one. Raises OSError."""
         number = fd if isinstance(fd, int) else fd.fileno()
         try:
             return process.files[number]
@@ -54,14 +54,14 @@ class Calls:
         return here, parts[-1] if parts else "."
 
     def node(self, process: Process, path: Any, dir_fd: int | None = None, *, follow: bool = True) -> Node:
-        """What a path leads to, or a descriptor is open on. Raises OSError."""
+        """The node of a path, or of a descriptor. Raises OSError."""
         if isinstance(path, int):
             return self.opened(process, path).node
         above, name = self.walk(process, path, dir_fd)
         return self.step(process, above, name, path, follow=follow)
 
     def step(self, process: Process, here: Node, part: str, path: str, *, follow: bool = True) -> Node:
-        """What has this name in a directory, or, where it's a link, what that leads to. Raises OSError."""
+        """The node of this name in a directory, or, where it's a link, the node that it leads to. Raises OSError."""
         if not isinstance(here, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
         users.check(process, here, users.PASS, path)

@@ -19,7 +19,7 @@ COUNTER_MOST = 2**64 - 2
 
 
 class Node:
-    """What lies in the file system, or only behind descriptors."""
+    """A thing in the file system, or only behind descriptors."""
 
     kind = stat.S_IFREG
     count = 0
@@ -39,7 +39,7 @@ class Node:
         return 0
 
     def mask(self, opened: Open) -> int:
-        """What poll() would say."""
+        """The events that poll() would tell."""
         return IN | OUT
 
     def notify(self) -> None:
@@ -350,7 +350,7 @@ class Epoll(Node):
         self.wanted: dict[int, tuple[Open, int]] = {}
         self.maybe: dict[int, None] = {}
         self.late: dict[int, tuple[Open, int]] = {}
-        """What is heard of again later."""
+        """Descriptors that are heard of again later."""
 
     def add(self, fd: int, opened: Open, events: int) -> None:
         if fd not in self.wanted:
@@ -383,7 +383,7 @@ class Epoll(Node):
         machine.at(machine.now_ns + ns, hear)
 
     def take(self) -> list[tuple[int, int]]:
-        """What is ready; one that is watched for its edge alone is told of once."""
+        """Descriptors that are ready; one that is watched for its edge alone is told of once."""
         found = []
         for fd in tuple(self.maybe):
             opened, events = self.wanted[fd]

@@ -144,7 +144,7 @@ def _exists(name: str) -> bool:
 
 
 class File:
-    """What open() returns: bytes or text of a file."""
+    """A file as open() returns it: bytes or text of a file."""
 
     def __init__(self, system: Any, path: Any, mode: str, opener: Any) -> None:
         flags = os.O_RDONLY if "r" in mode else os.O_WRONLY | os.O_CREAT | (os.O_EXCL if "x" in mode else os.O_TRUNC)

@@ -26,7 +26,7 @@ class Port(Node):
         self.device = os.makedev(166, number)
         self.came = bytearray()
         self.held = bytearray()
-        """What a port that does not drain keeps."""
+        """Bytes that a port which does not drain keeps."""
         self.drains = True
         self.refuses = False
         """It takes nothing for the moment."""

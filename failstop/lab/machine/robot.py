@@ -119,7 +119,7 @@ class Robot:
 
     @property
     def said(self) -> str:
-        """What its processes have written to their standard streams."""
+        """The text that its processes have written to their standard streams."""
         return b"".join(self.stderr.heard).decode("utf-8", "replace")
 
     def write(self, path: str, text: str) -> None:

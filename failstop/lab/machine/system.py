@@ -95,7 +95,7 @@ class Collector(Module):
 
 
 def modules(calls: Calls) -> dict[str, Any]:
-    """What is imported on the simulated machine, by name."""
+    """Modules of the simulated machine, by name."""
     system = Os(calls)
     plain = {name: value for name, value in vars(weakref).items() if not name.startswith("__") and name != "finalize"}
     return {

@@ -116,7 +116,7 @@ class Paths(Module):
         return process.descriptor(opened)
 
     def _found(self, process: Process, above: Directory, name: str, flags: int, path: str) -> Node | None:
-        """What is there to open; None: it is to be created."""
+        """The node to open; None: it is to be created."""
         if name in (".", ".."):
             return above if name == "." else above.above
         if name in above.found():
@@ -262,7 +262,7 @@ class Descriptors(Module):
         return opened.node.write(opened, self._taken(data))
 
     def _taken(self, data: bytes) -> bytes:
-        """What a write takes of its data."""
+        """The part of its data that a write takes."""
         short, self._machine.shortened = self._machine.shortened, False
         return bytes(data[: max(1, len(data) // 2)] if short else data)
 

@@ -15,7 +15,7 @@ Made = TypeVar("Made", bound=Node)
 
 
 def made(process: Process, node: Made) -> Made:
-    """What a process has just made is its user's, without the rights that it masks."""
+    """Give a node that a process has just made to its user, without the rights that it masks."""
     node.uid, node.gid = process.uid, process.gid
     node.mode &= ~process.umask
     return node
@@ -42,7 +42,7 @@ def check_owner(process: Process, node: Node, gid: int = -1, uid: int = -1) -> N
 
 
 def wanted(flags: int) -> int:
-    """What an open with these flags takes."""
+    """The rights that an open with these flags takes."""
     if flags & os.O_PATH:
         return 0
     return {os.O_RDONLY: READ, os.O_WRONLY: WRITE, os.O_RDWR: READ | WRITE}[flags & 3]
@@ -66,7 +66,7 @@ class ProcessFolder(Directory):
         self._machine = machine
 
     def found(self) -> dict[str, Node]:
-        """What is in it now."""
+        """The present content."""
         folders: dict[str, Node] = {}
         for pid, process in self._machine.processes.items():
             if not process.reaped and (process.code is None or process.parent):

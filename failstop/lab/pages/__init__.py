@@ -1,1 +1,1 @@
-"""What `make docs` makes from tables of the code: pages of docs/, the man page, the journal's catalog."""
+"""Pages that `make docs` makes from tables of the code: those of docs/, the man page, the journal's catalog."""

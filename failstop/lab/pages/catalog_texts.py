@@ -1,4 +1,4 @@
-"""What `journalctl -x` says of each kind of event: the subject, and what it means and what to do, with @FIELD@ for a
+"""Texts of `journalctl -x` for each kind of event: the subject, and what it means and what to do, with @FIELD@ for a
 field's value. systemd/failstop.catalog is made from this (`python -m failstop.lab.pages.catalog`)."""
 
 from __future__ import annotations

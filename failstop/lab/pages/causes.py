@@ -17,11 +17,11 @@ ends the service, or is told after its end. Words in capitals stand for what dif
 the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
 """
 NOBODY = "whoever reads the shared memory"
-"""Who tells of a cause that no process notices."""
+"""The teller of a cause that no process notices."""
 
 
 class _Word(str):
-    """What stands for an argument, however its template formats it."""
+    """The place of an argument, however its template formats it."""
 
     __slots__ = ()
 

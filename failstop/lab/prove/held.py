@@ -78,7 +78,7 @@ class Held:
         return max((late_ns for woken_ns, late_ns in self._late if woken_ns >= since_ns), default=0)
 
     def starved(self, since: Mark, cause: Cause | None = None) -> str:
-        """What shows that the machine starved the test since then; empty: nothing does. `cause`: of the stop that is
+        """The sign that the machine starved the test since then; empty: there is none. `cause`: of the stop that is
         latched."""
         if cause and cause.kind in BUSY:
             return str(cause)
@@ -90,5 +90,5 @@ class Held:
 
 
 def repeat(starved: str) -> str:
-    """What people are told to do where the machine starved the test."""
+    """Advice where the machine starved the test."""
     return f"the machine was starved ({starved}): repeat on a quieter one"

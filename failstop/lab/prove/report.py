@@ -1,4 +1,5 @@
-"""What was proved: as text for people, as JSON, and as a picture where matplotlib is there; dated files of evidence."""
+"""Report of a stand test: as text for people, as JSON, and as a picture where matplotlib is there; dated files of
+evidence."""
 
 from __future__ import annotations
 

@@ -43,13 +43,13 @@ class Character:
     still: Noise
     spinning: dict[str, Noise]
     limit_radps: float
-    """What is called still here."""
+    """The limit below which wheels are still here."""
     configured_radps: float
 
 
 @dataclasses.dataclass
 class Result:
-    """What became of one run. Times count from the cause; None: it was not seen."""
+    """The outcome of one run. Times count from the cause; None: it was not seen."""
 
     path: Path
     velocity: Velocity
@@ -71,11 +71,11 @@ class Result:
     over: str = ""
     """Why no other run can follow; empty: one can."""
     wrong: list[str] = dataclasses.field(default_factory=list)
-    """What is not as it should be."""
+    """Faults."""
     doubts: list[str] = dataclasses.field(default_factory=list)
     """Those of them that a machine which runs nobody in time brings about too: times, and what a stop for it spoils."""
     starved: str = ""
-    """What shows that the machine did not run everybody in time meanwhile; empty: nothing does."""
+    """The sign that the machine did not run everybody in time meanwhile; empty: there is none."""
     arm: dict[str, Any] | None = None
     """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
     samples: list[Sample] = dataclasses.field(default_factory=list)

@@ -33,7 +33,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 
 Runs = Iterable[tuple[Path, Velocity, random.Random]]
-"""What to do, and what is left to chance in it."""
+"""The plan, and the part of it that is left to chance."""
 
 
 def session(

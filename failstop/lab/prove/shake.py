@@ -1,4 +1,4 @@
-"""What the gyro shows: how much this robot shakes standing and turning its wheels, and when it came to rest. Pure.
+"""Shaking, by the gyro: how much this robot shakes standing and turning its wheels, and when it came to rest. Pure.
 
 The running verdict is procs/telemetry/still.py's, which needs three quarters of a second of rest. The moment is found
 afterwards, with all samples in hand: that split of them which noise of the two known strengths makes likeliest.
@@ -70,7 +70,7 @@ def noise(samples: Sequence[Sample]) -> Noise | None:
 
 
 def limit(still: Noise, spinning: Sequence[Noise], configured: float) -> float | None:
-    """What to call still, rad/s: the configured limit if it lies between all rest and all turning, else the middle;
+    """The limit of still, rad/s: the configured limit if it lies between all rest and all turning, else the middle;
     None when rest and turning can't be told apart."""
     quietest = min(each.least for each in spinning)
     if still.most < configured < quietest:

@@ -32,8 +32,8 @@ with Robot(name, client="prove arm") as robot:
 
 @dataclasses.dataclass(frozen=True)
 class Swing:
-    """Which joint, around where, how far to each side: as fast as it may turn. With a slower goal it would turn at two
-    rates, one of them to catch up after each end."""
+    """A joint, around where it swings, how far to each side: as fast as it may turn. With a slower goal it would turn
+    at two rates, one of them to catch up after each end."""
 
     joint: Joint
     middle_rad: float

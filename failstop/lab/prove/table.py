@@ -90,7 +90,7 @@ class Path:
     reaction_ms: float
     """From the cause to the stop handed to the kernel: the bar of the fault table."""
     process: str = ""
-    """Whom it strikes."""
+    """The process that it strikes."""
     latched: tuple[Wanted, ...] = ()
     """The cause that stays latched is one of these; empty: nothing does."""
     by_gate: bool = False
@@ -103,10 +103,10 @@ class Path:
     """The row of the arm's faults; None: the wheels turn."""
 
     by_lease: bool = False
-    """Whoever it strikes is stopped for when a lease ends, or a deadline that is never shorter than one."""
+    """A process that it strikes is stopped for when a lease ends, or a deadline that is never shorter than one."""
 
     def leased(self, lease_s: float) -> Path:
-        """The same for a service that has this lease, though its settings give none."""
+        """The time for a service that has this lease, though its settings give none."""
         lease_ms = lease_s * 1000 + processes.SLACK_MS
         return dataclasses.replace(self, reaction_ms=max(self.reaction_ms, lease_ms)) if self.by_lease else self
 
@@ -181,7 +181,7 @@ BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 def plan(
     *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False
 ) -> list[tuple[Path, Velocity]]:
-    """What to run, in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
+    """Runs in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
     `has_arm`: the arm's too, but for a plan of velocities."""
     velocities = [velocity for velocity in VELOCITIES if not at or velocity.name in at]
     names = only or (QUICK_NAMES if quick else tuple(BY_PATH))

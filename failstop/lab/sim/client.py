@@ -144,7 +144,7 @@ class SimBoard:
         """The board's own account: pid, scheduling, link, node (its pty, or None), opened, executed and more."""
         return self._ask("info")
 
-    # What happened.
+    # Events.
 
     def events(self, since: int | None = None) -> list[Event]:
         """The frames executed since the last such call, the first time all. With `since`: all from that index on, and
@@ -177,7 +177,7 @@ class SimBoard:
         return found
 
     def joint_track(self, since: int = 0) -> list[Leg]:
-        """What the arm's servos did, from leg number `since` on, the oldest first."""
+        """The acts of the arm's servos, from leg number `since` on, the oldest first."""
         found: list[Leg] = []
         while True:
             answer = self._ask("joints", since=since + len(found))

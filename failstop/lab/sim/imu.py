@@ -1,4 +1,4 @@
-"""What the board's IMU reports while the wheels turn: noise that follows the wheel speed, rotation, gravity.
+"""The board's IMU as it reports while the wheels turn: noise that follows the wheel speed, rotation, gravity.
 
 The numbers are of a mecanum robot of 0.08 m wheels: standard deviation of gyro x and y 0.0016 to 0.0025 rad/s when
 still, 0.005 to 0.006 at 0.2 m/s, 0.006 to 0.010 at 0.35 m/s, and down to 0.004 while turning on the spot.

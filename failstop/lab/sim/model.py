@@ -43,7 +43,7 @@ NEVER = 1 << 63
 
 
 class Executed:
-    """What a frame that the board has executed asked for."""
+    """The command of a frame that the board has executed."""
 
     __slots__ = ()
     func: int

@@ -1,4 +1,4 @@
-"""What a simulated board can be told at its start, and the command line for it."""
+"""Options of a simulated board at its start, and the command line for it."""
 
 from __future__ import annotations
 

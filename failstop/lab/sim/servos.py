@@ -129,7 +129,7 @@ class Servos:
             self._leg(found, found.leg.at(t_ns), t_ns, t_ns)
 
     def _answer(self, servo: int, what: int, t_ns: int) -> int | None:
-        """What the board answers. A late answer makes the next question succeed, with 0, whomever it asks."""
+        """The board's answer. A late answer makes the next question succeed, with 0, whomever it asks."""
         stale, self._stale = self._stale, False
         found = self.by_id.get(servo)
         if found and found.late:
@@ -145,7 +145,7 @@ class Servos:
         return found.supply_mv if what == wire.SUPPLY else found.temperature_c
 
     def change(self, servo: int, t_ns: int, **values: object) -> None:
-        """What people, heat and age do to a servo: its faults, `temperature_c`, `supply_mv`, `position` (turned by
+        """Change a servo, as people, heat and age do: its faults, `temperature_c`, `supply_mv`, `position` (turned by
         hand). Raises ValueError, KeyError."""
         found = self.by_id[servo]
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""What the board was told, in as many lines as a person reads: changes of the wheels, stop bursts, counts of the rest.
+"""The board's orders, in as many lines as a person reads: changes of the wheels, stop bursts, counts of the rest.
 
 Pure but for `say`: all times are those of the frames.
 """

@@ -58,7 +58,7 @@ class Run:
 
 @dataclass
 class Result:
-    """What a campaign came to."""
+    """The result of a campaign."""
 
     runs: int = 0
     calls: int = 0

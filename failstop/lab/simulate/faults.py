@@ -32,7 +32,7 @@ SHORT_OF: dict[str, int] = {
     "fallocate": errno.ENOSPC,
     "sendmsg": errno.EAGAIN,
 }
-"""What a call is refused with by a machine that is short of something."""
+"""Errors of a machine that is short of something."""
 PORT_REFUSES = (errno.EAGAIN, errno.EIO)
 DISK_REFUSES = (errno.ENOSPC, errno.EIO)
 

@@ -59,7 +59,7 @@ class Seeded:
 
 @dataclass
 class Seeds:
-    """What a campaign of seeds came to."""
+    """The result of a campaign of seeds."""
 
     runs: int = 0
     events: int = 0
@@ -166,7 +166,7 @@ class Nursery:
 
 
 def seeds(first: int, step: int, seconds: float, patches: Patches = (), names: list[str] | None = None) -> Seeds:
-    """What seeds come to: first, first + step, ... until so much of a processor's time is used."""
+    """Run seeds: first, first + step, ... until so much of a processor's time is used."""
     nursery, found, seed, begun_s = Nursery(names, patches), Seeds(), first, used_s()
     while (took_s := used_s() - begun_s) < seconds:
         run = nursery.run(seed)
@@ -192,7 +192,7 @@ def _all(arguments: tuple[int, int, float]) -> Seeds:
 
 
 def _forked(what: Callable[[], Any]) -> Any:
-    """What a fork of this process has found."""
+    """The findings of a fork of this process."""
     reader, writer = os.pipe()
     child = os.fork()
     if not child:

@@ -82,7 +82,7 @@ class Stage:
 
             setattr(where, name, told)
 
-    # What a scenario may do.
+    # Acts of a scenario.
 
     def connect(self) -> Any:
         """A Robot of the run that is there, once there is one."""
@@ -319,7 +319,7 @@ class Stage:
             try:
                 robot = failstop.Robot()
                 if robot.state.cause is not None:
-                    robot.reset()  # what is down starts again by it
+                    robot.reset()  # a process that is down starts again by it
                 self.enable(robot)
                 while robot.state.enabled:
                     self.drive(robot, COMMAND_EVERY_S)

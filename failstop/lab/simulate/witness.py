@@ -54,7 +54,7 @@ class Witness:
         self._asking = False
         """A program has asked and has no answer yet."""
         self._fastest_rps = 0.0
-        """What programs have asked the wheels for since they asked for motion last."""
+        """The speed that programs have asked for since they asked for motion last."""
         self._wire_ns = 0
         """When the board will have read all that was written to it."""
         self._stops: dict[bool, tuple[int, int]] = {}
@@ -78,7 +78,7 @@ class Witness:
             self.violations.append(text)
         self.tell(f"WRONG: {text}")
 
-    # What allows motion, and what forbids it.
+    # Grants of motion, and reasons against it.
 
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
@@ -184,7 +184,7 @@ class Witness:
         owner = self._robot.named("port_owner")
         return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS
 
-    # What happens to the machine.
+    # Events of the machine.
 
     def _told(self, kind: str, process: Process, what: object) -> None:
         if kind == "failed":

@@ -43,7 +43,7 @@ class Coding(NamedTuple):
 
 
 BOARD_CODING = Coding(BAUD)
-"""What the board's processor speaks."""
+"""The line coding of the board's processor."""
 _CODING = struct.Struct("<IBBB")
 
 Token = Any

@@ -1,4 +1,4 @@
-"""What the board's USB chip says of itself: one configuration, one CDC-ACM function (1a86:55d4, as the CH9102)."""
+"""Descriptors of the board's USB chip: one configuration, one CDC-ACM function (1a86:55d4, as the CH9102)."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class UsbPort:
         return min(self.device.next_ns, self._retry_ns)
 
     def info(self) -> dict[str, Any]:
-        """What the host has done to the chip."""
+        """Acts of the host on the chip."""
         device = self.device
         return {
             "connected": self._connection is not None,

@@ -64,7 +64,7 @@ class UsbIp:
         if command == UNLINK:
             (victim,) = struct.unpack_from(">I", message, _HEAD.size)
             waiting = self._device.cancel((victim, True)) or self._device.cancel((victim, False))
-            # What was answered meanwhile comes first, as the host expects.
+            # Answers made meanwhile come first, as the host expects.
             self.flush()
             self.output += _UNLINKED.pack(UNLINKED, number, 0, 0, 0, -errno.ECONNRESET if waiting else 0)
             return

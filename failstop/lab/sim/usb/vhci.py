@@ -26,7 +26,7 @@ def free_port(status: str) -> int | None:
 
 
 def bus_id(status: str, port: int) -> str:
-    """What the kernel calls the device at a port; empty while it has none."""
+    """The kernel's name for the device at a port; empty while it has none."""
     rows = [line.split() for line in status.splitlines()]
     found = next((row[-1] for row in rows if row[:1] == ["hs"] and int(row[1]) == port), "0-0")
     return "" if found == "0-0" else found
