@@ -148,8 +148,6 @@ ARM_GOAL = Topic(
     "so is one that takes longer than arm.unwatched_s. The end of its publisher holds the arm",
 )
 ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves, or is about to")
-ARM_TOPICS = (ARM_GOAL, ARM_BUSY)
-"""Only where the settings name joints."""
 OUTWARD = (
     IMU,
     BATTERY,

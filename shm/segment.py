@@ -167,10 +167,10 @@ def unlink_all(memory: str) -> None:
         unlink(memory, spec.name)
 
 
-def living(memory: str, folder: str = SHM) -> bool:
+def living(memory: str) -> bool:
     """True while the supervisor of this run lives."""
     try:
-        fd = os.open(path_of(memory, SUPERVISOR, folder), os.O_RDONLY | _FLAGS)
+        fd = os.open(path_of(memory, SUPERVISOR), os.O_RDONLY | _FLAGS)
     except OSError:
         return False
     try:

@@ -16,7 +16,7 @@ from failstop.board import codec, framing
 from failstop.board.framing import seal
 from failstop.lab import encoders
 from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, STATE_NAMES, Receiver
+from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 FRAME = bytes.fromhex(VECTORS["down"]["motors 0..3 at 0.5, -0.25, 0, 1.5 rps"])
@@ -157,9 +157,9 @@ def test_walks_through_its_states() -> None:
     receiver = Receiver()
     walk = []
     for byte in FRAME[:6]:
-        walk.append((STATE_NAMES[receiver.state], receiver.remaining if receiver.state == DATA else None))
+        walk.append((receiver.state, receiver.remaining if receiver.state == DATA else None))
         receiver.feed(bytes((byte,)))
-    assert walk == [("START1", None), ("START2", None), ("FUNC", None), ("LEN", None), ("DATA", 22), ("DATA", 21)]
+    assert walk == [(START1, None), (START2, None), (FUNC, None), (LEN, None), (DATA, 22), (DATA, 21)]
 
 
 def test_a_copy_goes_its_own_way() -> None:

@@ -1,4 +1,4 @@
-"""What AArch64 lets a litmus test end with, by trying every order: for machines that have no herd7.
+"""Ends of a litmus test that AArch64 allows, by trying every order: for machines that have no herd7.
 
 Each thread performs its instructions in any order that it must not notice, and that nothing orders: a value that is
 needed, the same location, an acquire before what follows it, a release after what precedes it, a release before an
@@ -127,7 +127,7 @@ def litmus_tests() -> list[Path]:
 
 
 def digest() -> str:
-    """What a verdict is of."""
+    """The subject of a verdict."""
     return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in litmus_tests())).hexdigest()
 
 

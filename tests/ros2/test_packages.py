@@ -30,7 +30,7 @@ def test_setup_is_of_this_version() -> None:
 
 def test_every_message_package_that_is_used_is_depended_on() -> None:
     rows = [*contract.INWARD, *contract.OUTWARD, contract.TF, *contract.SERVICES]
-    rows += [*contract.ARM_TOPICS, *contract.ARM_SERVICES, contract.ARM_ACTION]
+    rows += [contract.ARM_GOAL, contract.ARM_BUSY, *contract.ARM_SERVICES, contract.ARM_ACTION]
     used = {row.type.partition("/")[0] for row in rows}  # type: ignore[attr-defined]
     for path in (PACKAGES.parent).glob("*.py"):
         used |= set(re.findall(r"^ +from (rclpy|\w+_interfaces)\b", path.read_text(), re.MULTILINE))

@@ -17,8 +17,6 @@ LEN = 3
 DATA = 4
 CRC = 5
 
-STATE_NAMES = ("START1", "START2", "FUNC", "LEN", "DATA", "CRC")
-
 
 class Receiver:
     """The board's parser. `first_invalid_func` is 10, 11 or 12 by firmware version.
