@@ -146,6 +146,18 @@ def test_a_request_that_waits_when_the_service_dies_is_told_at_once(simulated: S
         assert 0 <= simulated.now_ns() - dies_ns < 20 * MS
 
 
+def test_the_state_tells_of_the_supervisor_s_death_at_once(simulated: Simulated) -> None:
+    simulated.enable()
+    simulated.drive(0.3)
+    robot = simulated.robot
+    assert robot.state.enabled
+    assert any(robot.state.wheels_radps)
+    simulated.die("supervisor")
+    state = robot.state
+    stopped(state, "supervisor died", "supervisor hangs: ")
+    assert state.processes["supervisor"].state == "dead"
+
+
 # Closed.
 
 

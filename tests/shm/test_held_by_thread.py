@@ -18,6 +18,7 @@ from failstop.shm.futex import Futex
 from failstop.shm.segment import Segment
 from failstop.shm.words import LINE_BYTES
 from tests.support.children import call
+from tests.support.ptys import open_fds
 
 from .dying import ends, threads
 
@@ -32,6 +33,17 @@ def test_a_thread_of_its_own_holds_and_lets_go(lines: Segment) -> None:
         assert len(threads() - before) == 1
         one.let_go()
     assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
+
+
+def test_a_word_that_no_thread_can_hold_keeps_no_descriptor(lines: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    word, before = lines.futex("held", 22, write=True), open_fds()
+    monkeypatch.setattr("_thread.start_new_thread", refuse)
+    with pytest.raises(RuntimeError, match="can't start new thread"):
+        HeldByThread(word)
+    assert open_fds() == before
 
 
 class Interrupted(Exception):
