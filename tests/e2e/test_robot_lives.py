@@ -153,6 +153,7 @@ def test_the_state_tells_of_the_supervisor_s_death_at_once(simulated: Simulated)
     assert robot.state.enabled
     assert any(robot.state.wheels_radps)
     simulated.die("supervisor")
+    simulated.wait(0.001)
     state = robot.state
     stopped(state, "supervisor died", "supervisor hangs: ")
     assert state.processes["supervisor"].state == "dead"
