@@ -16,10 +16,6 @@ import time
 from failstop.board import port
 from failstop.board.interface import BOARD
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    pass
-
 TRIES = 3
 DRAIN_S = 0.1
 """The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""

@@ -13,9 +13,8 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import Loader
 from tests.support.ptys import Board, Pty, new_pty
-from tests.support.stage import MS, Wire
+from tests.support.stage import MS, PortMachine, Wire
 from tests.support.stand_ins import before_write
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
@@ -160,11 +159,9 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
 
 def simulated() -> tuple[Machine, Wire, Any]:
     """A stop port on a machine whose calls take no time."""
-    machine = Machine(step_ns=0, look_ns=0)
-    machine.join("stop")
-    wire, loader = Wire(machine), Loader(machine)
-    fd = loader.system["os"].open(wire.link, os.O_RDWR)
-    return machine, wire, loader.load("failstop.board.stop_port").StopPort(fd)
+    made = PortMachine()
+    own = made.load("failstop.board.stop_port").StopPort(made.open(made.wire))
+    return made.machine, made.wire, own
 
 
 @pytest.mark.parametrize(

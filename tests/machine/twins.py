@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import Any
 
-from failstop.lab.simulate.scenarios import Play
+from failstop.lab.simulate.scenarios import Play, driving
 
 TWINS: dict[str, Play] = {}
 
@@ -16,17 +16,10 @@ def twin(play: Play) -> Play:
     return play
 
 
-def _driving(stage: Any) -> Any:
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.06)
-    return robot
-
-
 @twin
 def commands_time_out(stage: Any) -> None:
     """A program falls silent: the wheels stand, nothing is latched; it goes on."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     stage.time.sleep(0.6)
     stage.drive(robot, 0.06)
     robot.close()
@@ -35,7 +28,7 @@ def commands_time_out(stage: Any) -> None:
 @twin
 def enable_is_refused_while_a_stop_is_latched(stage: Any) -> None:
     """An enable without a reset changes nothing."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     stage.stop(robot)
     stage.time.sleep(0.1)
     with contextlib.suppress(stage.failstop.Refused):
@@ -48,7 +41,7 @@ def enable_is_refused_while_a_stop_is_latched(stage: Any) -> None:
 @twin
 def second_stop_comes_while_the_first_is_latched(stage: Any) -> None:
     """Two stops, one reset."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     stage.stop(robot)
     stage.time.sleep(0.1)
     robot.estop("again")
@@ -79,7 +72,7 @@ def pipe_gets_bytes_while_motion_is_disabled(stage: Any) -> None:
 @twin
 def key_is_pressed_twice(stage: Any) -> None:
     """The second key comes while the first one's stop is latched."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     stage.press(1)
     robot.wait_for("latched", 1.0)
     stage.time.sleep(0.1)
@@ -116,7 +109,7 @@ def supervisor_dies_at_rest(stage: Any) -> None:
 @twin
 def port_owner_dies_twice(stage: Any) -> None:
     """A death, an enable, and a death again."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     for _ in range(2):
         stage.kill("port_owner")
         robot.wait_for("latched", 1.0)
@@ -139,7 +132,7 @@ def gate_dies_at_rest(stage: Any) -> None:
 @twin
 def driver_leaves_in_order(stage: Any) -> None:
     """A program that closes its Robot while it drives stops nothing but itself."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     robot.close()
     stage.time.sleep(0.5)
 
@@ -158,7 +151,7 @@ def driver_dies_and_motion_is_disabled(stage: Any) -> None:
 @twin
 def speed_is_limited(stage: Any) -> None:
     """A limit holds for the next command."""
-    robot = _driving(stage)
+    robot = driving(stage, 0.06)
     robot.limit_speed(0.5)
     stage.drive(robot, 0.1)
     stage.disable(robot)

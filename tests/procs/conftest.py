@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
+from tests.support.stage import PortMachine, Wire
 
 from .arm_bench import ArmBench
 from .arm_notes import Make
 from .client_side import Service
 from .gate_bench import Gate
+
+
+@pytest.fixture
+def machine() -> PortMachine:
+    """A machine with a board's port."""
+    return PortMachine()
+
+
+@pytest.fixture
+def board(machine: PortMachine) -> Wire:
+    """The board's side of that port."""
+    return machine.wire
+
+
+@pytest.fixture
+def wire(machine: PortMachine) -> Any:
+    """The port owner's writing to that port."""
+    return machine.load("failstop.procs.port_owner.wire").Wire(machine.open(machine.wire))
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import pty
 import resource
 import time
 import tty
-from collections.abc import Iterator
 
 import pytest
 
@@ -15,14 +14,6 @@ from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Ti
 from tests.support.stage import PortMachine
 
 LATER_NS = 20_000_000_000
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)
 
 
 def test_a_wait_returns_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:

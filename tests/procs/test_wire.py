@@ -23,21 +23,6 @@ FILL = bytes(Port.ROOM)
 """What fills a port."""
 
 
-@pytest.fixture
-def machine() -> PortMachine:
-    return PortMachine()
-
-
-@pytest.fixture
-def board(machine: PortMachine) -> Wire:
-    return machine.wire
-
-
-@pytest.fixture
-def wire(machine: PortMachine) -> Any:
-    return machine.load(MODULE).Wire(machine.open(machine.wire))
-
-
 def assert_stopped(stream: bytes) -> None:
     """The stream stops a board whose wheels turn, and nothing turns one again after its first stop."""
     board = Board()

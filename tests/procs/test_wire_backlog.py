@@ -18,21 +18,6 @@ MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
 
 
-@pytest.fixture
-def machine() -> PortMachine:
-    return PortMachine()
-
-
-@pytest.fixture
-def board(machine: PortMachine) -> Wire:
-    return machine.wire
-
-
-@pytest.fixture
-def wire(machine: PortMachine) -> Any:
-    return machine.load("failstop.procs.port_owner.wire").Wire(machine.open(machine.wire))
-
-
 # No backlog.
 
 

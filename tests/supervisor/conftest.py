@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-
 import pytest
 
 from tests.support.supervisor_scene import Scene
@@ -14,12 +11,3 @@ from tests.support.supervisor_scene import Scene
 def scene() -> Scene:
     """A supervisor whose processes are still to be started."""
     return Scene()
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    """A pipe of the kernel's own: what is read, what is written."""
-    ends = os.pipe()
-    yield ends
-    for fd in ends:
-        os.close(fd)

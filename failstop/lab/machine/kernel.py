@@ -52,8 +52,7 @@ class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
     __slots__ = (
-        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "started", "token", "waiting"),
-        "woken",
+        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "token", "waiting", "woken"),
     )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:

@@ -29,12 +29,18 @@ def scenario(play: Play, name: str = "", told: str = "", settings: dict[str, obj
     return play
 
 
+def driving(stage: Stage, seconds: float = 0.04) -> Any:
+    """A program that has enabled motion, and has driven for so long."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.drive(robot, seconds)
+    return robot
+
+
 @scenario
 def drive_and_stop(stage: Stage) -> None:
     """Enable, drive, stop, reset, enable, drive, disable."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.06)
+    robot = driving(stage, 0.06)
     stage.stop(robot)
     stage.enable(robot)
     stage.drive(robot, 0.04)
@@ -47,9 +53,7 @@ FROM_THE_START.add(drive_and_stop)
 
 def _death(name: str) -> Play:
     def play(stage: Stage) -> None:
-        robot = stage.connect()
-        stage.enable(robot)
-        stage.drive(robot, 0.04)
+        robot = driving(stage)
         stage.kill(name)
         stage.drive(robot, 0.04)
 
@@ -58,9 +62,7 @@ def _death(name: str) -> Play:
 
 def _silence(name: str, ms: int) -> Play:
     def play(stage: Stage) -> None:
-        robot = stage.connect()
-        stage.enable(robot)
-        stage.drive(robot, 0.04)
+        robot = driving(stage)
         stage.freeze(name, ms)
         stage.drive(robot, ms / 1000 + 0.04)
 
@@ -76,9 +78,7 @@ for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry
 @scenario
 def port_owner_and_supervisor_hang(stage: Stage) -> None:
     """Both are silent, and the stopper is the one that notices."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.hold_again("supervisor", 60, 640)
     stage.freeze("port_owner", 700)
     stage.drive(robot, 0.9)
@@ -87,9 +87,7 @@ def port_owner_and_supervisor_hang(stage: Stage) -> None:
 @scenario
 def stopper_alone_runs(stage: Stage) -> None:
     """Nothing but the stopper runs for a while; supervisor and gate wake before the port owner, and judge nobody."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     for name in ("supervisor", "gate"):
         stage.hold_again(name, 70, 187)
     stage.freeze("port_owner", 260)
@@ -99,9 +97,7 @@ def stopper_alone_runs(stage: Stage) -> None:
 @scenario
 def port_owner_hangs_shortly(stage: Stage) -> None:
     """The port owner is silent for hardly longer than the supervisor waits."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.freeze("port_owner", 112)
     stage.drive(robot, 0.2)
 
@@ -109,9 +105,7 @@ def port_owner_hangs_shortly(stage: Stage) -> None:
 @scenario
 def port_owner_held_in_its_write(stage: Stage) -> None:
     """It is past its checks when telemetry dies; a program goes on more slowly as soon as it may."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.1)
+    robot = driving(stage, 0.1)
     stage.hold_in_write("port_owner", 76)
     stage.drive(robot, 0.02)
     stage.kill("telemetry")
@@ -178,9 +172,7 @@ def replug(stage: Stage) -> None:
 @scenario
 def port_does_not_drain(stage: Stage) -> None:
     """The port keeps what is written to it, then passes it on."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.block_port()
     stage.drive(robot, 0.2)
     stage.free_port()
@@ -190,9 +182,7 @@ def port_does_not_drain(stage: Stage) -> None:
 @scenario
 def reset_races_stop(stage: Stage) -> None:
     """A reset is under way when another stop is asked for."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.stop(robot)
     stage.time.sleep(0.1)
     robot.reset()
@@ -245,9 +235,7 @@ scenario(_driver_dies, "driver_dies", settings={"gate.driver_death": "latch"})
 @scenario
 def supervisor_suspended(stage: Stage) -> None:
     """The supervisor is suspended by a signal, and goes on."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.suspend("supervisor", 150)
     stage.drive(robot, 0.2)
 
@@ -255,9 +243,7 @@ def supervisor_suspended(stage: Stage) -> None:
 @scenario
 def pipe_is_removed(stage: Stage) -> None:
     """Somebody takes the stop pipe away: the service ends, and a new one is started."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.remove_pipe()
     stage.drive(robot, 1.2)
 
@@ -265,9 +251,7 @@ def pipe_is_removed(stage: Stage) -> None:
 @scenario
 def board_falls_silent(stage: Stage) -> None:
     """The board does not hear any more while it drives."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.deafen()
     stage.drive(robot, 1.3)
 
@@ -275,9 +259,7 @@ def board_falls_silent(stage: Stage) -> None:
 @scenario
 def machine_sleeps(stage: Stage) -> None:
     """The machine sleeps while it drives."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
+    robot = driving(stage)
     stage.sleep_machine(20.0)
     stage.drive(robot, 0.04)
 
