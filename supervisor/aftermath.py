@@ -12,10 +12,10 @@ from collections.abc import Callable
 from time import monotonic_ns, time
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
+from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import layout, records
-from failstop.shm.packing import pack
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch

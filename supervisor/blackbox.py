@@ -13,7 +13,7 @@ from time import monotonic_ns
 
 import msgpack
 
-from failstop.shm import box, layout, records
+from failstop.messages import box, layout, records
 from failstop.shm.lifeline import Lifeline
 from failstop.supervisor.starter import environment, reap, script_command, spawn
 

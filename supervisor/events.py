@@ -12,10 +12,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from time import monotonic_ns, time
 
+from failstop.files import instance
+from failstop.messages import layout
+from failstop.messages.packing import fitting
 from failstop.policy import causes
-from failstop.shm import instance, layout
 from failstop.shm.cell import RingWriter
-from failstop.shm.packing import fitting
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import os
 
+from failstop.messages.layout import PORT_OWNER
 from failstop.policy.processes import BY_NAME, PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
-from failstop.shm.layout import PORT_OWNER
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

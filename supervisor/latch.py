@@ -6,10 +6,10 @@ new epoch, with its bell or without, finds the cause of it and a service that is
 
 from __future__ import annotations
 
+from failstop.messages import layout, records
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.reply import Reply, asked_before
-from failstop.shm import layout, records
-from failstop.shm.records import CAUSE
 from failstop.shm.words import Barrier
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop

@@ -12,11 +12,12 @@ from time import monotonic_ns, sleep
 
 import msgpack
 
+from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ
-from failstop.shm import bell, heartbeat, layout, records
+from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
 from failstop.supervisor import grant

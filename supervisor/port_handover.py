@@ -13,9 +13,9 @@ from time import monotonic_ns, sleep
 
 from failstop.board.finder import Finder
 from failstop.board.stop_port import StopPort
+from failstop.messages import layout, records
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
-from failstop.shm import layout, records
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.process_table import ProcessTable

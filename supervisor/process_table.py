@@ -6,13 +6,13 @@ import os
 import signal
 from time import monotonic_ns
 
+from failstop.messages import layout, records, segments
+from failstop.messages.packing import Note
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
-from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews, Lifeline
-from failstop.shm.packing import Note
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
 from failstop.supervisor.port import OwnPort
@@ -34,7 +34,7 @@ class ProcessTable:
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
-        lifelines = segment.attach(run.memory, "lifelines", run.incarnation, write=True)
+        lifelines = segments.attach(run.memory, "lifelines", run.incarnation, write=True)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = EarlyNews(lifelines)

@@ -18,8 +18,8 @@ from collections.abc import MutableMapping
 
 import msgpack
 
-from failstop.shm import layout
-from failstop.shm.packing import pack
+from failstop.messages import layout
+from failstop.messages.packing import pack
 from failstop.supervisor.children import DOWN, RUNNING
 from failstop.supervisor.events import Outbox
 from failstop.supervisor.latch import Epochs

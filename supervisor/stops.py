@@ -12,9 +12,9 @@ the port back; the board may be silent while the IMU sees the wheels come to res
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import layout
 
 UNPROVEN = "unproven"
 ALIVE = "alive"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from failstop.shm import root
+from failstop.files import root
 from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.

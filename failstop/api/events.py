@@ -14,7 +14,7 @@ import msgpack
 
 from failstop.api.client import Run, runtime_dir
 from failstop.api.errors import NoService
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.files.instance import DEFAULT_NAME
 
 LOOK_S = 0.02
 """Time between two looks for what may have changed."""

@@ -21,9 +21,9 @@ from failstop.api.errors import FailstopError
 from failstop.api.events import LOOK_S, Event, EventLog
 from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import Block, Sample, State, Velocity
+from failstop.messages import records
 from failstop.policy.causes import Cause
 from failstop.procs.gate.sources import DEFAULT
-from failstop.shm import records
 
 if TYPE_CHECKING:
     from failstop.api.why import Why

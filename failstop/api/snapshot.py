@@ -6,10 +6,10 @@ import dataclasses
 import enum
 from typing import Any, Literal, NamedTuple
 
+from failstop.messages import blocks
 from failstop.policy.causes import Cause
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
-from failstop.shm import blocks
 
 PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]

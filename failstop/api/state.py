@@ -14,13 +14,14 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import Run, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
+from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.starved import state_of
-from failstop.shm import blocks, box, heartbeat, layout, records
+from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
 
 T = TypeVar("T")

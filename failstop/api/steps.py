@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Block, State
-from failstop.shm.layout import GATE
+from failstop.messages.layout import GATE
 
 
 class Purpose(Enum):

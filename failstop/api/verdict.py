@@ -8,8 +8,8 @@ from collections.abc import Collection, Sequence
 from failstop.api import words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State
+from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.shm.layout import GATE
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"

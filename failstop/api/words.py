@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.shm.instance import DEFAULT_NAME, option
+from failstop.files.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too

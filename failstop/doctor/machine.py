@@ -7,7 +7,7 @@ import os
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.instances import unit_of
-from failstop.shm import layout
+from failstop.messages import layout
 from failstop.supervisor import grant
 
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")

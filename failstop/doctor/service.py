@@ -7,9 +7,9 @@ import shlex
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.doctor.system import SHM
+from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.ros2 import transport
-from failstop.shm.instance import option
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000

@@ -21,7 +21,7 @@ from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
-from failstop.shm.instance import option
+from failstop.files.instance import option
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.stops import UNASKED
 

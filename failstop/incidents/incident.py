@@ -15,10 +15,10 @@ from failstop.board import framing, servos
 from failstop.board.interface import BOARD
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
+from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
-from failstop.shm import blocks, box, layout, records
 
 Payload = TypeVar("Payload")
 WHEELS = ("front left", "rear left", "front right", "rear right")

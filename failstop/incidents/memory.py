@@ -13,9 +13,10 @@ import struct
 import msgpack
 
 from failstop.api.words import took
+from failstop.messages import box, layout, records
+from failstop.messages import segments as shared
 from failstop.policy import causes
-from failstop.shm import box, cell, layout, records
-from failstop.shm import segment as shared
+from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
 from failstop.supervisor.stops import wheels_seen
 
@@ -38,7 +39,7 @@ _WORD = struct.Struct("<Q")
 
 def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
     """Every whole entry of a record (a latest has two cells, a ring many), the oldest first, of a copy of its segment
-    as shm.segment.copy() returns it."""
+    as messages.segments.copy() returns it."""
     spec = layout.BY_NAME[name]
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]

@@ -16,8 +16,8 @@ from failstop.incidents import files, memory, report, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
 from failstop.incidents.story import Line
+from failstop.messages import blocks, layout
 from failstop.procs.telemetry.still import LEAST_SAMPLES, WINDOW_NS
-from failstop.shm import blocks, layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

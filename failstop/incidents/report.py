@@ -11,9 +11,9 @@ from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
 from failstop.incidents import memory, story
 from failstop.incidents.incident import DRIVING, SAYS, Incident, named
 from failstop.incidents.story import CAUSE
+from failstop.messages.records import printable
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.shm.records import printable
 
 Lines = list[list[tuple[str, str]]]
 Fact = tuple[str, str, str]

@@ -24,11 +24,11 @@ if __name__ == "__main__":
     sys.path[:] = os.environ["FAILSTOP_PATH"].split(os.pathsep)
 
 from failstop.incidents import files, memory
+from failstop.messages import layout, records, segments
+from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.procs.telemetry.state_files import state_directory
-from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
-from failstop.shm.packing import pack
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -55,7 +55,7 @@ def main(words: dict[str, str]) -> int:
         adjust.write("500")  # of all processes here, the one to do without
     try:
         told, code = save(words), 0
-    except (OSError, segment.AttachError, files.IncidentError) as error:
+    except (OSError, segments.AttachError, files.IncidentError) as error:
         told, code = {"wrong": str(error)[:MOST_SAID]}, 1
     try:
         os.write(int(words["result"]), pack(told))
@@ -112,7 +112,7 @@ def _wait_for_port(words: dict[str, str], fd: int) -> None:
 
 
 def _is_lost(name: str, fd: int) -> bool:
-    told = memory.entries(layout.PORT_OWNER, "port", *segment.copy(fd, name, layout.PORT_OWNER))
+    told = memory.entries(layout.PORT_OWNER, "port", *segments.copy(fd, name, layout.PORT_OWNER))
     return bool(told) and records.PORT.unpack(told[-1][2])[2] == records.PORT_LOST
 
 

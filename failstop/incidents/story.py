@@ -9,7 +9,7 @@ from itertools import groupby, pairwise
 
 from failstop.api import words
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, Sort, Tick, Write, named
-from failstop.shm import layout
+from failstop.messages import layout
 
 CAUSE = "CAUSE"
 QUIET_NS = 100_000_000

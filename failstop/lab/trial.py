@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
+from failstop.files import instance
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stopped import Stopped as Stopped
 from failstop.lab.stopped import judge as judge
-from failstop.shm import instance, layout, segment
+from failstop.messages import layout, segments
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -143,8 +144,8 @@ class Service:
                 self.end()
         finally:
             self._log.close()
-            for run in segment.dead_runs(self.name):
-                segment.unlink_all(run)
+            for run in segments.dead_runs(self.name):
+                segments.unlink_all(run)
             for path in instance.places(self.name):
                 shutil.rmtree(path, ignore_errors=True)
 

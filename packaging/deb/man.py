@@ -8,7 +8,7 @@ import sys
 import completion
 
 from failstop.cli import main as cli
-from failstop.shm import root
+from failstop.files import root
 from failstop.version import VERSION
 
 DESCRIPTION = (

@@ -6,9 +6,10 @@ are what it says of itself, for people to read; nothing depends on their truth.
 
 from __future__ import annotations
 
+from failstop.messages import layout, records
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import claim, layout, records
+from failstop.shm import claim
 from failstop.shm.cell import LatestReader
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment

@@ -3,9 +3,9 @@ is told when it was asserted, by the clock of whoever asserts it."""
 
 from __future__ import annotations
 
+from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm.packing import Note
 
 MS = 1_000_000
 AHEAD_NS = 20 * MS

@@ -13,6 +13,9 @@ from __future__ import annotations
 
 from math import isfinite
 
+from failstop.messages.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
+from failstop.messages.packing import Note
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import Wheels
@@ -21,9 +24,6 @@ from failstop.policy.settings import DEATHS, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command, Sources
-from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
-from failstop.shm.packing import Note
-from failstop.shm.records import CAUSE
 
 Vector = tuple[float, float, float]
 Speeds = tuple[float, float, float, float]

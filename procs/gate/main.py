@@ -6,6 +6,9 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.files import instance, place
+from failstop.messages import box, layout, records
+from failstop.messages.packing import pack
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
@@ -17,10 +20,9 @@ from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Requests
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
-from failstop.shm import bell, box, instance, layout, place, records
+from failstop.shm import bell
 from failstop.shm.cell import RingWriter
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.packing import pack
 from failstop.shm.words import Barrier
 
 PUBLISH_NS = 80_000_000

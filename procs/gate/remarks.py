@@ -3,10 +3,10 @@ say of themselves. Pure."""
 
 from __future__ import annotations
 
+from failstop.messages import records
+from failstop.messages.packing import Note
 from failstop.policy.reply import Reply
 from failstop.procs.gate.sources import PAD, Command
-from failstop.shm import records
-from failstop.shm.packing import Note
 
 Row = tuple[int, int, str, int, str, str]
 """Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""

@@ -3,13 +3,13 @@ what may move something gives way to a stop, and to what ends motion, that was a
 
 from __future__ import annotations
 
+from failstop.messages import layout, records
+from failstop.messages.packing import Note
 from failstop.policy.reply import Reply, asked_before, unpack
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.sources import PAD
-from failstop.shm import layout, records
-from failstop.shm.packing import Note
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False

@@ -8,7 +8,7 @@ service's own: no client commands as it.
 
 from __future__ import annotations
 
-from failstop.shm import records
+from failstop.messages import records
 
 PAD = "gamepad"
 PAD_PRIORITY = 101

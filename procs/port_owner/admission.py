@@ -35,10 +35,10 @@ from collections import deque
 
 from failstop.board.interface import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, MOVE, READS
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.loop import NEVER
-from failstop.shm import layout
 
 MS = 1_000_000
 WRITE, DROP, BURST, REQUEST = range(4)

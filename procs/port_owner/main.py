@@ -8,6 +8,7 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -18,7 +19,7 @@ from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
 from failstop.procs.port_owner.schedule import Pings, Repeats
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
-from failstop.shm import bell, layout, records
+from failstop.shm import bell
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 

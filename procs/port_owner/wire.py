@@ -8,7 +8,7 @@ import select
 from failstop.board.interface import BOARD
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
-from failstop.shm import box
+from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000

@@ -14,11 +14,12 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.board.stop_port import StopPort
+from failstop.messages import layout, records
 from failstop.procs import starved
 from failstop.procs.context import Context
 from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import BURST_AFTER_NS, Parent, Peer
-from failstop.shm import bell, layout, records
+from failstop.shm import bell
 from failstop.shm.words import Barrier
 
 TICK_NS = 50_000_000

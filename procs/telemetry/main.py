@@ -10,6 +10,8 @@ import msgpack
 
 from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
+from failstop.messages import box, records
+from failstop.messages.packing import Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -21,9 +23,7 @@ from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, Pad, Tones
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
-from failstop.shm import box, records
 from failstop.shm.cell import LatestReader
-from failstop.shm.packing import Note, pack
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 

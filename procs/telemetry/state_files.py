@@ -10,7 +10,7 @@ import os
 from _queue import SimpleQueue
 from errno import ENOSPC
 
-from failstop.shm import durable, root
+from failstop.files import durable, root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

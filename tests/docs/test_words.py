@@ -22,7 +22,7 @@ WENT = {
 }
 """Words that went, as regular expressions, and what is said instead."""
 GONE = re.compile(rf"\b(?:{'|'.join(WENT)})\b", re.IGNORECASE)
-ROOMS = ("failstop", "policy", "procs", "supervisor")
+ROOMS = ("failstop", "procs", "shm", "supervisor")
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 NAMES = re.compile(r"\bfailstop estop\b|\bestop\(\)|\bRobot\.estop\b|\bscan or estop\b|\bestop_\w+")
 """Of the command, of the API and of topics."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.shm import box, layout
+from failstop.messages import box, layout
 from tests.support.simulated import MS, Simulated
 
 SETTINGS = {"limits.vx_mps": 0.35, "sources.teleop.priority": 10}

@@ -14,8 +14,8 @@ import pytest
 
 from failstop.lab.faults.starve import Starved
 from failstop.lab.trial import Trial, wait_for, write_settings
+from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.policy.processes import BY_NAME
-from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.supervisor import grant
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated

@@ -13,8 +13,8 @@ from failstop.lab.faults.campaign import inject_one
 from failstop.lab.faults.fault import CONTINUE, CRASH, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
 from failstop.lab.faults.scene import Scene
 from failstop.lab.faults.table import BY_NAME, TABLE
+from failstop.messages.layout import PROCESSES, SUPERVISOR
 from failstop.policy import causes
-from failstop.shm.layout import PROCESSES, SUPERVISOR
 
 DESIGN = {
     "gate dies or hangs": ("kill-gate", "hang-gate", "spin-gate", "hang-gate-continued"),

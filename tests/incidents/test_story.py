@@ -12,8 +12,8 @@ from failstop.board.interface import BOARD
 from failstop.incidents import report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
+from failstop.messages import box, layout
 from failstop.policy import causes
-from failstop.shm import box, layout
 from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die, printed
 
 NOW_S = UNIX_NS / 1e9 + 7200

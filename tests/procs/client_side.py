@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.gate_scene import CLAIMS, Client, Scene
 
 NOW = 77_000_000_000

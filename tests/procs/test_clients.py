@@ -6,7 +6,7 @@ from math import isnan, nan
 
 import pytest
 
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from tests.support.gate_scene import NAMESPACE
 from tests.support.stage import Dummy
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from failstop.messages import layout, records
 from failstop.procs.gate import main
 from failstop.procs.gate.requests import UNSEEN
-from failstop.shm import layout, records
 from failstop.supervisor.stops import Stop
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.messages import records
 from failstop.procs.gate.requests import NO_ARM
-from failstop.shm import records
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 

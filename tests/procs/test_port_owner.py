@@ -8,9 +8,9 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
+from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import BY_NAME
-from failstop.shm import box, layout, records
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 

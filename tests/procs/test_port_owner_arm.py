@@ -9,8 +9,8 @@ import pytest
 from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
+from failstop.messages import records
 from failstop.procs.port_owner.admission import MOST_WAITING
-from failstop.shm import records
 from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 

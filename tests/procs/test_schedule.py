@@ -6,9 +6,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
 from failstop.procs.port_owner.schedule import BURST, GAP_NS, QUICK, ZERO, Pings, Repeats
-from failstop.shm import layout
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 

@@ -6,10 +6,11 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
-from failstop.shm import heartbeat, layout, records
+from failstop.shm import heartbeat
 from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene
 

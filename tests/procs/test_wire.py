@@ -12,7 +12,7 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab.machine.port import Port
-from failstop.shm import box
+from failstop.messages import box
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 

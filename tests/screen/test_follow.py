@@ -17,8 +17,9 @@ from failstop.api import host
 from failstop.api.errors import NoService
 from failstop.cli.screen import follow
 from failstop.cli.screen.follow import CHECK_S, Follower
+from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import instance, layout
+from failstop.messages import layout
 from tests.support.commands import failstop
 
 SECONDS = 20

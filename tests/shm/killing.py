@@ -17,7 +17,8 @@ import signal
 import sys
 import time
 
-from failstop.shm import cell, segment
+from failstop.messages import segments
+from failstop.shm import cell
 from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from failstop.shm.words import Word
 
@@ -81,9 +82,9 @@ class Case:
     def _segment(self, of: str, record: str) -> None:
         """A record of the real layout, in a segment of its own instance."""
         self.instance = f"k{os.getpid()}"
-        segment.create(self.instance, of, 12345).close()
-        writes = segment.attach(self.instance, of, 12345, write=True)
-        reads = segment.attach(self.instance, of, 12345)
+        segments.create(self.instance, of, 12345).close()
+        writes = segments.attach(self.instance, of, 12345, write=True)
+        reads = segments.attach(self.instance, of, 12345)
         self.writes, self.reads = writes.view, reads.view
         declared = writes.spec.records[record]
         self.capacity, self.cells, self.at = declared.capacity, declared.cells, writes.spec.offsets[record]
@@ -256,7 +257,7 @@ def run(kind: str, where: str, size: int, kills: int, random_seed: int, control:
             left_torn += bool(case.left_torn())
     finally:
         if case.instance:
-            segment.unlink_all(case.instance)
+            segments.unlink_all(case.instance)
     return {
         "kills": kills,
         "written": newest,

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages.layout import SEGMENTS
 from failstop.shm import cell
-from failstop.shm.layout import SEGMENTS
 
 SEED = cell.seed("gate.state", 0x0123456789ABCDEF)
 

@@ -11,9 +11,11 @@ from types import ModuleType
 
 import pytest
 
-from failstop.shm import cell, layout
+from failstop.messages import layout
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm.segment import HEADER_BYTES, Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
 SOURCE = Path(layout.__file__).read_text()
@@ -31,12 +33,12 @@ def variant(pattern: str, replacement: str) -> ModuleType:
     return module
 
 
-def places(spec: layout.SegmentSpec) -> list[tuple[int, int, str]]:
+def places(spec: SegmentSpec) -> list[tuple[int, int, str]]:
     return [(spec.offsets[name], spec.offsets[name] + record.size(), name) for name, record in spec.records.items()]
 
 
 @pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
-def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: layout.SegmentSpec) -> None:
+def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: SegmentSpec) -> None:
     taken = sorted(places(spec))
     assert taken[0][0] >= HEADER_BYTES
     for (_, end, one), (start, _, other) in pairwise(taken):
@@ -47,7 +49,7 @@ def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: layout.SegmentSp
 
 
 @pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
-def test_every_segment_has_a_writer_and_every_record_a_reader(spec: layout.SegmentSpec) -> None:
+def test_every_segment_has_a_writer_and_every_record_a_reader(spec: SegmentSpec) -> None:
     assert spec.writer.strip()
     assert spec.records
     known = {*PROCESSES, "clients", "everyone", "its successor", "the client of that slot"}
@@ -155,12 +157,12 @@ def test_all_variants_of_one_number_have_their_own_hash() -> None:
 @pytest.mark.parametrize("pages", [1, 2, 5000])
 @pytest.mark.parametrize(("beyond", "more"), [(0, 0), (1, 1)])
 def test_a_segment_is_of_whole_pages_and_of_no_more_than_it_needs(pages: int, beyond: int, more: int) -> None:
-    record = layout.Record("futexes", "all", "", pages * 4096 - HEADER_BYTES + beyond)
-    assert layout.SegmentSpec("any", "", 0o600, (record,)).size == (pages + more) * 4096
+    record = Record("futexes", "all", "", pages * 4096 - HEADER_BYTES + beyond)
+    assert SegmentSpec("any", "", 0o600, (record,)).size == (pages + more) * 4096
 
 
 def test_importing_the_layout_loads_nothing_heavy() -> None:
     """Processes on the stop path import it first thing."""
-    assert "failstop.shm.layout" in sys.modules
+    assert "failstop.messages.layout" in sys.modules
     heavy = "dataclasses|typing|enum|re|inspect|pathlib|logging|argparse|json|subprocess|collections.abc"
     assert not re.search(rf"^(import|from) ({heavy})\b", SOURCE, re.MULTILINE)

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
+from failstop.messages.packing import pack
+from failstop.messages.records import Shape
 from failstop.policy import causes
 from failstop.policy.settings import LONGEST_NAME, MOST_OF_A_FAMILY
-from failstop.shm import records
 from failstop.shm.cell import HEADER_BYTES, build
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
-from failstop.shm.packing import pack
-from failstop.shm.records import Shape
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.shm import segment
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, PROCESSES
-from failstop.shm.segment import Segment
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
+from failstop.shm.segment import HEADER_BYTES, Segment
 from tests.support.children import NOBODY, Child
 
 from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
@@ -24,10 +24,10 @@ from .simulated import content, kill, living, open_fds, put, refusing, user
 
 @pytest.mark.parametrize("of", SERVICE + PRIVATE_NAMES)
 def test_attach_finds_what_was_created(name: str, of: str) -> None:
-    made = segment.create(name, of, RUN)
+    made = segments.create(name, of, RUN)
     assert made.incarnation == RUN
     for expected in (RUN, None):
-        found = segment.attach(name, of, expected)
+        found = segments.attach(name, of, expected)
         assert found.incarnation == RUN
         assert found.spec is BY_NAME[of]
         assert (found.mapped is None) is (of in PRIVATE_NAMES)
@@ -40,7 +40,7 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
 def test_a_new_segment_is_empty(name: str) -> None:
     create_all(name)
     for of in SERVICE:
-        seen = segment.attach(name, of)
+        seen = segments.attach(name, of)
         for record in seen.spec.records.values():
             if record.kind == "word":
                 assert seen.word(record.name).get() == 0
@@ -96,8 +96,8 @@ def test_a_member_of_the_group_has_a_client_slot_and_no_more(on: SimpleNamespace
 
 @pytest.mark.parametrize("of", SERVICE)
 def test_a_reader_s_mapping_can_not_be_written(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
-    seen = segment.attach(name, of, RUN)
+    segments.create(name, of, RUN).close()
+    seen = segments.attach(name, of, RUN)
     before = Path(path_of(name, of)).read_bytes()
     for record in seen.spec.records.values():
         attempt: Callable[[], object] = {
@@ -119,8 +119,8 @@ Slot = tuple[Segment, Segment]
 @pytest.fixture
 def slot(name: str) -> Iterator[Slot]:
     """A client's segment, as the client has it and as the service does."""
-    segment.create(name, "client.0", RUN).close()
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    segments.create(name, "client.0", RUN).close()
+    own, seen = segments.attach(name, "client.0", RUN, write=True), segments.read_client_slot(name, 0, RUN)
     yield own, seen
     own.close()
     seen.close()
@@ -161,7 +161,7 @@ def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str, slot: Slot) -> None
 
 def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
     for index in range(CLIENT_SLOTS):
-        none = segment.no_client_slot(index, RUN)
+        none = segments.no_client_slot(index, RUN)
         assert none.spec is BY_NAME[f"client.{index}"]
         assert none.incarnation == RUN
         assert not os.get_inheritable(none.fileno())
@@ -188,8 +188,8 @@ def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(slot: Slot) 
 
 
 def test_records_are_reached_as_what_they_are(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    own = segment.attach(name, "gate", RUN, write=True)
+    segments.create(name, "gate", RUN).close()
+    own = segments.attach(name, "gate", RUN, write=True)
     for wrong in (
         lambda: own.word("state"),
         lambda: own.latest_reader("frames"),
@@ -200,15 +200,15 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
             wrong()
     with pytest.raises(KeyError):
         own.word("no_such_record")
-    made = segment.create(name, "telemetry", RUN)
+    made = segments.create(name, "telemetry", RUN)
     with pytest.raises(TypeError, match="words are only read through a mapping"):
         made.word("beat_ns")
     made.close()
 
 
 def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    own = segment.attach(name, "gate", RUN, write=True)
+    segments.create(name, "gate", RUN).close()
+    own = segments.attach(name, "gate", RUN, write=True)
     own.ring_writer("frames").put(b"before", 1)
     now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
     assert now.next() is None
@@ -338,14 +338,14 @@ def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> N
     create_all(name)
     with open(path_of(name, "supervisor"), "rb") as file:
         fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
-        assert not segment.living(name)
+        assert not segments.living(name)
 
 
 def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
-    segment.unlink(name, "gate")
-    segment.unlink_all(name)
+    segments.unlink(name, "gate")
+    segments.unlink_all(name)
     create_all(name)
-    segment.unlink_all(name)
+    segments.unlink_all(name)
     assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
 
 
@@ -365,12 +365,12 @@ def test_instances_do_not_see_each_other(name: str) -> None:
     try:
         create_all(name, 1)
         create_all(longer, 2)
-        segment.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
-        assert segment.attach(longer, "gate", 2).word("beat_ns").get() == 0
-        segment.unlink_all(name)
-        segment.attach(longer, "gate", 2)
+        segments.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
+        assert segments.attach(longer, "gate", 2).word("beat_ns").get() == 0
+        segments.unlink_all(name)
+        segments.attach(longer, "gate", 2)
     finally:
-        segment.unlink_all(longer)
+        segments.unlink_all(longer)
 
 
 def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
@@ -398,10 +398,10 @@ def test_no_descriptor_crosses_an_exec(name: str) -> None:
     create_all(name)
 
     def work(send: object, wait: object) -> list[str]:
-        segment.unlink(name, "stopper")
-        made = segment.create(name, "stopper", RUN)
-        held = [segment.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
-        held += [segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 1, RUN), made]
+        segments.unlink(name, "stopper")
+        made = segments.create(name, "stopper", RUN)
+        held = [segments.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
+        held += [segments.attach(name, "client.0", RUN, write=True), segments.read_client_slot(name, 1, RUN), made]
         assert any(name in link for link in links())
         reading, writing = os.pipe()
         os.set_inheritable(writing, True)
@@ -435,9 +435,9 @@ def links() -> list[str]:
 
 def test_readers_outlive_the_segment_object(name: str) -> None:
     """A mapping ends with its last reader, not with the object it came from."""
-    segment.create(name, "gate", RUN).close()
-    writer = segment.attach(name, "gate", RUN, write=True).latest_writer("state")
-    seen = segment.attach(name, "gate", RUN)
+    segments.create(name, "gate", RUN).close()
+    writer = segments.attach(name, "gate", RUN, write=True).latest_writer("state")
+    seen = segments.attach(name, "gate", RUN)
     reader, word = seen.latest_reader("state"), seen.word("beat_ns")
     seen.close()
     del seen

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.lab.machine.kernel import Process
+from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.procs.loop import GONE
-from failstop.shm import layout, records
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why

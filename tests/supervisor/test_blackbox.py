@@ -9,7 +9,7 @@ import msgpack
 import pytest
 
 from failstop.lab.machine.kernel import LATE_NS, Process
-from failstop.shm import box, layout
+from failstop.messages import box, layout
 from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, NEXT, PATIENCE_NS, SAMPLE_NS, START_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene

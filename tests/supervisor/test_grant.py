@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages.layout import GATE
 from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
-from failstop.shm.layout import GATE
 from failstop.supervisor import grant
 from tests.support.supervisor_scene import Scene
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.policy.processes import BY_NAME
-from failstop.shm import layout
 from failstop.supervisor.main import ANSWER_NS
 from failstop.supervisor.status import TELL_EVERY_NS
 from tests.support.stage import MS

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.kernel import Thread
+from failstop.messages import layout
 from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
-from failstop.shm import layout
 from failstop.supervisor.process_table import STARVED_SHOWN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene

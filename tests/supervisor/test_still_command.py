@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.lab.machine.kernel import Process
+from failstop.messages import layout
 from failstop.policy import causes
-from failstop.shm import layout
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why

@@ -6,9 +6,9 @@ import itertools
 
 import pytest
 
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import layout
 from failstop.supervisor.stops import (
     ACKNOWLEDGE_NS,
     ALIVE,

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from failstop.messages import layout
+from failstop.messages.packing import Note
 from failstop.policy import causes
-from failstop.shm import layout
-from failstop.shm.packing import Note
 from failstop.supervisor.aftermath import MOST_SAID
 from failstop.supervisor.kinds import BY_NAME
 from failstop.supervisor.status import WAITED_NS

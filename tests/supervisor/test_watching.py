@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.procs.loop import NEVER
-from failstop.shm import layout
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.process_table import GATE_AGAIN_NS

@@ -12,14 +12,15 @@ import msgpack
 
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
+from failstop.files import instance
 from failstop.lab.sim.servos import Servos
+from failstop.messages import layout, records
+from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.reply import unpack
 from failstop.procs.loop import NEVER
 from failstop.procs.port_owner.admission import ServoBus
-from failstop.shm import instance, layout, records
-from failstop.shm.packing import Note
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
 from tests.support.arm_settings import SERVOS

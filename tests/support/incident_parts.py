@@ -11,6 +11,7 @@ from failstop.board.interface import BOARD
 from failstop.cli import style
 from failstop.incidents import files
 from failstop.incidents.incident import Incident
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
@@ -18,7 +19,6 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.main import GateBox
 from failstop.procs.gate.sources import Command
-from failstop.shm import box, layout, records
 
 CAUSE_NS = 5_000_000_000_000
 UNIX_NS = 1_790_000_000_000_000_000

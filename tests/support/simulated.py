@@ -18,7 +18,7 @@ from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
 from failstop.lab.sim.servos import Leg
 from failstop.lab.stopped import Stopped, judge
-from failstop.shm import layout
+from failstop.messages import layout
 
 FORWARD = (0.2, 0.0, 0.0)
 LOOK_S = 0.001

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.procs.stopper import main
-from failstop.shm import layout
 from tests.support.stage import MOST_LATE, MS, Stage
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import msgpack
 
 from failstop.board import framing
-from failstop.shm import layout, records
-from failstop.shm.packing import Note
+from failstop.messages import layout, records
+from failstop.messages.packing import Note
 from tests.support.stage import MS, Stage
 
 S = 1_000 * MS

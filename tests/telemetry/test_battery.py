@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery import (
     HEADER,
@@ -18,7 +19,6 @@ from failstop.procs.telemetry.battery import (
     Charger,
     LowBattery,
 )
-from failstop.shm import records
 
 MS = 1_000_000
 S = 1_000 * MS

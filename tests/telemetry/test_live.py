@@ -8,8 +8,8 @@ import pytest
 
 from failstop.board.framing import BUZZER
 from failstop.lab.machine.robot import Robot
+from failstop.messages.layout import TELEMETRY
 from failstop.procs.telemetry import pad
-from failstop.shm.layout import TELEMETRY
 from tests.support.simulated import Simulated
 
 MODE = 0x2000

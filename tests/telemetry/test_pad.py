@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.decoder import BUTTONS
+from failstop.messages import records
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.pad import DRIVE, JOINT, LOCKED, Pad, PadNews
-from failstop.shm import records
 
 MS = 1_000_000
 FRAME_MS = 50

@@ -10,7 +10,7 @@ from failstop.board.interface import BOARD
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 

@@ -9,10 +9,10 @@ import pytest
 
 from failstop.board import framing
 from failstop.board.decoder import KEY_EVENTS
+from failstop.messages import records
 from failstop.policy import causes
 from failstop.procs.telemetry import pad
 from failstop.procs.telemetry.battery import LOW_READINGS
-from failstop.shm import records
 from tests.support.stage import MS
 from tests.support.telemetry_scene import FOLDER, Scene
 

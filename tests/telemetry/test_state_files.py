@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
+from failstop.files import root
+from failstop.messages import layout
 from failstop.procs.telemetry.state_files import MOST_WAITING, StateFiles, append_line, state_directory, write_whole
-from failstop.shm import layout, root
 from tests.support.stage import Stage
 from tests.support.telemetry_scene import FOLDER, S
 

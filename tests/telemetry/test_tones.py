@@ -7,10 +7,10 @@ import struct
 import pytest
 
 from failstop.board.framing import BUZZER
+from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import pad
 from failstop.procs.telemetry.pad import Tones
-from failstop.shm import records
 
 
 @pytest.fixture

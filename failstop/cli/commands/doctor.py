@@ -12,8 +12,8 @@ from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
 from failstop.doctor import table
 from failstop.doctor.look import FAIL, OK, SKIP, WARN, Finding, Look
+from failstop.files.instance import check_name
 from failstop.machine import facts as machine_facts
-from failstop.shm.instance import check_name
 
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s

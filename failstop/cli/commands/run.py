@@ -10,10 +10,10 @@ from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
+from failstop.files import instance
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY
 from failstop.procs import rights
-from failstop.shm import instance
 from failstop.supervisor import grant, starter
 from failstop.supervisor.port import OwnPort
 

@@ -21,10 +21,10 @@ from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Decoder, Ho
 from failstop.cli.screen.summary import row
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
+from failstop.messages import blocks
+from failstop.messages.layout import GATE
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
-from failstop.shm import blocks
-from failstop.shm.layout import GATE
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves

@@ -15,7 +15,7 @@ from failstop.api.events import Event, EventLog, unpack
 from failstop.api.state import State
 from failstop.api.why import Why
 from failstop.incidents import memory
-from failstop.shm import layout, records, segment
+from failstop.messages import layout, records, segments
 
 KEPT = 256
 CHECK_S = 0.5
@@ -87,22 +87,22 @@ def _variance(values: Sequence[float]) -> float:
 def left(name: str) -> tuple[Why, list[Event]] | None:
     """The memory left by a run that was not ended in order, until the service is started again, or the machine: the
     answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
-    dead = segment.dead_runs(name)
-    fds = segment.open_all(dead[-1]) if dead else {}
+    dead = segments.dead_runs(name)
+    fds = segments.open_all(dead[-1]) if dead else {}
     try:
         if len(fds) < len(layout.PROCESSES):
             return None
-        _, segments = memory.copy(fds, name)
-    except (segment.AttachError, OSError):
+        _, found = memory.copy(fds, name)
+    except (segments.AttachError, OSError):
         return None
     finally:
         for fd in fds.values():
             os.close(fd)
-    cause_ns, _, cause = memory.left_cause(segments)
-    stop = memory.left_stop(segments, cause_ns)
-    port = segments[layout.PORT_OWNER]["latest"].get("port")
+    cause_ns, _, cause = memory.left_cause(found)
+    stop = memory.left_stop(found, cause_ns)
+    port = found[layout.PORT_OWNER]["latest"].get("port")
     device = records.PORT.unpack(port[2])[3] if port else None
-    supervisor = segments[layout.SUPERVISOR]
+    supervisor = found[layout.SUPERVISOR]
     pid = supervisor["words"]["beat_pid"]
     now_s = time.time()
     ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9

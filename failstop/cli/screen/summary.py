@@ -11,7 +11,7 @@ from failstop.api.snapshot import ArmState, State
 from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
-from failstop.shm import blocks
+from failstop.messages import blocks
 from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
 

@@ -20,8 +20,8 @@ from failstop.lab.faults.fault import fits
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.servos import Leg
 from failstop.lab.trial import Trial, wait_for, write_settings
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause
-from failstop.shm.layout import SUPERVISOR
 
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793), "elbow": (3, 46, 51), "wrist": (4, 131, 160)}
 JOINTS |= {"roll": (5, 498, 499), "gripper": (10, 629, 499)}

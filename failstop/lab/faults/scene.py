@@ -17,7 +17,7 @@ from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
-from failstop.shm.layout import SUPERVISOR
+from failstop.messages.layout import SUPERVISOR
 from failstop.supervisor import grant
 
 SETTINGS: dict[str, object] = {

@@ -16,8 +16,8 @@ from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
 from failstop.doctor.stop_path import Tap
 from failstop.lab.prove.shake import Sample
+from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
-from failstop.shm import layout, records
 from failstop.shm.cell import RingReader
 from failstop.shm.words import Word
 

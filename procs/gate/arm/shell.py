@@ -5,6 +5,9 @@ A request that takes time has more than one reply: how far it is (records.UNDER_
 
 from __future__ import annotations
 
+from failstop.messages import box, records
+from failstop.messages.packing import Note
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.reply import Reply
 from failstop.procs.context import Context
@@ -16,9 +19,6 @@ from failstop.procs.gate.clients import Slot, seen
 from failstop.procs.gate.core import IS_LATCHED
 from failstop.procs.gate.sources import PAD
 from failstop.procs.loop import Timer
-from failstop.shm import box, records
-from failstop.shm.packing import Note
-from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from failstop.data import Data
+from failstop.messages import records
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import records
-from failstop.shm.data import Data
-from failstop.shm.records import CAUSE
 
 
 class Reply(Data):

@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
-from failstop.shm import blocks, records
+from failstop.messages import blocks, records
 from failstop.supervisor.stops import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 

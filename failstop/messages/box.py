@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import struct
 
-from failstop.shm import records
-from failstop.shm.blocks import DISABLED, NO_COMMAND, NO_SCAN
-from failstop.shm.records import Payload, Shape
+from failstop.messages import records
+from failstop.messages.blocks import DISABLED, NO_COMMAND, NO_SCAN
+from failstop.messages.records import Payload, Shape
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

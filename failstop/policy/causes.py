@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from failstop.shm import records
-from failstop.shm.data import Data
-from failstop.shm.records import cut, printable
+from failstop.data import Data
+from failstop.messages import records
+from failstop.messages.records import cut, printable
 
 Value = str | int | float
 ROOM = 280

@@ -11,7 +11,7 @@ from typing import Any
 from failstop.api import steps, verdict, words
 from failstop.api.steps import Purpose
 from failstop.api.why import meaning, troubles
-from failstop.shm import blocks
+from failstop.messages import blocks
 from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.shm.data import Data
+from failstop.data import Data
 
 MOST_SHOWN = 160
 """Characters of a value in a message."""

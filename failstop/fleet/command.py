@@ -18,12 +18,12 @@ from failstop.api import words
 from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
+from failstop.files import instance
 from failstop.fleet import FleetError, publisher, report, settings, signed, topics, view
 from failstop.fleet.broker import Broker
 from failstop.fleet.roster import Roster
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.shm import instance
 from failstop.supervisor.status import Notify
 
 EXAMPLES = """\

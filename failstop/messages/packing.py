@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgpack
 
-from failstop.shm.data import Data
-from failstop.shm.layout import NOTE_BYTES
-from failstop.shm.records import cut
+from failstop.data import Data
+from failstop.messages.layout import NOTE_BYTES
+from failstop.messages.records import cut
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

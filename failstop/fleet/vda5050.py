@@ -11,8 +11,8 @@ import json
 
 from failstop.api import steps, verdict
 from failstop.cli.screen.summary import BATTERY_LOW_V
+from failstop.messages import blocks
 from failstop.policy.causes import Cause
-from failstop.shm import blocks
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

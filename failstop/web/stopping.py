@@ -9,7 +9,7 @@ from typing import Any
 
 from failstop.api.client import attach, run, send_stop
 from failstop.api.errors import FailstopError, NoService
-from failstop.shm import layout
+from failstop.messages import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

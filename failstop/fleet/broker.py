@@ -11,9 +11,9 @@ import ssl
 import time
 
 from failstop import extras
+from failstop.files import durable
 from failstop.fleet import FleetError
 from failstop.fleet.wire import Wire
-from failstop.shm import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

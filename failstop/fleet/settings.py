@@ -11,11 +11,11 @@ import re
 import socket
 
 from failstop import config
+from failstop.files import root
+from failstop.files.instance import DEFAULT_NAME
 from failstop.fleet import FleetError
 from failstop.policy.setting import Setting, SettingError
 from failstop.policy.settings import SWITCH
-from failstop.shm import root
-from failstop.shm.instance import DEFAULT_NAME
 
 PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"

@@ -11,7 +11,7 @@ from hashlib import sha256
 from typing import NoReturn
 
 from failstop.api.errors import FailstopError
-from failstop.shm import durable, root
+from failstop.files import durable, root
 from failstop.web.devices import Devices
 from failstop.web.whereabouts import own_addresses
 

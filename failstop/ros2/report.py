@@ -8,9 +8,9 @@ from typing import Any
 
 from failstop.api import steps
 from failstop.api.state import State
+from failstop.messages import blocks
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
-from failstop.shm import blocks
 from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}

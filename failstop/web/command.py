@@ -8,8 +8,8 @@ from argparse import ArgumentParser, Namespace
 from failstop import config, extras
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
+from failstop.files import instance
 from failstop.policy.settings import Settings
-from failstop.shm import instance
 
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/

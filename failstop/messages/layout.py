@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from zlib import crc32
 
-from failstop.shm import box, records
-from failstop.shm.cell import cell_bytes
-from failstop.shm.data import Data
+from failstop.messages import box, records
+from failstop.messages.records import Shape
 from failstop.shm.futex import BLOCKS, PER_BLOCK
-from failstop.shm.records import Shape
+from failstop.shm.segment import Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 8
@@ -34,46 +33,6 @@ GATE = "gate"
 TELEMETRY = "telemetry"
 STOPPER = "stopper"
 PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
-
-
-class Record(Data):
-    """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, cells (rings), readers."""
-
-    kind: str
-    name: str
-    readers: str
-    capacity: int = 8
-    cells: int = 1
-
-    def size(self) -> int:
-        """Bytes the record takes in its segment."""
-        if self.kind == "word":
-            return LINE_BYTES
-        if self.kind == "futexes":
-            return self.capacity
-        return cell_bytes(self.capacity) * self.cells
-
-
-class SegmentSpec:
-    """One segment: its name, its one writer, the mode of its file, and where each record lies in it."""
-
-    __slots__ = ("mode", "name", "offsets", "records", "size", "writer")
-
-    def __init__(self, name: str, writer: str, mode: int, records: tuple[Record, ...]) -> None:
-        self.name = name
-        self.writer = writer
-        self.mode = mode
-        self.records = {record.name: record for record in records}
-        self.offsets: dict[str, int] = {}
-        at = HEADER_BYTES
-        for record in records:
-            self.offsets[record.name] = at
-            at += record.size()
-        self.size = (at + 4095) // 4096 * 4096
-
-
-HEADER_BYTES = 128
-"""Every segment starts with a header cell (segment.py), frozen for all versions so that they can tell each other."""
 
 
 def _word(name: str, readers: str) -> Record:
@@ -141,7 +100,7 @@ SEGMENTS = (
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
             _latest("latch", records.LATCH, "gate, clients"),  # the latch, or the one before
             _word("resets", "gate"),  # the number of the newest reset that was decided
-            _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/reply.py)
+            _latest("reset", records.REPLY, "gate"),  # the answer to it (failstop/policy/reply.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)

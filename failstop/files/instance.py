@@ -6,8 +6,8 @@ import contextlib
 import errno
 import os
 
-from failstop.shm import bell, place, root
-from failstop.shm.data import Data
+from failstop.data import Data
+from failstop.files import place, root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ def open_stop(name: str) -> tuple[str, int]:
     doubts = []
     for path in places(name):
         try:
-            return path, bell.open_pipe_to_write(stop_path(path))
+            return path, place.opened(stop_path(path), os.O_WRONLY, pipe=True)
         except place.Untrusted as error:
             doubts.append(f"; {error.strerror}")
         except OSError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 
-from failstop.shm.data import Data
+from failstop.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ SAID_BYTES = 190
 WIRE_BYTES = 260
 """The longest frame on the wire."""
 CAUSE_BYTES = 282
-"""A cause, packed (policy/causes.py)."""
+"""A cause, packed (failstop/policy/causes.py)."""
 
 PORT_CLOSED = 0
 PORT_OPEN = 1

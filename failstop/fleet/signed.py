@@ -13,8 +13,8 @@ import os
 import secrets
 import stat
 
+from failstop.files import durable
 from failstop.fleet import FleetError
-from failstop.shm import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.shm.data import Data
+from failstop.data import Data
 
 SUPERVISOR_PRIORITY = 30
 """SCHED_FIFO priorities: the higher runs first. The port owner is above all, since every stop goes through it. The
