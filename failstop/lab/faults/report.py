@@ -172,7 +172,7 @@ def markdown(result: dict[str, Any]) -> str:
         "frame. The bar is for the p99. What is latched is a row of [causes.md](../causes.md) with its first",
         "arguments, and the journal tells of it; what is said besides is in that column. Where nothing is latched",
         "after a new start, motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
-        "What is *not here* this machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
+        "What is *not here* this machine could not bring about: `make vm` puts one to sleep and steps its clock",
         "([usb.md](usb.md)).",
         "",
         *LEASES,
