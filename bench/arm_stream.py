@@ -15,7 +15,7 @@ from failstop.board.framing import BUS_SERVO
 from failstop.board.servos import MOVE
 from failstop.lab.faults.arm import ArmTrial
 from failstop.messages import box, layout, records
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.policy.joints import PULSES_PER_RAD
 
 PERIOD_NS = 40_000_000
 LOOK_EVERY_S = 0.1

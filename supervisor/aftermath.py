@@ -16,11 +16,12 @@ from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
-from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNASKED, UNPROVEN, Link, Stop
+from failstop.supervisor.stops import BY_SUPERVISOR, Link, Stop
 
 MOST_SAID = 64
 
@@ -99,8 +100,8 @@ class Aftermath:
             self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
         elif stop.behind is None:
             todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
-            text = f"STOP latched: {stop.cause}; {wrote}; next: {todo}"
-            self._run.events.tell("stop", text, fields, level=level)
+            text = f"STOP latched: {stop.cause}; {wrote}"
+            self._run.events.tell("stop", text, fields, level=level, step=todo)
         elif self._news_of(stop.cause):
             text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
             if stop.behind.cause == stop.cause:

@@ -115,6 +115,8 @@ class Child:
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
         self.times_restarted = 0
         self.last_exit = ""
+        self.killed = False
+        """Its predecessor was killed by a signal."""
 
     def on(self, event: int) -> None:
         """One of EVENTS has happened to it."""
@@ -193,7 +195,8 @@ class Child:
         debugger holds it."""
         if (code := starter.reap(self.pid)) is None:
             return ""
-        self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
+        self.killed = code < 0
+        self.last_exit = f"killed by {_SIGNALS.get(-code, -code)}" if self.killed else f"exited with code {code}"
         if self.life:
             self.life.close()
             self.life = None

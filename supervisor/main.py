@@ -15,6 +15,7 @@ import msgpack
 from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
+from failstop.policy.proofs import UNASKED, UNPROVEN
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import bell, heartbeat
@@ -30,7 +31,7 @@ from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify, Status
-from failstop.supervisor.stops import UNASKED, UNPROVEN, Stop, explained
+from failstop.supervisor.stops import Stop, explained
 
 MS = 1_000_000
 TICK_NS = 20 * MS

@@ -158,12 +158,12 @@ class Run:
             del self.named[name]
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
             text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
-            doubt = "next: is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
-            self.events.tell("note", f"{text}; {doubt}", level="error")
+            step = "is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
+            self.events.tell("note", text, level="error", step=step)
             return causes.REMOVED(vital[0])
         for name in gone:
-            text = f"{name} was removed: that client slot is out of use; next: restart the service when it may stop"
-            self.events.tell("note", text, level="warning")
+            text = f"{name} was removed: that client slot is out of use"
+            self.events.tell("note", text, level="warning", step="restart the service when it may stop")
         return None
 
     def remove(self) -> None:

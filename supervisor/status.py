@@ -133,6 +133,7 @@ class Status:
                 "state": child.state,
                 "restarts": child.times_restarted,
                 "last_exit": child.last_exit or None,
+                "killed": child.killed,
             }
             for child in self._processes.children
         }
@@ -144,9 +145,8 @@ class Status:
         if missing or self.ever:
             return False
         self.ever, self._told_missing = True, ""
-        todo = self._run.events.command("enable")
-        text = f"{self._run.name!r} is ready: the stop is written, motion disabled; next: {todo}"
-        self._run.events.tell("ready", text)
+        text = f"{self._run.name!r} is ready: the stop is written, motion disabled"
+        self._run.events.tell("ready", text, step=self._run.events.command("enable"))
         return True
 
     def tell_people(self, missing: str, now_ns: int) -> None:
@@ -157,8 +157,8 @@ class Status:
             return
         if missing and now_ns - self._missing_ns >= WAITED_NS:
             self._told_missing = missing
-            text = f"waiting for {missing}: motion can't be enabled; next: {self._run.events.command('status')}"
-            self._run.events.tell("waiting", text, {"for": missing})
+            text, step = f"waiting for {missing}: motion can't be enabled", self._run.events.command("status")
+            self._run.events.tell("waiting", text, {"for": missing}, step=step)
         elif not missing:
             self._run.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")
             self._told_missing = ""

@@ -15,11 +15,8 @@ from __future__ import annotations
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN, wheels_seen
 
-UNPROVEN = "unproven"
-ALIVE = "alive"
-DEAF = "deaf"
-UNASKED = "unasked"
 ANSWER_NS = 20_000_000
 """A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
 BY_PORT_OWNER = "port owner"
@@ -37,20 +34,6 @@ LEAST_NS = 1_000_000
 """The shortest time to rest: 0 means that there was nothing to come to rest."""
 LATE_LOOK_NS = 200_000_000
 """A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
-NOT_SENT = "NOT sent: the board takes no bytes"
-"""For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
-RESOLUTION_S = 0.2
-"""The IMU's word of when the wheels came to rest is no better than this."""
-
-
-def still_after(seconds: float) -> str:
-    """For people, to the resolution there is."""
-    return f"less than {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
-
-
-def wheels_seen(seconds: float) -> str:
-    """The IMU's word for people; 0: it saw no shaking before the stop either."""
-    return f"wheels still after {still_after(seconds)}" if seconds else "no shaking seen before or after"
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:

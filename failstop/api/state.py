@@ -17,12 +17,12 @@ from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Proc
 from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.joints import Joint, from_settings
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.procs.starved import state_of
 from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
+from failstop.shm.thread_state import state_of
 
 T = TypeVar("T")
 

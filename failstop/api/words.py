@@ -42,6 +42,11 @@ def clock(unix_s: float, now_s: float) -> str:
     return time.strftime(form, time.localtime(unix_s))
 
 
+def date(unix_s: float) -> str:
+    """Day and time of the day, local."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
+
+
 def ago(unix_s: float, now_s: float) -> str:
     """`14:03:22, 12 s ago`. A stamp from the future, of a clock that was set back, is just a time."""
     seconds = now_s - unix_s

@@ -33,8 +33,6 @@ HIGHEST_ID = 253
 EVERY_SERVO = 254
 """Addresses all of them; not used on a robot before a stand has proved it."""
 HIGHEST_POSITION = 1000
-PULSES_PER_REVOLUTION = 1500
-"""A pulse is 0.24 degrees."""
 LONGEST_MOVE_MS = 60
 
 HELD_NS = 2_000_000

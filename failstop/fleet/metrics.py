@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.messages import blocks, records
-from failstop.supervisor.stops import ALIVE, DEAF, UNASKED, UNPROVEN
+from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 GAUGE = "gauge"
 COUNTER = "counter"
 NAMESPACE = "failstop"
-BLOCKS = {blocks.LATCHED: "latched", blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command"}
-BLOCKS[blocks.NO_SCAN] = "no_scan"
+LATCHED = "latched"
+BLOCKS = {blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command", blocks.NO_SCAN: "no_scan"}
 OTHER_BLOCK = "other"
 PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
 
@@ -64,14 +64,9 @@ def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
     return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
 
 
-def _block(state: State) -> str:
-    kind = blocks.LATCHED if (state.blocked or "").startswith(blocks.LATCHED) else state.blocked
-    return "" if kind is None else BLOCKS.get(kind, OTHER_BLOCK)
-
-
 def _blocked(state: State) -> list[Sample]:
-    now = _block(state)
-    return _each("reason", {name: float(name == now) for name in (*BLOCKS.values(), OTHER_BLOCK)})
+    now = LATCHED if state.cause else BLOCKS.get(state.blocked, OTHER_BLOCK) if state.blocked else ""
+    return _each("reason", {name: float(name == now) for name in (LATCHED, *BLOCKS.values(), OTHER_BLOCK)})
 
 
 def _processes(value: str) -> Read:

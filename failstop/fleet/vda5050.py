@@ -10,8 +10,6 @@ import datetime
 import json
 
 from failstop.api import steps, verdict
-from failstop.cli.screen.summary import BATTERY_LOW_V
-from failstop.messages import blocks
 from failstop.policy.causes import Cause
 
 TYPE_CHECKING = False
@@ -35,7 +33,6 @@ WARNING = "WARNING"
 FATAL = "FATAL"
 BY_HAND = ("gamepad", "teleop")
 """Sources that are a person."""
-NO_SERVICE = "NO SERVICE"
 NO_SERVICE_NEXT = "`failstop why` on the robot says more"
 
 
@@ -92,7 +89,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
     """The state. None: no service, and `note` says why; `extra`: errors that the publisher itself has."""
     if state is None:
         error = _error("noService", FATAL, note, NO_SERVICE_NEXT)
-        told = [_info("word", NO_SERVICE), _info("why", note), _info("next", NO_SERVICE_NEXT)]
+        told = [_info("word", verdict.NO_SERVICE), _info("why", note), _info("next", NO_SERVICE_NEXT)]
         return {**_NO_ORDER, **_standing("SERVICE"), "errors": [error, *extra], "information": told}
     latched = state.cause is not None
     return {
@@ -145,7 +142,7 @@ def _mode(state: State) -> str:
 
 def _battery(state: State) -> Message:
     known = state.battery_v or 0.0
-    charge = (GOOD_CHARGE if known >= BATTERY_LOW_V else LOW_CHARGE) if known else 0.0
+    charge = (GOOD_CHARGE if known >= verdict.BATTERY_LOW_V else LOW_CHARGE) if known else 0.0
     volts = {"batteryVoltage": known} if known else {}
     return {"batteryCharge": charge, **volts, "charging": state.plugged == "plugged"}
 
@@ -179,7 +176,7 @@ def why(state: State) -> str:
     """One line on what the wheels do or why not."""
     if doubt := verdict.doubt(state):
         return doubt
-    blocked = state.blocked.removeprefix(blocks.LATCHED) if state.blocked else None
+    blocked = str(state.cause) if state.cause else state.blocked
     unproven = verdict.unproven(state)
     return f"{f'unproven: {unproven}; ' if unproven else ''}{blocked or verdict.headline(state)}"
 

@@ -23,11 +23,11 @@ ROLES = {
     verdict.STANDING: OK,
     verdict.STOPPED: WARN,
     verdict.MAY_TURN: FAIL,
-    vda5050.NO_SERVICE: FAIL,
+    verdict.NO_SERVICE: FAIL,
     LOST: FAIL,
     ENDED: DIM,
 }
-ORDER = (verdict.MAY_TURN, LOST, vda5050.NO_SERVICE, verdict.STOPPED, verdict.DRIVING, verdict.STANDING, ENDED)
+ORDER = (verdict.MAY_TURN, LOST, verdict.NO_SERVICE, verdict.STOPPED, verdict.DRIVING, verdict.STANDING, ENDED)
 """The order of rows: those that need a person come first."""
 
 

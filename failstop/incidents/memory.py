@@ -16,9 +16,9 @@ from failstop.api.words import took
 from failstop.messages import box, layout, records
 from failstop.messages import segments as shared
 from failstop.policy import causes
+from failstop.policy.proofs import seen as seen_after
 from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
-from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -150,20 +150,28 @@ def as_map(payload: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def proofs(head: dict[str, Any]) -> list[str]:
-    """The three levels of proof, in a few words each, by the head of an incident."""
+def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
+    """The three levels of proof, in a few words each, by the head of an incident, each with whether it is one (None:
+    not known)."""
     stop: dict[str, Any] = head["stop"] or {}
-    heard, seen = f"answer of the board: {NOT_KNOWN}", f"standstill: {NOT_KNOWN}"
-    written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"
+    written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
+    written: tuple[str, bool | None] = (f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False)
+    heard: tuple[str, bool | None] = (f"answer of the board: {NOT_KNOWN}", None)
+    seen: tuple[str, bool | None] = (f"standstill: {NOT_KNOWN}", None)
     if not stop:
-        written = f"whether a stop was written: {NOT_KNOWN}"
-    elif stop.get("written_us") is not None:
-        written = f"written after {took(stop['written_us'] / 1e6)}"
-    if (heard_us := stop.get("acknowledged_us")) is not None:
-        heard = f"acknowledged after {took(heard_us / 1e6)}"
-    if (seen_ms := stop.get("observed_ms")) is not None:
+        written = (f"whether a stop was written: {NOT_KNOWN}", None)
+    elif written_us is not None:
+        written = (f"written after {took(written_us / 1e6)}", True)
+    if heard_us is not None:
+        heard = (f"acknowledged after {took(heard_us / 1e6)}", True)
+    if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        seen = wheels_seen(seen_ms / 1e3).removeprefix("wheels ")
+        seen = (seen_after(seen_ms / 1e3), True)
     elif stop.get("wheels") == "unstill":
-        seen = "wheels NOT seen still"
+        seen = ("wheels NOT seen still", False)
     return [written, heard, seen]
+
+
+def proven(head: dict[str, Any]) -> str:
+    """The three levels in a line."""
+    return ", ".join(text for text, _ in proofs(head))

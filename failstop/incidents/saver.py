@@ -23,11 +23,11 @@ if __name__ == "__main__":
         os.nice(NICE)
     sys.path[:] = os.environ["FAILSTOP_PATH"].split(os.pathsep)
 
+from failstop.files.state import state_directory
 from failstop.incidents import files, memory
 from failstop.messages import layout, records, segments
 from failstop.messages.packing import pack
 from failstop.policy import causes
-from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm.heartbeat import STARTING
 from failstop.version import VERSION
 
@@ -60,10 +60,9 @@ def main(words: dict[str, str]) -> int:
     try:
         os.write(int(words["result"]), pack(told))
     except OSError:
-        from failstop.supervisor.events import say
-
         said = told.get("wrong") or (f"incident {told['id']} saved" if told else "nothing to save")
-        say(f"the supervisor is gone; its saver says: {said}")
+        with contextlib.suppress(OSError):
+            os.write(2, f"failstop: the supervisor is gone; its saver says: {said}\n".encode("utf-8", "replace"))
     return code
 
 

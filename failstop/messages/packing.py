@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
+NEXT = "; next: "
+"""A text for people has this before the step that it names."""
 
 # msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
@@ -46,24 +48,24 @@ def fitting(
 
 class Note(Data):
     """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
-    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, fields."""
+    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its step; 0: it names none), fields."""
 
     kind: str
     text: str
     fields: Fields = NO_FIELDS
     level: str = ""
+    what: int = 0
 
     def pack(self) -> bytes:
         """For a ring of NOTE_BYTES."""
-        return fitting(
-            NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (self.kind, self.level, text, fields)
-        )
+        head, what = (self.kind, self.level), self.what
+        return fitting(NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:
         """Raises ValueError."""
         found = msgpack.unpackb(payload)
-        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, dict]:
+        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, int, dict]:
             raise ValueError("a payload that is no note")
-        kind, level, text, fields = found
-        return cls(kind, text, fields, level=level)
+        kind, level, text, what, fields = found
+        return cls(kind, text, fields, level, what)

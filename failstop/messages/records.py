@@ -311,11 +311,15 @@ SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack
 none."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
 """A sample: acceleration (m/s2), then rate (rad/s); x forward, y left, z up."""
+RATE_VARIANCE = 0.0012**2
+"""(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
 BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
 """The gyro's bias (rad/s on x, y, z), whether it follows the reading now, whether a calibration ever found it."""
 ODOMETRY: Payload[float, float, float, float, float, float, float, float] = Payload("<8d")
 """Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the standard deviation
 told with it: m/s of vx and vy, rad/s of wz."""
+POSE_VARIANCE = 1e3
+"""m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")

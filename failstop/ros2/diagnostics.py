@@ -7,7 +7,6 @@ from typing import Any
 
 from failstop.api import steps, verdict
 from failstop.api.state import Process, State
-from failstop.cli.screen import summary
 from failstop.ros2 import report, words
 
 OK = 0
@@ -76,7 +75,7 @@ def _processes(state: State) -> Iterator[Status]:
 
 def _level(process: Process) -> int:
     if process.state == "running":
-        return WARN if process.age_s > summary.LATE_BEAT_S else OK
+        return WARN if process.age_s > verdict.LATE_BEAT_S else OK
     return WARN if process.state in ("starting", "waiting") else ERROR
 
 
@@ -93,7 +92,7 @@ def _link(state: State) -> Status:
 def _battery(state: State) -> Status:
     if not state.battery_v:
         return _status("battery", WARN, "not known yet")
-    level = WARN if state.battery_v < summary.BATTERY_LOW_V else OK
+    level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
     return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
 
 

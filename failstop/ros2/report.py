@@ -9,9 +9,9 @@ from typing import Any
 from failstop.api import steps
 from failstop.api.state import State
 from failstop.messages import blocks
+from failstop.policy.proofs import NOT_SENT, wheels_seen
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
-from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
 NOBODY = "nobody publishes cmd_vel"
@@ -110,7 +110,7 @@ def without_service(problem: str) -> dict[str, Any]:
         "gyro_bias_dps": [0.0, 0.0, 0.0],
         "gyro_bias_tracking": False,
         "pad_mode": "locked",
-        "next": ["start the service"],
+        "next": [steps.NO_SERVICE.typed],
         "driver": None,
         "publishers": [],
         "wrong": None,

@@ -9,7 +9,7 @@ from math import isfinite
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.procs.gate.sources import DEFAULT
+from failstop.policy.settings import FIRST_SOURCE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Driving:
         self.on = settings.on("web.drive") and settings.on("attend.required")
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
-        self._source = SOURCE if SOURCE in settings.sources() else DEFAULT
+        self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
         self._robot: Robot | None = None
         self._driver: tuple[Live, str] | None = None
         self._last_s = 0.0

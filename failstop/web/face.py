@@ -9,10 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from failstop.api import steps, verdict, words
-from failstop.api.steps import Purpose
-from failstop.api.why import meaning, troubles
-from failstop.messages import blocks
-from failstop.supervisor.stops import wheels_seen
+from failstop.api.why import HOLDS, meaning, since, troubles
+from failstop.policy import proofs
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,17 +19,9 @@ if TYPE_CHECKING:
     from failstop.api.events import Event
     from failstop.api.state import State, Stop
 
-NO_SERVICE = "NO SERVICE"
 BAD = "bad"
 """The role that colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
 ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "free", verdict.STOPPED: "stopped"}
-START = f"If the wheels turn: {steps.POWER.lower()}. Then start the service."
-
-BLOCKS = {
-    blocks.DISABLED: "Motion is disabled, as after every start and every stop.",
-    blocks.NO_COMMAND: "Motion is enabled, and nobody commands.",
-    blocks.NO_SCAN: "Motion is enabled, but the obstacle sensor is silent.",
-}
 MOST_EVENTS = 40
 
 
@@ -42,16 +32,16 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "word": verdict.large_word(state),
         "role": _role(state),
         "why": _why(state),
-        "since": _since(state, events),
+        "since": since(state, events, now_s)[0],
         "epoch": state.epoch,
         "next": steps.pressed(state),
         "next_unpaired": steps.pressed(state, steps.ELSEWHERE),
         "latched": state.estop is not None,
         "enabled": state.enabled,
-        "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
+        "can": steps.obstacles(state),
         "stop": stop_of(state.last_stop),
         "limit": round(100 * state.speed_limit),
-        "driver": next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), ""),
+        "driver": f"{driver.who} as {driver.source}" if (driver := state.driver) else "",
         "battery_v": state.battery_v,
         "plugged": state.plugged,
         "port": f"{state.device.path} {state.device.state}",
@@ -81,13 +71,13 @@ def absent(note: str) -> dict[str, Any]:
     """A `face` for where no service runs."""
     return {
         "name": "",
-        "word": NO_SERVICE,
+        "word": verdict.NO_SERVICE,
         "role": BAD,
         "why": words.sentence(note),
         "since": None,
         "epoch": 0,
-        "next": START,
-        "next_unpaired": START,
+        "next": steps.NO_SERVICE.pressed,
+        "next_unpaired": steps.NO_SERVICE.pressed,
         "latched": False,
         "enabled": False,
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
@@ -115,13 +105,8 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": "" if stop.written_s is None else words.took(stop.written_s),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": "" if stop.observed_s is None else _seen(stop.observed_s),
+        "observed": "" if stop.observed_s is None else proofs.seen(stop.observed_s, "<"),
     }
-
-
-def _seen(observed_s: float) -> str:
-    """The third proof, short."""
-    return wheels_seen(observed_s).replace("wheels still", "still").replace("less than", "<")
 
 
 def _role(state: State) -> str:
@@ -140,44 +125,6 @@ def _held(state: State) -> str:
     """The reason why the wheels stand, or how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause)[0])
-    if state.blocked:
-        return BLOCKS.get(state.blocked) or words.sentence(state.blocked)
+    if state.block:
+        return HOLDS[state.block][1]
     return words.sentence(words.velocity(*state.body_vel) or "The command is zero")
-
-
-def _since(state: State, events: Sequence[Event]) -> float | None:
-    """Since when it is stopped, Unix time; None: not known, or not stopped."""
-    if state.cause and state.last_stop and state.last_stop.cause == state.cause:
-        return state.last_stop.t
-    if state.blocked == blocks.DISABLED:
-        change = verdict.newest(events, verdict.CHANGES)
-        return change.t if change else None
-    return None
-
-
-def _no_reset(state: State) -> str:
-    """The obstacle to a reset; empty when there is none."""
-    if not state.estop:
-        return "nothing is latched"
-    return _in_the_way(state, Purpose.RESET)
-
-
-def _no_enable(state: State) -> str:
-    if state.enabled:
-        return "motion is enabled already"
-    return _in_the_way(state, Purpose.ENABLE)
-
-
-def _in_the_way(state: State, goal: Purpose) -> str:
-    """The first step without which it is refused, as a clause."""
-    first = next(iter(steps.before(state, goal)), None)
-    if first is None:
-        return ""
-    if first.purpose is Purpose.RESET:
-        return "a stop is latched: reset first"
-    text = first.pressed or ""
-    return f"{text[:1].lower()}{text[1:].removesuffix('.')}"
-
-
-def _no_disable(state: State) -> str:
-    return "" if state.enabled else "motion is disabled already"

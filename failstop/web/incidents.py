@@ -124,7 +124,7 @@ class Incidents:
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:
-    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": ", ".join(memory.proofs(head))}
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": memory.proven(head)}
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from failstop.api.errors import FailstopError
-from failstop.cli.screen.follow import Follower, Vibration
+from failstop.api.follow import Follower, Vibration
 from failstop.web import face
 
 TYPE_CHECKING = False

@@ -9,12 +9,12 @@ service's own: no client commands as it.
 from __future__ import annotations
 
 from failstop.messages import records
+from failstop.policy.settings import FIRST_SOURCE
 
 PAD = "gamepad"
 PAD_PRIORITY = 101
 PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""
-DEFAULT = "cmd_vel"
 
 
 class Command:
@@ -30,7 +30,7 @@ class Command:
         velocity: tuple[float, float, float],
         *,
         manual: bool = False,
-        source: str = DEFAULT,
+        source: str = FIRST_SOURCE,
     ) -> None:
         self.session = session
         self.who = who

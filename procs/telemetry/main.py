@@ -10,13 +10,14 @@ import msgpack
 
 from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
+from failstop.files.state import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import Note, pack
+from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
 from failstop.procs.loop import READ, Loop
-from failstop.procs.telemetry import battery, imu, state_files
+from failstop.procs.telemetry import battery, imu
 from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
 from failstop.procs.telemetry.odometry import Odometry
@@ -112,7 +113,7 @@ class Telemetry:
         self._gyro = GyroBias(settings)
         self._odometry = Odometry(settings)
         self._still = StillJudge(settings["still.std_radps"])
-        folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
+        folder = state_directory(context.instance, os.environ, settings.text("battery.directory"))
         self._files = StateFiles(folder)
         self._low_battery = LowBattery(settings)
         self._charger = Charger(settings, self._known_charger_state())
@@ -194,8 +195,8 @@ class Telemetry:
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
-        for line in self._files.notes():
-            self._note("disk", line)
+        for text, step in self._files.notes():
+            self._note("disk", text, step=step)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
 
     def _follow_gate(self, now_ns: int) -> None:
@@ -244,16 +245,16 @@ class Telemetry:
             self._bias_flags = flags
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
-    def _note(
-        self, kind: str, text: str, fields: dict[str, str | int | float] | None = None, *, level: str = ""
-    ) -> None:
+    def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        self._rings["notes"].put(Note(kind, text, fields or {}, level=level).pack())
+        whole, what = (f"{text}{NEXT}{step}", len(text)) if step else (text, 0)
+        self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
         if text:
-            self._note("gyro", text, level="warning" if text.startswith(imu.NOT_STATIONARY) else "")
+            level, step = ("", "") if self._gyro.stationary else ("warning", imu.LEAVE_STANDING)
+            self._note("gyro", text, level=level, step=step)
 
     def _tell_pad_mode(self) -> None:
         """Whether the sticks move the wheels is what people want to know of a pad."""

@@ -204,7 +204,7 @@ UNKNOWN = "answer of the board: not known"
 
 
 def proof(stop: dict[str, Any] | None) -> str:
-    return ", ".join(memory.proofs({"t": 100.0, "saved": 102.2, "stop": stop}))
+    return memory.proven({"t": 100.0, "saved": 102.2, "stop": stop})
 
 
 NAMED = {"reason": str(LOST), "cause": "device_lost"}

@@ -9,7 +9,8 @@ from math import nan
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import report, story
+from failstop.cli.screen import incident as screen
+from failstop.incidents import story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.messages import box, layout
@@ -32,7 +33,7 @@ def told(incident: Incident, what: str) -> list[str]:
 
 
 def text(incident: Incident, columns: int = 80, *, whole: bool = True) -> str:
-    return printed(report.text(incident, columns, NOW_S, whole=whole))
+    return printed(screen.text(incident, columns, NOW_S, whole=whole))
 
 
 def test_lines_are_in_the_order_of_time_and_one_is_the_cause(incident: Incident) -> None:
@@ -165,7 +166,7 @@ def test_the_report_reads_from_the_reason_to_the_versions(incident: Incident) ->
 
 
 def test_json_has_the_whole_of_it(incident: Incident) -> None:
-    found = json.loads(json.dumps(report.as_dict(incident)))
+    found = json.loads(json.dumps(story.as_dict(incident)))
     assert found["reason"] == "gate died"
     assert found["settings"]["device.path"] == "/dev/pts/7"
     assert [row["ms"] for row in found["story"] if row["what"] == CAUSE] == [0]

@@ -21,7 +21,7 @@ ROOMS = {
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "arm": Room(
-        ("procs/gate/arm/*.py", "failstop/policy/capsules.py"),
+        ("procs/gate/arm/*.py", "failstop/policy/capsules.py", "failstop/policy/joints.py"),
         ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
     ),
     "port_owner": Room(

@@ -8,10 +8,10 @@ import pytest
 
 from failstop.board import servos
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENDED, FIND_NS, LATE_NS, SERVICE, TORQUE_APART_NS
 from failstop.procs.gate.arm.goals import Goal
-from failstop.procs.gate.arm.joints import MOST_MISSES, PULSES_PER_RAD
 from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import SERVOS

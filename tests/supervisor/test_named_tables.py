@@ -61,7 +61,7 @@ def test_the_gamepad_is_a_source_without_settings() -> None:
 
 
 def test_the_gate_and_the_settings_name_the_same_default_source() -> None:
-    assert sources.DEFAULT in Settings().sources()
+    assert sources.Command(1, "", 0, (0.0, 0.0, 0.0)).source in Settings().sources()
 
 
 @pytest.mark.parametrize("name", ["a", "0", "a-b_c", "abcdefghijklmnop"])

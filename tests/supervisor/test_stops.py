@@ -9,19 +9,15 @@ import pytest
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN, still_after
 from failstop.supervisor.stops import (
     ACKNOWLEDGE_NS,
-    ALIVE,
-    DEAF,
     JUDGED_AFTER_NS,
     JUDGED_WITHIN_NS,
     SOONER_NS,
-    UNASKED,
-    UNPROVEN,
     Link,
     Stop,
     explained,
-    still_after,
 )
 from tests.support.why import why
 

@@ -96,8 +96,10 @@ class Recorder:
         ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESSES]
         self.ring(layout.SUPERVISOR, "box").put(box.pack_beats(ages, [1000] * len(ages)), at(ms))
 
-    def event(self, ms: float, kind: str, text: str, level: str = "notice", **fields: Any) -> None:
+    def event(self, ms: float, kind: str, text: str, level: str = "notice", *, step: str = "", **fields: Any) -> None:
         event = {"t": 0.0, "ns": at(ms), "kind": kind, "level": level, "text": text, "fields": fields}
+        if step:
+            event |= {"text": f"{text}; next: {step}", "what": len(text)}
         self.ring(layout.SUPERVISOR, "events").put(msgpack.packb(event), at(ms))
 
     def cause(self, ms: float, cause: Cause) -> None:
@@ -161,6 +163,12 @@ def drive_and_die() -> Recorder:
     for ms in range(-3000, 2200, 100):
         made.beats(ms, gate=190.0 if ms == 200 else 90.0 if ms == 100 else 5.0)
     made.cause(0, GATE_DIED)
-    made.event(0.5, "stop", "STOP latched: gate died; stop frame written by the port owner after 212 us", "warning")
+    made.event(
+        0.5,
+        "stop",
+        "STOP latched: gate died; stop frame written by the port owner after 212 us",
+        "warning",
+        cause="died",
+    )
     made.event(1.0, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
     return made

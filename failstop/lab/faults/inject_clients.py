@@ -19,7 +19,7 @@ from failstop.lab.faults.scene import Scene
 from failstop.messages import segments
 from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.procs.gate.sources import DEFAULT, PAD
+from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""
@@ -164,7 +164,7 @@ class SecondClient(Injector):
     """Another client publishes on the same source: whatever `velocity` says."""
 
     velocity = (0.1, 0.0, 0.0)
-    source = DEFAULT
+    source = FIRST_SOURCE
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
@@ -194,7 +194,7 @@ class ClientAsGamepad(SecondClient):
     """The gamepad goes before every source: whoever could stand in for it would have the wheels."""
 
     velocity = (0.0, 0.0, 0.0)
-    source = PAD
+    source = PAD_SOURCE
 
 
 class StopRequest(Injector):

@@ -161,6 +161,12 @@ def make_starved(calls: Calls) -> ModuleType:
         process = calls.machine.processes.get(pid)
         return bool(process and process.starved)
 
+    return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=LONGEST_NS)
+
+
+def make_thread_state(calls: Calls) -> ModuleType:
+    """failstop.shm.thread_state: the machine knows what it runs."""
+
     def state_of(pid: int) -> str:
         """The letter that /proc has."""
         process = calls.machine.processes.get(pid)
@@ -168,7 +174,7 @@ def make_starved(calls: Calls) -> ModuleType:
             return "Z"
         return "S" if not process.held_until_ns else "R" if process.starved else "T"
 
-    return Module("failstop.procs.starved", calls, look=look, state_of=state_of, LONGEST_NS=LONGEST_NS)
+    return Module("failstop.shm.thread_state", calls, state_of=state_of)
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
@@ -177,4 +183,5 @@ def stand_ins(calls: Calls) -> dict[str, ModuleType]:
         "failstop.shm.futex": make_futex(calls),
         "failstop.procs.rights": make_rights(calls),
         "failstop.procs.starved": make_starved(calls),
+        "failstop.shm.thread_state": make_thread_state(calls),
     }

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from failstop.board.interface import BOARD
 from failstop.board.servos import HIGHEST_POSITION
+from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
 from failstop.procs.gate.arm.space import Space
 from failstop.procs.gate.arm.stream import Stream
@@ -99,7 +99,7 @@ class ArmCore:
         """A goal of a stream; `refused` says why it is not taken. That of another publisher is the gate's to look
         for."""
         goal.t_ns = min(goal.t_ns, now_ns)
-        check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
+        check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
         self.refused = self._shut(goal) or check(goal.ends)
         if self.refused:
             return

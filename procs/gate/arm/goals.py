@@ -11,7 +11,7 @@ from itertools import pairwise
 from math import isfinite
 from operator import itemgetter
 
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
+from failstop.policy.joints import PULSES_PER_RAD, Joint
 
 FOLLOW = "follow"
 JOG = "jog"
@@ -113,15 +113,6 @@ class Journey:
         """How far it is, for who waits."""
         left_s = self.left_s(now_ns)
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
-
-
-def too_far(angles: dict[Joint, float]) -> str:
-    """A joint that may not be sent there, with its range; empty: each may."""
-    for joint, angle in angles.items():
-        low, high = joint.range_rad()
-        if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
-            return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
-    return ""
 
 
 def too_fast(rates: dict[Joint, float]) -> str:

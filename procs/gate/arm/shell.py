@@ -9,12 +9,12 @@ from failstop.messages import box, records
 from failstop.messages.packing import Note
 from failstop.messages.records import CAUSE
 from failstop.policy import causes
+from failstop.policy.joints import PULSES_PER_RAD, too_far
 from failstop.policy.reply import Reply
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENABLED, SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.clients import Slot, seen
 from failstop.procs.gate.core import IS_LATCHED
 from failstop.procs.gate.sources import PAD
@@ -211,7 +211,7 @@ class Arm:
         way: list[goals.Row] = []
         for t_s, angles in rows:
             aims = dict(zip(joints, angles, strict=True))
-            if fault := goals.too_far(aims):
+            if fault := too_far(aims):
                 return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
             way.append((t_s, {joint: joint.pulses(angle) for joint, angle in aims.items()}))
         return goals.too_fast_between(way) or Journey(goals.MOVE, slot.session, slot.who(), joints, way, share)

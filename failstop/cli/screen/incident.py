@@ -1,11 +1,10 @@
-"""Report: an incident for people, as lines of a terminal (cli/style.py) of 80 columns or what there is. Pure."""
+"""Incident: a saved stop for people, as lines of a terminal of 80 columns or what there is. Pure."""
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
-from failstop.api.words import span, took, velocity
+from failstop.api import words
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
 from failstop.incidents import memory, story
@@ -24,22 +23,18 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
+PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
-
-
-def when(unix_s: float) -> str:
-    """Local time, as people read it."""
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
     lines: Lines = []
     for head in heads:
-        said = ", ".join(memory.proofs(head))
+        role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
         lines.append([(head["id"], STRONG)])
-        lines += _wrapped("  ", f"{when(head['t'])}  {head['reason']}", PLAIN, columns)
-        lines += _wrapped("  ", said, FAIL if "NOT " in said else DIM, columns)
+        lines += _wrapped("  ", f"{words.date(head['t'])}  {head['reason']}", PLAIN, columns)
+        lines += _wrapped("  ", memory.proven(head), role, columns)
     return lines
 
 
@@ -68,7 +63,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
 def _head(incident: Incident, now_s: float) -> list[Fact]:
     """The event, its time, who noticed it, and the three proofs of the stop, which are kept apart."""
     head = incident.head
-    ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
+    ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
     noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
     if incident.cause.kind is causes.REQUESTED:
@@ -76,12 +71,12 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
         noticed += f"; asked for by {asked['who']} (pid {asked['pid']})"
     rows = [
         ("why", incident.why, FAIL),
-        ("when", f'{when(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
+        ("when", f'{words.date(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
         ("before", _before(incident), PLAIN),
         ("noticed", noticed, PLAIN),
     ]
-    for name, said in zip(("proof", "", ""), memory.proofs(head), strict=True):
-        rows.append((name, said, FAIL if "NOT " in said else WARN if memory.NOT_KNOWN in said else PLAIN))
+    for name, (said, proven) in zip(("proof", "", ""), memory.proofs(head), strict=True):
+        rows.append((name, said, PROOFS[proven]))
     if incident.left:
         rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
     if incident.foreign:
@@ -100,12 +95,12 @@ def _before(incident: Incident) -> str:
     last = ticks[-1]
     if last.block == DRIVING:
         age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
-        how = velocity(*last.velocity) or "zero"
+        how = words.velocity(*last.velocity) or "zero"
         return f"driving, {how}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
     driven = [tick.ns for tick in ticks if tick.block == DRIVING]
     least = "" if driven else "at least "
     stood_s = (incident.cause_ns - (driven[-1] if driven else ticks[0].ns)) / 1e9
-    return f"the wheels stood ({SAYS.get(last.block, last.block)}), for {least}{took(stood_s)}"
+    return f"the wheels stood ({SAYS.get(last.block, last.block)}), for {least}{words.took(stood_s)}"
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
@@ -135,13 +130,3 @@ def _around(incident: Incident) -> list[Fact]:
         ("settings", ", ".join(changed) or "all as by default", PLAIN),
         ("versions", ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items()), PLAIN),
     ]
-
-
-def as_dict(incident: Incident) -> dict[str, Any]:
-    """For programs: the head, the whole story, the machine, and every setting."""
-    lines = [
-        {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
-        for line in story.tell(incident)
-    ]
-    found = {"id": incident.id, **incident.head, "story": lines}
-    return {**found, "machine": incident.machine, "settings": incident.settings}

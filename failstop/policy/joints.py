@@ -3,11 +3,12 @@ commanded: rounding is the frame's affair, since 0.3 rad/s are 2.9 pulses a move
 
 from __future__ import annotations
 
-from math import copysign, pi, sqrt
+from math import copysign, isfinite, pi, sqrt
 
-from failstop.board.servos import PULSES_PER_REVOLUTION
 from failstop.policy.settings import Settings
 
+PULSES_PER_REVOLUTION = 1500
+"""Of a bus servo: a pulse is 0.24 degrees."""
 PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
 MOST_MISSES = 4
 """Questions in a row without an answer: it counts as silent."""
@@ -110,3 +111,12 @@ def from_settings(settings: Settings) -> list[Joint]:
             pan = int(settings["arm.drive_pan"])
             joint.drive, joint.judged = pan, pan >= 0
     return joints
+
+
+def too_far(angles: dict[Joint, float]) -> str:
+    """A joint that may not be sent there, with its range; empty: each may."""
+    for joint, angle in angles.items():
+        low, high = joint.range_rad()
+        if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
+            return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
+    return ""

@@ -1,0 +1,28 @@
+"""State: where the files of an instance lie that outlive it."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.files import root
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SYSTEM_BASE = "/var/lib/failstop"
+
+
+def state_directory(instance: str, environ: Mapping[str, str], configured: str = "") -> str:
+    """The directory for an instance's files, which need not be there yet: the configured one, systemd's
+    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state."""
+    if configured:
+        return configured
+    if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
+        return given
+    base = root.at(SYSTEM_BASE)
+    system = os.path.join(base, instance)
+    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
+        return system
+    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return os.path.join(home, "failstop", instance)
