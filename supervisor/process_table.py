@@ -7,7 +7,7 @@ import signal
 from time import monotonic_ns
 
 from failstop.messages import layout, records, segments
-from failstop.messages.packing import NEXT, Note
+from failstop.messages.packing import Note
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -167,9 +167,7 @@ class ProcessTable:
                     note = Note.unpack(entry[2])
                 except ValueError:
                     continue  # a damaged one: nothing depends on it
-                text, step = (
-                    (note.text[: note.what], note.text[note.what + len(NEXT) :]) if note.what else (note.text, "")
-                )
+                text, step = note.parts()
                 self._events.tell(note.kind, text, {"process": process, **note.fields}, level=note.level, step=step)
 
     def follow_spared(self, now_ns: int) -> None:

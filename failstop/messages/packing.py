@@ -48,7 +48,8 @@ def fitting(
 
 class Note(Data):
     """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
-    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its step; 0: it names none), fields."""
+    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its
+    step; 0: it names none), fields."""
 
     kind: str
     text: str
@@ -60,6 +61,10 @@ class Note(Data):
         """For a ring of NOTE_BYTES."""
         head, what = (self.kind, self.level), self.what
         return fitting(NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
+
+    def parts(self) -> tuple[str, str]:
+        """The text, and the step that it ends with."""
+        return (self.text[: self.what], self.text[self.what + len(NEXT) :]) if self.what else (self.text, "")
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:

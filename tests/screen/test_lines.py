@@ -232,9 +232,8 @@ def test_the_last_events_fill_the_rows_that_are_free() -> None:
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     """That is at the top of the screen; at the end of a row it would be cut."""
-    event = Event(
-        1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {}, "`failstop reset`"
-    )
+    step = "`failstop reset`"
+    event = Event(1, NOW_S, 1, "stop", "warning", f"STOP latched: gate died; next: {step}", {}, step)
     rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")
 

@@ -42,19 +42,13 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
     gate = scene.employ(layout.GATE)
     scene.pass_time(MS)
     number, again = scene.number("processes"), scene.supervisor.processes[layout.PORT_OWNER].pid
+    killed = {"last_exit": "killed by SIGKILL", "killed": True}
     never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None, "killed": False}
     assert scene.table("processes") == {
         "waiting_for": "port_owner, stopper, telemetry",
         **NOT_STARVED,
         "processes": {
-            "port_owner": {
-                **never,
-                "pid": again,
-                "state": "starting",
-                "restarts": 1,
-                "last_exit": "killed by SIGKILL",
-                "killed": True,
-            },
+            "port_owner": {"pid": again, "state": "starting", "restarts": 1, **killed},
             "stopper": never,
             "gate": {**never, "pid": gate.pid, "state": "running"},
             "telemetry": never,
