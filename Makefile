@@ -79,15 +79,7 @@ vm-arm64: $(VENV)/.dev
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.dev
-	$(BIN)/failstop config --example > examples/failstop.toml
-	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
-	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
-	$(BIN)/python packaging/reference.py > docs/python-reference.md
-	$(BIN)/python packaging/deb/commands.py > docs/commands.md
-	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
-	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
-	$(BIN)/python -m failstop.ros2.page docs/ros2.md
-	$(BIN)/python -m failstop.fleet.page docs/fleet.md
+	$(BIN)/python -m failstop.lab.pages
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 site: $(VENV)/.dev

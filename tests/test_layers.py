@@ -12,36 +12,20 @@ import pytest
 
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import HARMLESS, Loader
+from failstop.lab.pages.rooms import EVERYBODYS, ROOMS, arrows
 from tests.support import rooms
-from tests.support.rooms import ROOT, modules, name_of, package
+from tests.support.rooms import CORE, ROOT, imported, modules, name_of, package
 
-CORE = {
-    "files": set[str](),
-    "shm": {"files"},
-    "board": set[str](),
-    "messages": {"files", "shm"},
-    "policy": {"files", "messages", "shm"},
-    "procs": {"board", "files", "messages", "policy", "shm"},
-    "supervisor": {"board", "files", "messages", "policy", "procs", "shm"},
-}
-"""What each room of the core may import of failstop beside itself; the face knows all of them."""
-EVERYBODYS = {"data", "version"}
 FEATURES = {"fleet", "web", "ros2", "lab"}
 """What a robot may do without, each with its commands."""
+OF_A_TERMINAL = {
+    "fleet": {"command", "metrics_command", "publisher", "report", "view"},
+    "ros2": {"command", "bridge"},
+    "web": {"command"},
+}
+"""Modules of a feature that are its commands, with what these print."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-
-
-def imported(path: Path) -> Iterator[str]:
-    """The names after `failstop.` of all that a module imports, for types too."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
-        elif isinstance(node, ast.Import):
-            names = [name.name for name in node.names]
-        else:
-            continue
-        yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
 
 
 MOST_OF_THE_FACE = 8500
@@ -60,17 +44,34 @@ def test_the_face_that_a_robot_carries_is_small() -> None:
     assert lines(face) < min(MOST_OF_THE_FACE, lines(core))
 
 
-@pytest.mark.parametrize("room", CORE)
-def test_a_room_imports_only_what_is_below_it(room: str) -> None:
-    found = modules(room)
-    assert found
-    upward = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path in found
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_what_its_row_names(room: str) -> None:
+    """The rows name no room that is not imported, either."""
+    assert modules(room)
+    assert sorted(arrows(room)) == ROOMS[room].below.split()
+
+
+def test_the_rooms_point_one_way() -> None:
+    tuple(TopologicalSorter({room: row.below.split() for room, row in ROOMS.items()}).static_order())
+    core = [(room, below) for room in CORE for below in ROOMS[room].below.split() if below not in CORE]
+    assert not core
+
+
+def test_every_folder_and_module_of_the_package_is_a_room() -> None:
+    there = {path.stem for path in rooms.PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert there == {*ROOMS, *EVERYBODYS}
+
+
+def test_a_feature_draws_on_a_terminal_in_its_commands_alone() -> None:
+    """What the others show comes from the API."""
+    wrong = [
+        (str(path.relative_to(ROOT)), name)
+        for room in ("fleet", "ros2", "web")
+        for path in modules(room)
         for name in imported(path)
-        if name.partition(".")[0] not in CORE[room] | EVERYBODYS | {room}
+        if name.partition(".")[0] == "cli" and path.stem not in OF_A_TERMINAL[room]
     ]
-    assert not upward
+    assert not wrong
 
 
 def test_a_robot_needs_nothing_of_the_laboratory() -> None:

@@ -4,23 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "failstop"
-LINKED = ("procs", "shm", "supervisor")
-"""Rooms at the top: what the service runs as."""
+from failstop.lab.pages.rooms import LINKED, PACKAGE, ROOT, folder, imported, modules
+
+__all__ = ["CORE", "LINKED", "PACKAGE", "ROOT", "folder", "imported", "modules", "name_of", "package"]
 CORE = ("files", "shm", "messages", "board", "policy", "procs", "supervisor")
-
-
-def folder(room: str) -> Path:
-    """The folder of a room of the package, or the module of that name."""
-    path = ROOT / room if room.partition("/")[0] in LINKED else PACKAGE / room
-    return path if path.exists() else path.with_suffix(".py")
-
-
-def modules(room: str) -> list[Path]:
-    """The files of a room, in order."""
-    place = folder(room)
-    return sorted(place.rglob("*.py")) if place.is_dir() else [place]
 
 
 def package() -> list[Path]:

@@ -8,7 +8,7 @@ from failstop.policy.causes import Kind
 HEAD = """\
 # Causes
 
-Generated from the table in failstop/policy/causes.py: `python -m failstop.lab.pages causes > docs/causes.md`.
+Generated from the table in failstop/policy/causes.py (`make docs`).
 `failstop why` explains the cause that is latched in the same words; [journal.md](journal.md) finds it afterwards, and
 [faults.md](dev/faults.md) says how soon the wheels are stopped for the faults behind it.
 

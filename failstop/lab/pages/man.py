@@ -1,14 +1,13 @@
-"""The man page failstop(1), made from the parsers and a few paragraphs: `python packaging/deb/man.py | man -l -`."""
+"""The man page failstop(1), from the parsers and a few paragraphs: `python -m failstop.lab.pages.man | man -l -`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-import completion
-
 from failstop.cli import main as cli
 from failstop.files import root
+from failstop.lab.pages import completion
 from failstop.version import VERSION
 
 DESCRIPTION = (
@@ -64,7 +63,7 @@ SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md
 def page() -> str:
     """The whole page, for man(7) macros."""
     lines = [
-        '.\\" Generated: packaging/deb/man.py',
+        '.\\" Generated: failstop/lab/pages/man.py',
         f'.TH FAILSTOP 1 "" "failstop {VERSION}" "User Commands"',
         ".nh",
         ".ad l",

@@ -1,7 +1,7 @@
 """The scripts that make a shell complete what is typed after `failstop`; and the whole command line as one parser, of
 which the man page is made too.
 
-    python packaging/deb/completion.py bash|zsh|fish
+    python -m failstop.lab.pages.completion bash|zsh|fish
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""The contract as people read it: `python -m failstop.ros2.page docs/ros2.md` writes its tables into that page, between
-two marks. A test keeps the page equal to the tables."""
+"""The tables of docs/ros2.md: the contract of the bridge as people read it."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors
@@ -21,9 +18,6 @@ from failstop.ros2.contract import (
     STATE_KEYS,
     TF,
 )
-
-BEGIN = "<!-- contract: made by `python -m failstop.ros2.page docs/ros2.md` -->"
-END = "<!-- end of contract -->"
 
 
 def _table(head: str, rows: Iterable[Iterable[str]]) -> Iterator[str]:
@@ -77,21 +71,3 @@ def text() -> str:
 
 def _words(setting: contract.Setting) -> str:
     return f"{setting.text}: {', '.join(setting.allowed)}" if setting.allowed else setting.text
-
-
-def with_tables(page: str) -> str:
-    """A page with the tables between its marks."""
-    head, _, rest = page.partition(BEGIN)
-    return f"{head}{BEGIN}\n{text()}\n{END}{rest.partition(END)[2]}"
-
-
-def main(words: list[str]) -> int:
-    """Write the tables into the pages that are named."""
-    for word in words:
-        path = Path(word)
-        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

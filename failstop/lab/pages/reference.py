@@ -1,14 +1,13 @@
-"""The reference of the Python API, from its docstrings: `python packaging/reference.py > docs/python-reference.md`."""
+"""The page docs/python-reference.md: the Python API, from its docstrings."""
 
 from __future__ import annotations
 
 import ast
 import importlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-API = Path(__file__).resolve().parent.parent / "failstop" / "api"
+API = Path(__file__).resolve().parents[2] / "api"
 HEAD = """# Python: reference
 
 Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
@@ -28,11 +27,6 @@ SECTIONS = (
 SHARED = {"Calls": "robot", "Session": "session"}
 """Classes that are shown with the first one that is made of them."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
-
-
-def main() -> None:
-    """Print the page."""
-    sys.stdout.write(page())
 
 
 def page() -> str:
@@ -131,14 +125,5 @@ def _value(node: ast.expr, values: dict[str, object]) -> str:
     return repr(values[node.id]) if isinstance(node, ast.Name) else ast.unparse(node)
 
 
-def _cell(text: str) -> str:
-    """A text in a table."""
-    return text.replace("|", "\\|")
-
-
 def _flat(text: str) -> str:
     return " ".join(text.split())
-
-
-if __name__ == "__main__":
-    main()

@@ -1,15 +1,12 @@
-"""The page of all commands, from their parsers: `python packaging/deb/commands.py > docs/commands.md`."""
+"""The page docs/commands.md: all commands, from their parsers."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Iterator
 
-import completion
-import man
-
 from failstop.cli import main as cli
+from failstop.lab.pages import completion, man
 
 HEAD = """# Commands
 
@@ -19,11 +16,6 @@ Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help`
 
 SECOND = "The same as "
 """The begin of the help of a second name."""
-
-
-def main() -> None:
-    """Print the page."""
-    sys.stdout.write(page())
 
 
 def page() -> str:
@@ -71,7 +63,3 @@ def _table(head: str, rows: Iterable[tuple[str, str]]) -> Iterator[str]:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    main()
