@@ -32,7 +32,6 @@ UNITS = {"ms": 1e3, "us": 1e6}
 WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
-
 NOTHING_YET: dict[str, Any] = {
     "enabled": False,
     "limit": 100,

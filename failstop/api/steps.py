@@ -30,7 +30,6 @@ REFUSED_WITHOUT = {
 """Of a request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
-GATE_DOWN = "wait: the gate died too often and is tried again within a minute"
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
 
@@ -84,7 +83,12 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
             (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again")),
-            (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
+            (
+                GATE in down,
+                Step(
+                    Purpose.MEND, f"wait for {GATE}", "wait: the gate died too often and is tried again within a minute"
+                ),
+            ),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],
@@ -144,20 +148,3 @@ def after_refusal(state: State, goal: Purpose, reason: str) -> str:
     """The remedy when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
     from being done, so that nobody is sent to ask for the same again."""
     return ", then ".join(typed(state, reason)) if before(state, goal) else ""
-
-
-def obstacles(state: State) -> dict[str, str]:
-    """Why a reset, an enable or a disable would be refused, as a clause for the page; empty: it would not."""
-    return {
-        "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
-        "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
-        "disable": "" if state.enabled else "motion is disabled already",
-    }
-
-
-def _first(state: State, goal: Purpose) -> str:
-    """The first step without which a request is refused."""
-    first = next(iter(before(state, goal)), None)
-    if first is None:
-        return ""
-    return "a stop is latched: reset first" if first.purpose is Purpose.RESET else first.clause or ""

@@ -118,9 +118,6 @@ def until(name: str) -> str:
     return "down for a minute" if name == GATE else "down until a reset"
 
 
-# Told by events.
-
-
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
     """The last event that is of one of these kinds."""
     return next((event for event in reversed(events) if event.kind in kinds), None)

@@ -155,21 +155,23 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
     not known)."""
     stop: dict[str, Any] = head["stop"] or {}
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
-    written: tuple[str, bool | None] = (f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False)
-    heard: tuple[str, bool | None] = (f"answer of the board: {NOT_KNOWN}", None)
-    seen: tuple[str, bool | None] = (f"standstill: {NOT_KNOWN}", None)
-    if not stop:
-        written = (f"whether a stop was written: {NOT_KNOWN}", None)
-    elif written_us is not None:
-        written = (f"written after {took(written_us / 1e6)}", True)
+    found: list[tuple[str, bool | None]] = [
+        (f"whether a stop was written: {NOT_KNOWN}", None),
+        (f"answer of the board: {NOT_KNOWN}", None),
+        (f"standstill: {NOT_KNOWN}", None),
+    ]
+    if written_us is not None:
+        found[0] = f"written after {took(written_us / 1e6)}", True
+    elif stop:
+        found[0] = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False
     if heard_us is not None:
-        heard = (f"acknowledged after {took(heard_us / 1e6)}", True)
+        found[1] = f"acknowledged after {took(heard_us / 1e6)}", True
     if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        seen = (seen_after(seen_ms / 1e3), True)
+        found[2] = seen_after(seen_ms / 1e3), True
     elif stop.get("wheels") == "unstill":
-        seen = ("wheels NOT seen still", False)
-    return [written, heard, seen]
+        found[2] = "wheels NOT seen still", False
+    return found
 
 
 def proven(head: dict[str, Any]) -> str:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 NODE = "rosorin_board_driver"
 """The node's name: that of the driver which the robot's launch files know."""
+CLIENT = "ros2"
+"""The name under which the service knows the bridge, and that of its interlock."""
 
 
 class Qos(NamedTuple):

@@ -6,7 +6,6 @@ from math import isfinite
 from time import monotonic_ns, time_ns
 from typing import Any
 
-from failstop.api.bridge import CLIENT
 from failstop.api.errors import FailstopError, NoAnswer, Refused
 from failstop.api.robot import Robot
 from failstop.policy import causes
@@ -15,6 +14,7 @@ from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
 from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, waited_ns, wrong_ends
 from failstop.ros2.contract import (
+    CLIENT,
     CMD_VEL,
     COMMAND_TYPES,
     ESTOP,

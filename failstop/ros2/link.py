@@ -6,11 +6,11 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import TypeVar
 
-from failstop.api.bridge import CLIENT
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.state import State
+from failstop.ros2.contract import CLIENT
 
 ANSWER_S = 0.5
 AGAIN_NS = 200_000_000

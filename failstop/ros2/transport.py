@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from failstop.api.bridge import PROFILES, own_profile
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import MutableMapping
+    from collections.abc import Mapping, MutableMapping
 
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 IMPLEMENTATIONS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 """The RMW_IMPLEMENTATION that reads these profiles."""
+
+
+def own_profile(environment: Mapping[str, str]) -> bool:
+    """Whether the user has a profile of their own, which may use shared memory."""
+    return any(map(environment.get, PROFILES))
 
 
 def udp_alone(environment: MutableMapping[str, str]) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from failstop.api.bridge import CLIENT
 from failstop.api.errors import FailstopError, Refused
 from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.ros2.contract import ARM_ACTION
+from failstop.ros2.contract import ARM_ACTION, CLIENT
 
 LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
 TOPIC_CAUSE = "estop topic"

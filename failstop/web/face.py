@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from failstop.api import steps, verdict, words
+from failstop.api.steps import Purpose
 from failstop.api.why import HOLDS, meaning, since, troubles
 from failstop.policy import proofs
 
@@ -38,7 +39,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "next_unpaired": steps.pressed(state, steps.ELSEWHERE),
         "latched": state.estop is not None,
         "enabled": state.enabled,
-        "can": steps.obstacles(state),
+        "can": _obstacles(state),
         "stop": stop_of(state.last_stop),
         "limit": round(100 * state.speed_limit),
         "driver": f"{driver.who} as {driver.source}" if (driver := state.driver) else "",
@@ -128,3 +129,20 @@ def _held(state: State) -> str:
     if state.block:
         return HOLDS[state.block][1]
     return words.sentence(words.velocity(*state.body_vel) or "The command is zero")
+
+
+def _obstacles(state: State) -> dict[str, str]:
+    """Why a reset, an enable or a disable would be refused, as a clause; empty: it would not."""
+    return {
+        "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
+        "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
+        "disable": "" if state.enabled else "motion is disabled already",
+    }
+
+
+def _first(state: State, goal: Purpose) -> str:
+    """The first step without which a request is refused."""
+    first = next(iter(steps.before(state, goal)), None)
+    if first is None:
+        return ""
+    return "a stop is latched: reset first" if first.purpose is Purpose.RESET else first.clause or ""

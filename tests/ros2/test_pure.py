@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.api import bridge
 from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
@@ -297,14 +296,14 @@ def test_fast_dds_takes_udp_alone(localhost: str, file: str) -> None:
     environment = {"ROS_LOCALHOST_ONLY": localhost, "HOME": "/"}
     transport.udp_alone(environment)
     assert environment.pop("HOME") == "/"
-    assert set(environment) == set(bridge.PROFILES)
+    assert set(environment) == set(transport.PROFILES)
     (path,) = set(environment.values())
     assert Path(path).name == file
     assert "<useBuiltinTransports>false" in Path(path).read_text()
 
 
 @pytest.mark.parametrize(
-    "given", [{bridge.PROFILES[0]: "/own.xml"}, {bridge.PROFILES[1]: "/own.xml"}, {"RMW_IMPLEMENTATION": "x"}]
+    "given", [{transport.PROFILES[0]: "/own.xml"}, {transport.PROFILES[1]: "/own.xml"}, {"RMW_IMPLEMENTATION": "x"}]
 )
 def test_a_profile_of_the_users_own_and_another_dds_are_left_alone(given: dict[str, str]) -> None:
     environment = {**given, "ROS_LOCALHOST_ONLY": "1"}

@@ -8,7 +8,6 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from math import hypot
 
 from failstop.api import host, verdict, words
@@ -192,5 +191,5 @@ class Live:
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
     """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
     count = max(0, min(room - 2, len(events)))
-    shown = [replace(it, text=it.what) for it in events[len(events) - count :]]
+    shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -28,8 +28,10 @@ ROOMS = {
         "api board cli config doctor files fleet instances machine messages policy procs ros2 shm stopping supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
-    "fleet": Room("the robots of a broker, and metrics", "api cli config extras files messages policy supervisor"),
-    "ros2": Room("the bridge to ROS 2", "api cli messages policy procs"),
+    "fleet": Room(
+        "the robots of a broker, and metrics", "api cli config doctor extras files messages policy supervisor"
+    ),
+    "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy procs"),
     "cli": Room(
         "the commands, and what they draw on a terminal",
         "api board config doctor files incidents instances machine messages policy procs stopping supervisor",
@@ -50,7 +52,7 @@ ROOMS = {
         "starts and watches the processes; the latch, the stops, the events", "board files messages policy procs shm"
     ),
     "procs": Room("the four other processes", "board files messages policy shm"),
-    "policy": Room("settings, causes, the process table, kinematics: pure", "files messages shm"),
+    "policy": Room("settings, causes, the process table, kinematics: pure", "messages"),
     "messages": Room("the records that processes exchange", "files shm"),
     "board": Room("the wire and the port", ""),
     "shm": Room("shared memory, futexes and lifelines", "files"),

@@ -8,7 +8,7 @@ UNIT = "failstop-fleet.service"
 PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
 
 
-def fleet(look: Look) -> list[Finding]:
+def check(look: Look) -> list[Finding]:
     """The publisher's own words to systemd. One that runs in a shell tells its own terminal."""
     said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
     found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
