@@ -29,6 +29,7 @@ REFUSED_WITHOUT = {
 }
 """Of a request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
+GATE_DOWN = "wait: the gate died too often and is tried again within a minute"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
@@ -83,12 +84,7 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
             (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again")),
-            (
-                GATE in down,
-                Step(
-                    Purpose.MEND, f"wait for {GATE}", "wait: the gate died too often and is tried again within a minute"
-                ),
-            ),
+            (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import platform
+import time
+from typing import Any
 
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.instances import unit_of
 from failstop.messages import layout
 from failstop.supervisor import grant
+from failstop.version import VERSION
 
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 LATE_US = 5_000.0
@@ -16,6 +20,18 @@ LATE_US = 5_000.0
 MICRO = 1e6
 PROCESSORS = "/sys/devices/system/cpu"
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
+
+
+def facts() -> dict[str, Any]:
+    """This package's version, the date, and the machine's Python, kernel, architecture and number of cores."""
+    return {
+        "version": VERSION,
+        "date": time.strftime("%Y-%m-%d"),
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+    }
 
 
 def rights(look: Look) -> list[Finding]:

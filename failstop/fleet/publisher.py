@@ -16,7 +16,7 @@ from failstop.api.events import EventLog
 from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.files import durable
-from failstop.files.state import state_directory
+from failstop.files.root import state_directory
 from failstop.fleet import FleetError, signed, topics, vda5050
 from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.obey import Obedience

@@ -19,7 +19,7 @@ import msgpack
 
 from failstop.api.errors import FailstopError
 from failstop.files import durable, root
-from failstop.files.state import SYSTEM_BASE, state_directory
+from failstop.files.root import SYSTEM_BASE, state_directory
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

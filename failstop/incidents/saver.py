@@ -23,7 +23,7 @@ if __name__ == "__main__":
         os.nice(NICE)
     sys.path[:] = os.environ["FAILSTOP_PATH"].split(os.pathsep)
 
-from failstop.files.state import state_directory
+from failstop.files.root import state_directory
 from failstop.incidents import files, memory
 from failstop.messages import layout, records, segments
 from failstop.messages.packing import pack

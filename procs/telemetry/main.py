@@ -10,7 +10,7 @@ import msgpack
 
 from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
-from failstop.files.state import state_directory
+from failstop.files.root import state_directory
 from failstop.messages import box, records
 from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes

@@ -15,7 +15,7 @@ import pytest
 from failstop.api import ask
 from failstop.cli.commands import stop
 from failstop.discovery import BOARD_PID, BOARD_VID
-from failstop.files.state import SYSTEM_BASE
+from failstop.files.root import SYSTEM_BASE
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from failstop.files import root
-from failstop.files.state import state_directory
+from failstop.files.root import state_directory
 from failstop.messages import layout
 from failstop.procs.telemetry.state_files import MOST_WAITING, StateFiles, append_line, write_whole
 from tests.support.stage import Stage

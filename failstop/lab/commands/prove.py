@@ -13,7 +13,7 @@ from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.files.state import state_directory
+from failstop.files.root import state_directory
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session

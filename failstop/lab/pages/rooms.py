@@ -25,7 +25,7 @@ class Room(NamedTuple):
 ROOMS = {
     "lab": Room(
         "breaks it on purpose: simulated board, faults, stand test; makes the pages",
-        "api board cli config doctor files fleet instances machine messages policy procs ros2 shm stopping supervisor",
+        "api board cli config doctor files fleet instances messages policy procs ros2 shm stopping supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
     "fleet": Room(
@@ -34,10 +34,10 @@ ROOMS = {
     "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy procs"),
     "cli": Room(
         "the commands, and what they draw on a terminal",
-        "api board config doctor files incidents instances machine messages policy procs stopping supervisor",
+        "api board config doctor files incidents instances messages policy procs stopping supervisor",
     ),
     "doctor": Room(
-        "what on this machine weakens the promises",
+        "what on this weakens the promises",
         "api board config discovery files instances messages policy procs shm stopping supervisor",
     ),
     "incidents": Room("the black box: each stop as a file", "api board extras files messages policy shm"),
@@ -47,7 +47,6 @@ ROOMS = {
     "stopping": Room("the stop without a service", "board"),
     "discovery": Room("serial devices, for error messages", ""),
     "extras": Room("packages that a part may lack", ""),
-    "machine": Room("the machine, for what was measured on it", ""),
     "supervisor": Room(
         "starts and watches the processes; the latch, the stops, the events", "board files messages policy procs shm"
     ),

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from failstop.cli import style
+from failstop.doctor.machine import facts
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.run import Character, Result
 from failstop.lab.prove.shake import Noise
-from failstop.machine import facts
 from failstop.supervisor.grant import cost
 
 CAN_NOT = (
