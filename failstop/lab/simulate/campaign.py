@@ -118,15 +118,21 @@ class Explorer:
         self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
+        before.machine.end()
         self.stage.machine.at_seam = self._only if plan.only else self._fork_here
         gc.collect()
         gc.freeze()
         gc.disable()
-        self.stage.run()
+        try:
+            self.stage.run()
+        finally:
+            gc.enable()
+            gc.unfreeze()
         run = self._judged()
         if self._to is not None:
             _send(self._to, run)
         self.result.add(run)
+        self.stage.machine.end()
         return self.result
 
     def _judged(self) -> Run:
