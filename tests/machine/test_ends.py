@@ -25,6 +25,7 @@ class Held:
         self.fd = fd
 
     def __del__(self):
+        told.append("Held")
         os.write(self.fd, bytes(8))
         os.close(self.fd)
 
@@ -78,13 +79,11 @@ def driven() -> Robot:
 
 
 def finalized(robot: Robot) -> SimpleNamespace:
-    """Objects of the machine with a finalizer each, and how many descriptors are open then."""
-    made = SimpleNamespace()
-    names = {"__builtins__": {**vars(robot.loader)["_builtins"]}, "__name__": "finalized"}
+    """Objects of the machine with a finalizer each, and the names of those whose `__del__` has run."""
+    names = {"__builtins__": {**vars(robot.loader)["_builtins"]}, "__name__": "finalized", "told": (told := list[str]())}
     exec(FINALIZED, names)
     system = robot.loader.system["os"]
-    made.objects = [names[each](system.eventfd(0)) for each in ("Held", "watched", "begun")]
-    return made
+    return SimpleNamespace(told=told, objects=[names[each](system.eventfd(0)) for each in ("Held", "watched", "begun")])
 
 
 def test_ended_services_leave_nothing_in_memory() -> None:
@@ -144,10 +143,11 @@ def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robo
     """Its finalizers come in the middle of any process, and a number means another file there."""
     made = finalized(robot)
     made.objects.append(made)
-    fds = set(robot.machine.caller().process.files)
+    fds, told = set(robot.machine.caller().process.files), made.told
     del made
     gc.collect()
     assert set(robot.machine.caller().process.files) == fds
+    assert told == []
     assert unraisable == []
 
 

@@ -12,6 +12,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -84,7 +85,7 @@ class Result:
 class Plan:
     """A scenario's calls, or one share of them. `most`: how many calls of one line of code in one process are tried; 0:
     all. `only`: one call, by its number, and one fault, without a fork. `patches`: changes of the code
-    (controls.py)."""
+    (controls.py). `calls`: a process and a call of it ("gate write"); the others are left out."""
 
     scenario: str
     share: tuple[int, int] = (0, 1)
@@ -94,6 +95,7 @@ class Plan:
     patches: Patches = ()
     first: bool = False
     """The campaign ends with the first run that is wrong."""
+    calls: str = ""
 
 
 class Explorer:
@@ -126,6 +128,8 @@ class Explorer:
         try:
             self.stage.run()
         finally:
+            if self._to is not None and sys.exc_info()[0]:
+                os._exit(1)
             gc.enable()
             gc.unfreeze()
         run = self._judged()
@@ -146,6 +150,8 @@ class Explorer:
         if not self.stage.explored or thread.process.name == "last.py":
             return
         where = f"{thread.process.name} {call} {line_of(call, about)}{BEFORE * (self._count in self._before)}"
+        if not where.startswith(plan.calls):
+            return
         self._seen[thread.process.name, where] += 1
         if plan.most and self._seen[thread.process.name, where] > plan.most:
             return
@@ -159,6 +165,7 @@ class Explorer:
             child = os.fork()
             if not child:
                 os.close(reader)
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
                 signal.alarm(RUN_S)
                 self._to = writer
                 self._begin(fault, where)

@@ -196,11 +196,15 @@ def _forked(what: Callable[[], Any]) -> Any:
     if not child:
         gc.disable()
         os.close(reader)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(RUN_S)
-        data = json.dumps(what()).encode()
-        while data:
-            data = data[os.write(writer, data) :]
-        os._exit(0)
+        try:
+            data = json.dumps(what()).encode()
+            while data:
+                data = data[os.write(writer, data) :]
+            os._exit(0)
+        finally:
+            os._exit(1)
     os.close(writer)
     data = b""
     while piece := os.read(reader, 1 << 16):
