@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -202,9 +203,10 @@ def _forked(what: Callable[[], Any]) -> Any:
             data = json.dumps(what()).encode()
             while data:
                 data = data[os.write(writer, data) :]
-            os._exit(0)
-        finally:
+        except BaseException:
+            traceback.print_exc()
             os._exit(1)
+        os._exit(0)
     os.close(writer)
     data = b""
     while piece := os.read(reader, 1 << 16):
