@@ -80,7 +80,11 @@ def driven() -> Robot:
 
 def finalized(robot: Robot) -> SimpleNamespace:
     """Objects of the machine with a finalizer each, and the names of those whose `__del__` has run."""
-    names = {"__builtins__": {**vars(robot.loader)["_builtins"]}, "__name__": "finalized", "told": (told := list[str]())}
+    names: dict[str, Any] = {
+        "__builtins__": {**vars(robot.loader)["_builtins"]},
+        "__name__": "finalized",
+        "told": (told := list[str]()),
+    }
     exec(FINALIZED, names)
     system = robot.loader.system["os"]
     return SimpleNamespace(told=told, objects=[names[each](system.eventfd(0)) for each in ("Held", "watched", "begun")])

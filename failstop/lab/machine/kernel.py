@@ -50,7 +50,7 @@ class Replaced(BaseException):
         self.argv = argv
 
 
-class Death(GreenletExit, GeneratorExit):
+class Death(GreenletExit, GeneratorExit):  # type: ignore[misc]  # greenlet has no types
     """A call of a process that has died: it changes nothing any more. A greenlet and a generator end by it without a
     report."""
 
