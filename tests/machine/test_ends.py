@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+import threading
 import weakref
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -153,6 +154,27 @@ def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robo
     assert set(robot.machine.caller().process.files) == fds
     assert told == []
     assert unraisable == []
+
+
+def test_a_collection_in_another_thread_of_python_takes_no_call_away(robot: Robot) -> None:
+    """It may give the interpreter to the thread that the machine runs in, between its start and its end."""
+    started, go = threading.Event(), threading.Event()
+
+    def wait(phase: str, _: object) -> None:
+        if phase == "start" and threading.current_thread() is collector:
+            started.set()
+            go.wait()
+
+    collector = threading.Thread(target=gc.collect)
+    gc.callbacks.append(wait)
+    try:
+        collector.start()
+        started.wait()
+        robot.time.sleep(0.01)
+    finally:
+        go.set()
+        collector.join()
+        gc.callbacks.remove(wait)
 
 
 def test_a_living_process_finalizes_what_it_forgets(robot: Robot) -> None:

@@ -17,6 +17,7 @@ import gc
 import heapq
 import os
 import weakref
+from _thread import get_ident
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -152,12 +153,17 @@ class Process:
 
 living: weakref.WeakSet[Machine] = weakref.WeakSet()
 """The machines that have not ended."""
-_collecting = False
+_collector = 0
+"""The thread of Python's in which the garbage collector runs; 0: it does not."""
 
 
 def _collect(phase: str, _: Mapping[str, int]) -> None:
-    global _collecting
-    _collecting = phase == "start"
+    global _collector
+    _collector = get_ident() if phase == "start" else 0
+
+
+def _collecting() -> bool:
+    return _collector != 0 and _collector == get_ident()
 
 
 gc.callbacks.append(_collect)
@@ -221,7 +227,7 @@ class Machine:
         """A finalizer as this machine runs it: not for the collector, which comes in the middle of any process."""
 
         def run(*arguments: Any, **named: Any) -> None:
-            if not _collecting:
+            if not _collecting():
                 with contextlib.suppress(Death):
                     body(*arguments, **named)
 
@@ -328,7 +334,7 @@ class Machine:
         """The thread that makes a call. Raises Death where none of a living process does."""
         thread = self.current
         try:
-            if thread and not thread.process.dead and not _collecting and getcurrent() is thread.greenlet:
+            if thread and not thread.process.dead and not _collecting() and getcurrent() is thread.greenlet:
                 return thread
         except RuntimeError:  # of a greenlet that is being collected itself
             pass
