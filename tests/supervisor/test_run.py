@@ -20,7 +20,6 @@ from failstop.supervisor.run import LOOK_EVERY_NS, Run
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 
 GROUP = 4321
-NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
@@ -178,7 +177,8 @@ def fail(scene: Scene, at: int) -> None:
     """No room from the segment of this number on; past the last one, none for the file that names the run."""
     made = itertools.count()
     call = "fallocate" if at < len(layout.SEGMENTS) else "mkfifo"
-    scene.refuse(call, NO_SPACE, lambda *_: call == "mkfifo" or next(made) >= at)
+    no_space = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    scene.refuse(call, no_space, lambda *_: call == "mkfifo" or next(made) >= at)
 
 
 @pytest.mark.parametrize("at", [0, 1, 7, len(layout.SEGMENTS)])

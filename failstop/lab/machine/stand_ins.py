@@ -73,8 +73,7 @@ def make_futex(calls: Calls) -> ModuleType:
 
         def hold(self, lines: int = 1) -> object:
             calls.process("set_robust_list")
-            thread = machine.current
-            assert thread is not None
+            thread = machine.caller()
             for line in range(lines):
                 word = self._word(line)
                 word.put(thread.number | WAITERS)
@@ -95,8 +94,7 @@ def make_futex(calls: Calls) -> ModuleType:
             while wanted():
                 if value != held or not held & NUMBER:
                     return bool(value & OWNER_DIED)
-                assert machine.current is not None
-                self._mine.waiting.append(machine.current)
+                self._mine.waiting.append(machine.caller())
                 machine.block()
                 value = self._mine.value()
             self.wake()
@@ -111,8 +109,7 @@ def make_futex(calls: Calls) -> ModuleType:
 
     def let_go() -> None:
         calls.process("set_robust_list")
-        assert machine.current is not None
-        machine.current.robust = []
+        machine.caller().robust = []
 
     return Module(
         "failstop.shm.futex", calls, Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
