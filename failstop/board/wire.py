@@ -58,7 +58,7 @@ class Write(Data):
 
 
 class Stop(Data):
-    """What stops the wheels whatever state the board's receiver is in."""
+    """Writes that stop the wheels whatever state the board's receiver is in."""
 
     writes: tuple[Write, ...]
     after_ns: int
@@ -113,7 +113,7 @@ class Motion(Data):
 
 
 class Sample:
-    """What a board reports, in the same few kinds for all boards."""
+    """A report of a board, in the same few kinds for all boards."""
 
 
 class Wheels(Sample, Data):
@@ -145,7 +145,7 @@ class Imu(Sample, Data):
 
 
 class Answer(Sample, Data):
-    """What only an answer can be, never a report that comes by itself."""
+    """A line that only answers, and is never sent unasked."""
 
     text: str
 

@@ -27,7 +27,7 @@ LIMIT = 2.0
 STEP = 0.001
 UNIT = "m/s (on ugv_base_general's Rover and RaspRover a share of the PWM)"
 WATCHDOG_MS = (100, 3000)
-"""What this module sets. 0 would end every motion in 1 ms."""
+"""The range that this module sets. 0 would end every motion in 1 ms."""
 
 REPORT = 1001
 ANSWERS = (139, 1002)

@@ -54,7 +54,7 @@ class Arduino:
         """Bytes that found the ring full."""
         self.overrun = 0
         self.speeds = (0, 0)
-        """What the speed controllers aim at."""
+        """Goals of the speed controllers."""
         self.moving = False
         self.pwm = (0, 0)
         """By a raw line, which switches the controllers off."""
@@ -70,7 +70,7 @@ class Arduino:
 
     @property
     def wheels(self) -> tuple[float, ...]:
-        """What the wheels are told: ticks, or the PWM of a raw line."""
+        """Commands to the wheels: ticks, or the PWM of a raw line."""
         return tuple(map(float, self.speeds if self.moving else self.pwm))
 
     def byte(self, at_ns: int, value: int) -> None:

@@ -47,7 +47,7 @@ class _Text:
             raise NotJson
 
     def match(self, pattern: re.Pattern[bytes]) -> bytes:
-        """What matches here, read."""
+        """The text that matches here; it is read."""
         found = pattern.match(self.line, self.at)
         text = found[0] if found else b""
         self.at += len(text)

@@ -21,8 +21,10 @@ class Receiver(Protocol):
 
     commands: list[tuple[int, tuple[float, ...]]]
     """When which speeds were commanded, in the unit of its motion, by frames alone."""
-    wheels: tuple[float, ...]
-    """Speeds that are commanded now; its own watchdog may have set them to zero."""
+
+    @property
+    def wheels(self) -> tuple[float, ...]:
+        """Speeds that are commanded now; its own watchdog may have set them to zero."""
 
     def byte(self, at_ns: int, value: int) -> None:
         """Take in one byte whose last bit arrived then."""
@@ -33,7 +35,7 @@ class Receiver(Protocol):
 
 @dataclass(frozen=True)
 class Model:
-    """What a test needs of one kind's receiver to prove its stop."""
+    """Everything that a test needs of one kind's receiver to prove its stop."""
 
     any_state: Callable[[random.Random], Receiver]
     """A receiver in a state that time and its own reports may have brought it to."""

@@ -36,7 +36,7 @@ class Ugv:
     def __init__(self, loop_ns: int = LOOP_NS) -> None:
         self.line = bytearray()
         self.speeds = [0.0, 0.0]
-        """What the speed controllers aim at."""
+        """Goals of the speed controllers."""
         self.controlled = True
         """Whether they are on; a PWM command switches them off."""
         self.pwm = (0.0, 0.0)
