@@ -166,5 +166,6 @@ MODEL = Model(
     every_state=_receivers,
     before=(),
     not_enough=Stop((Write(0, b"m 0 0\r"),), 0, ((0,),)),
+    fuses=False,
     stalls=True,
 )

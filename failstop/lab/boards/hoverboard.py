@@ -141,5 +141,7 @@ MODEL = Model(
     before=tuple(bytes(count) for count in range(1, BUFFER + 2)),
     # Both writers at the times of the RRC board's writers.
     not_enough=Stop((Write(0, codec.STOP),), 0, ((0, 20 * _MS, 100 * _MS), (0, 20 * _MS, 100 * _MS))),
+    # By the end of its feedback in the middle: cdab0000 of a cut frame and cdab0000 of a stop, for one.
+    fuses=True,
     stalls=False,
 )

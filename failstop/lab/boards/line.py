@@ -45,6 +45,8 @@ class Model:
     """Bytes that may have come before a stop, beside cuts of the board's frames."""
     not_enough: Stop
     """A stop that looks enough and is not: the control."""
+    fuses: bool
+    """Whether pieces of two frames can pass its check as one frame, with any speed, until the next stop."""
     stalls: bool
     """Whether its stop holds behind an adapter that stalls, and then sends everything at once."""
 

@@ -174,5 +174,6 @@ MODEL = Model(
     # Some are JSON by themselves, or become it by the line feed of the stop.
     before=(b"{}", b"null", b"0" * 300, b"x" * 300, b"\0" * 4, b'"L":0.2,"R":0.2}', b'{"T":13,"X":0.2,"Z":0.1}', b"\r"),
     not_enough=Stop((Write(0, codec.STOP[1:]),), 0, ((0,),)),
+    fuses=False,
     stalls=True,
 )
