@@ -8,6 +8,7 @@ from time import monotonic_ns
 
 from failstop.messages import layout, records, segments
 from failstop.messages.packing import Note
+from failstop.policy.causes import Cause
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -15,7 +16,7 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
@@ -97,6 +98,13 @@ class ProcessTable:
         child.restart.set(now_ns + wait_ns)
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
+
+    def defects(self) -> list[Cause]:
+        """Events of processes that cannot happen and did, each once."""
+        found = [cause for child in self.children for cause in child.defects]
+        for child in self.children:
+            child.defects.clear()
+        return found
 
     def recall(self, now_ns: int) -> None:
         """Restart those that are down, after a reset by people who know of it."""
