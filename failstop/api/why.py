@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.supervisor.stops import NOT_SENT, UNASKED, wheels_seen
+from failstop.supervisor.proof import NOT_SENT, UNASKED, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""

@@ -22,8 +22,8 @@ from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.stops import UNASKED
+from failstop.supervisor.port_handover import OwnPort
+from failstop.supervisor.proof import UNASKED
 
 ANSWER_S = 0.5
 CHUNK = 4096

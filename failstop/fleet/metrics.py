@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.messages import blocks, records
-from failstop.supervisor.stops import ALIVE, DEAF, UNASKED, UNPROVEN
+from failstop.supervisor.proof import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from failstop.fleet import levels, replay, signed
 from failstop.fleet.levels import Answer, Order
-from failstop.supervisor.stops import ALIVE, UNASKED
+from failstop.supervisor.proof import ALIVE, UNASKED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

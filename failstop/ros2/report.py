@@ -11,7 +11,7 @@ from failstop.api.state import State
 from failstop.messages import blocks
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
-from failstop.supervisor.stops import NOT_SENT, wheels_seen
+from failstop.supervisor.proof import NOT_SENT, wheels_seen
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
 NOBODY = "nobody publishes cmd_vel"

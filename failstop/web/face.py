@@ -12,7 +12,7 @@ from failstop.api import steps, verdict, words
 from failstop.api.steps import Purpose
 from failstop.api.why import meaning, troubles
 from failstop.messages import blocks
-from failstop.supervisor.stops import wheels_seen
+from failstop.supervisor.proof import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from failstop.api.events import Event, EventLog
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import follow, summary
-from failstop.supervisor.fold import PREFIX, fitted
+from failstop.supervisor.events import PREFIX, fitted
 from failstop.supervisor.kinds import KINDS
 
 EXAMPLES = """\

@@ -12,8 +12,8 @@ from failstop.api.why import explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.messages import blocks
-from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.status import cost
 
 LABEL = 10
 """Columns of the names on the left."""
