@@ -27,7 +27,6 @@ RUNNING = "running"
 HUNG = "hanging"  # silent past its deadline, which the machine explains: not killed for that
 FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
-ALIVE = (STARTING, RUNNING, HUNG, FENCED)
 
 EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
 """The events of a process, in the words that people read. Spared: it is silent, which the machine explains."""
@@ -47,6 +46,7 @@ NEXT: dict[str, tuple[str | None, ...]] = {
 """The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
 the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
 that it runs, and just before its end, of which the news may come sooner than the beat."""
+ALIVE = tuple(state for state, row in NEXT.items() if row[DIED])
 
 
 class Fence:
@@ -185,7 +185,7 @@ class Child:
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
-        if self.state not in (STARTING, RUNNING, HUNG):
+        if NEXT[self.state][KILLED] is None:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()

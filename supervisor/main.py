@@ -117,7 +117,7 @@ class Supervisor:
         now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
-        self._follow_monitor(now_ns)
+        self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
         self.processes.reap(ready, now_ns)
         self.processes.arm()
         self._follow_port(ready, now_ns)
@@ -128,7 +128,7 @@ class Supervisor:
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
         self.processes.restart_due(now_ns)
-        self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause) for cause in self.processes.defects()])
+        self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, it.defects.pop()) for it in self.children if it.defects])
         self.processes.pass_notes()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.status.ever)
@@ -159,13 +159,7 @@ class Supervisor:
         for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        stops = self._collect(dead, now_ns, written_ns) + self._held_up(now_ns, suspended_ns)
-        for stop in stops:
-            stop.cause = explained(stop.cause, suspended_ns)
-        self._raise_epoch(stops)
-
-    def _follow_monitor(self, now_ns: int) -> None:
-        self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
+        self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
@@ -206,11 +200,11 @@ class Supervisor:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
-        cause = causes.HELD_UP(gap_ns // MS)
+        cause = explained(causes.HELD_UP(gap_ns // MS), suspended_ns)
         if self._motion():
             return [Stop(now_ns, layout.SUPERVISOR, cause)]
         if suspended_ns:
-            self._events.tell("suspended", str(explained(cause, suspended_ns)), {"silent_ms": gap_ns // MS})
+            self._events.tell("suspended", str(cause), {"silent_ms": gap_ns // MS})
         else:
             self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
         return []
@@ -231,14 +225,14 @@ class Supervisor:
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._motion()
 
-    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
+    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
-                stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
+                stops.append(Stop(cause_ns, process, explained(causes.read(cause), suspended_ns), written_ns))
         for child in dead:
             child.on(DIED)
             death = causes.DIED(child.row.name)

@@ -53,7 +53,6 @@ class Monitor:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(BOARD.pings))
         self._published = ""
         self._last: Proof | None = None
-        """That of the stop which is followed."""
         self._said: set[Cause] = set()
         """Those that were told of since the latch."""
 

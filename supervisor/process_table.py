@@ -8,7 +8,6 @@ from time import monotonic_ns
 
 from failstop.messages import layout, records, segments
 from failstop.messages.packing import Note
-from failstop.policy.causes import Cause
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -98,13 +97,6 @@ class ProcessTable:
         child.restart.set(now_ns + wait_ns)
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
-
-    def defects(self) -> list[Cause]:
-        """Events of processes that cannot happen and did, each once."""
-        found = [cause for child in self.children for cause in child.defects]
-        for child in self.children:
-            child.defects.clear()
-        return found
 
     def recall(self, now_ns: int) -> None:
         """Restart those that are down, after a reset by people who know of it."""
