@@ -28,7 +28,7 @@ START_NS = 150_000_000
 """From a stop to the saver's start. Starting it holds the supervisor until the new process has a core, and that must
 not come to the gate's lease: so before people have enabled motion again, when the repeats at 20 and 100 ms are out."""
 COPY_NS = 2_200_000_000
-"""From a stop to the copy: what can be known of a stop is known after 2.0 s (stops.py)."""
+"""From a stop to the copy: what can be known of a stop is known after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
 """A dead run's saver waits for the service to be ready, at most so long."""
 MOST_SAVERS = 4

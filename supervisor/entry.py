@@ -13,7 +13,7 @@ from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
 from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
 from failstop.supervisor.main import Supervisor
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify
 

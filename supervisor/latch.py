@@ -61,6 +61,8 @@ class Epochs:
         own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
+        self.owed_ns = 0
+        """Since when a stop is neither answered nor written by the supervisor; 0: there is none such."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
@@ -82,6 +84,7 @@ class Epochs:
         self._epoch_word.set(self.number)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
+        self.owed_ns = self.owed_ns or now_ns
 
     def answered(self) -> bool:
         """True when the port owner has answered this epoch with a stop."""

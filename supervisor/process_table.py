@@ -15,7 +15,7 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000

@@ -23,7 +23,7 @@ from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.policy.proofs import UNASKED
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
 CHUNK = 4096

@@ -117,7 +117,7 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
     """LEVELS and `wheels` (still, unstill or unknown) of the stop for this cause, as far as the supervisor has told;
     None when nothing was told of it.
 
-    The supervisor's record of the last stop (supervisor/stops.py) may be of a later one by now; what was told as
+    The supervisor's record of the last stop (supervisor/proof.py) may be of a later one by now; what was told as
     events `stop` and `stop_outcome` is of this one for good.
     """
     supervisor = segments[layout.SUPERVISOR]

@@ -186,6 +186,10 @@ BAD_FRAME = Kind(
     6, "bad_frame", "the gate's frame was refused: {fault}", "port_owner",
     "the gate made a frame that must not reach the board ({fault}), and the port owner refused it", _TELL,
 )  # fmt: skip
+DEFECT = Kind(
+    28, "defect", "{process}: {event} while {state}, which cannot happen", "supervisor",
+    "an event of the process {process}, which {role}, came while it was {state} and cannot come then: {event}", _TELL,
+)  # fmt: skip
 SUSPENDED = Kind(
     7, "suspended", "the machine was suspended for {s:.1f} s", "port_owner",
     "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",

@@ -47,7 +47,7 @@ DESIGN = {
 }
 """What the design says must be noticed, and the rows for it."""
 NO_FAULT = {
-    *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
+    *(causes.BAD_FRAME, causes.DEFECT, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
     causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py, tests/e2e)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)

@@ -11,6 +11,7 @@ import pytest
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.machine.robot import Robot
+from failstop.lab.simulate.controls import CONTROLS, Control
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 from tests.support import rooms
@@ -97,3 +98,10 @@ def test_stamps_are_of_the_simulated_clock() -> None:
     robot.machine.run(lambda: process.dead, 1_000_000_000)
     assert len(stamps) > 20
     assert all(began_ns <= stamp <= robot.machine.now_ns for stamp in stamps)
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
+def test_a_control_changes_source_that_is_there_once(control: Control) -> None:
+    loader = Loader(Machine(), control.patches)
+    for name in {name for name, _, _ in control.patches}:
+        assert loader.load(name)

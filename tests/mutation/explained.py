@@ -221,7 +221,7 @@ SUPERVISOR = (
         "1 is READ, and GONE has not that bit",
     ),
     Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
-    Reason("supervisor/aftermath.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
+    Reason("supervisor/monitor.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
     Reason("supervisor/blackbox.py", r"_for_dead_run = 1$|\n\+ +pid = 1$", "no saver is process 1: nobody is hastened"),
     Reason(
         "supervisor/blackbox.py",
@@ -230,14 +230,14 @@ SUPERVISOR = (
     ),
     Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
     Reason(
-        "supervisor/aftermath.py",
+        "supervisor/monitor.py",
         r"else \([01], [01], records\.PORT_OPEN",
         "before the port owner's first word there is no link and no stop yet",
         same=False,
     ),
-    Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason("supervisor/monitor.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
-        "supervisor/aftermath.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
+        "supervisor/monitor.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
     ),
     Reason(
         "supervisor/blackbox.py",
@@ -267,20 +267,19 @@ SUPERVISOR = (
     Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
-    Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason("supervisor/status.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
     Reason(
         "supervisor/stops.py",
-        r"self\.(epoch = 1|unix_s = 1\.0)$",
-        "they are read of a stop that is answered, which sets both",
+        r"self\.(epoch|answer_by_ns) = 1$",
+        "they are read of a stop that is raised and answered, which sets both",
     ),
-    Reason("supervisor/stops.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
-    Reason("supervisor/stops.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/proof.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
+    Reason("supervisor/proof.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason(
         "supervisor/run.py",
         r"segment\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
         "the names are of the run: under them there is no other one's",
     ),
-    Reason("supervisor/main.py", r"self\._(answer_by|stop)_ns = 1$", "the stop that it is read for sets it"),
     Reason("supervisor/main.py", r"\n\+.*(gap|silent)_ns / MS\)", "a cause makes a whole number of its ms"),
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
@@ -291,7 +290,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
     Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
-    Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
+    Reason("supervisor/port_handover.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
     Reason("policy/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
@@ -315,11 +314,11 @@ SUPERVISOR = (
     Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
     Reason("supervisor/process_table.py", r"_starved_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
-        "supervisor/stops.py",
-        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.t_ns",
+        "supervisor/proof.py",
+        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.stop\.t_ns",
         "two times in ns at exact equality",
     ),
-    Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
+    Reason("supervisor/monitor.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
 ARM = (

@@ -52,7 +52,7 @@ def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
 @pytest.mark.parametrize("granted", [0, REALTIME])
 def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> None:
     scene = Scene(granted=granted)
-    advice = scene.load("failstop.supervisor.grant").advice
+    advice = scene.load("failstop.supervisor.status").advice
     scene.supervisor.processes.tell_starved("gate", MS, scene.now_ns)
     ((_, _, text, _),) = scene.said()
     expected = advice(realtime=bool(granted), managed=False)

@@ -56,7 +56,7 @@ class Scene(PortMachine):
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.run = self.new_run(journal)
-        self.port = self.load("failstop.supervisor.port").OwnPort(self.open(self.wire))
+        self.port = self.load("failstop.supervisor.port_handover").OwnPort(self.open(self.wire))
         notify = self.load("failstop.supervisor.status").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()

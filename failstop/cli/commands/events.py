@@ -15,7 +15,7 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
 from failstop.incidents.left import left, refusal
-from failstop.supervisor.fold import PREFIX, fitted
+from failstop.supervisor.events import PREFIX, fitted
 from failstop.supervisor.kinds import KINDS
 
 EXAMPLES = """\

@@ -11,8 +11,8 @@ from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
-from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.status import cost
 
 LABEL = 10
 """Columns of the names on the left."""

@@ -13,7 +13,7 @@ from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
 from failstop.lab.faults.fault import EVENTS, Fault, told
 from failstop.lab.faults.table import BEYOND, TABLE
-from failstop.supervisor.grant import LEASE_S, LEASE_WITHOUT_S
+from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
 
 USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
 LEASES = (

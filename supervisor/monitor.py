@@ -1,7 +1,7 @@
-"""Aftermath: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
+"""Monitor: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
 IMU's verdict - and the link.
 
-What counts for the stop is decided in stops.py; here are the words of shared memory that it is made of.
+What counts for a stop is decided in stops.py and proof.py; here are the words of shared memory that it is made of.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
+from failstop.supervisor.proof import UNSTILL, Link, Proof
 from failstop.supervisor.run import Run
-from failstop.supervisor.stops import BY_SUPERVISOR, Link, Stop
+from failstop.supervisor.stops import BY_SUPERVISOR, Stop
 
 MOST_SAID = 64
 
 
-class Aftermath:
+class Monitor:
     """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
     answered, when it was sent, and when the answer came."""
 
@@ -52,7 +53,7 @@ class Aftermath:
         self.heard = (0, 0)
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(BOARD.pings))
         self._published = ""
-        self._last: Stop | None = None
+        self._last: Proof | None = None
         self._said: set[Cause] = set()
         """Those that were told of since the latch."""
 
@@ -113,13 +114,12 @@ class Aftermath:
     def _follow_next(self, stop: Stop) -> None:
         """From now on, unless one is latched: what comes then belongs to that, the one that people look for."""
         last = self._last
-        if last and last.written_ns and self._latch.reset_epoch < last.epoch:
+        if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        stop.follow(self._after_ns, monotonic_ns(), time())
-        self._last = stop
-        self._publish(stop)
+        self._last = Proof(stop, self._after_ns, monotonic_ns(), time())
+        self._publish(self._last)
 
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
         """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
@@ -146,7 +146,7 @@ class Aftermath:
         """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
         self.link.opened()
         last = self._last
-        if last and not last.written_ns and written_ns > last.t_ns:
+        if last and not last.stop.written_ns and written_ns > last.stop.t_ns:
             last.written_at_last(written_ns, BY_SUPERVISOR)
             self._publish(last)
 
@@ -164,9 +164,10 @@ class Aftermath:
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)
 
-    def _unstill(self, last: Stop, now_ns: int) -> bool:
+    def _unstill(self, last: Proof, now_ns: int) -> bool:
         """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
-        if self._latch.reset_epoch >= last.epoch:
+        stop = last.stop
+        if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
             return False
         known = last.observed_ns is not None
@@ -181,8 +182,8 @@ class Aftermath:
             self._command_ran = False
             self._publish(last)
         if unstill:
-            text = f"CRITICAL: {causes.UNSTILL()} ({last.cause}; {(now_ns - last.t_ns) / 1e9:.1f} s ago)"
-            self._run.events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
+            text = f"CRITICAL: {causes.UNSTILL()} ({stop.cause}; {(now_ns - stop.t_ns) / 1e9:.1f} s ago)"
+            self._run.events.tell("unstill", text, {"reason": str(stop.cause), "epoch": stop.epoch})
             if self._command and not self._command_ran:
                 self._run_command()
         return unstill
@@ -217,17 +218,17 @@ class Aftermath:
         level = "error" if state in ("hangs", "failed") else ""
         self._run.events.tell("command", text, {"state": state, **fields}, level=level)
 
-    def _tell_outcome(self, stop: Stop) -> None:
+    def _tell_outcome(self, proof: Proof) -> None:
         link = self.link.state
-        stop.held = stop.written_ns > 0 and stop.acknowledged_ns is None and self._holds()
-        if stop.held and stop is self._last:
-            self._publish(stop)
-        level = "error" if stop.held or stop.unstill else ""
-        self._run.events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+        proof.held = proof.stop.written_ns > 0 and proof.acknowledged_ns is None and self._holds()
+        if proof.held:
+            self._publish(proof)
+        level = "error" if proof.held or proof.wheels == UNSTILL else ""
+        self._run.events.tell("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
         """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
-        as of stops.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        as of proof.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"
@@ -252,5 +253,5 @@ class Aftermath:
             text = "whether the board hears is not known until it answers"
             self._run.events.tell("link", text, {"state": state}, level="info")
 
-    def _publish(self, stop: Stop) -> None:
-        self._record.write(pack(stop.as_record()))
+    def _publish(self, proof: Proof) -> None:
+        self._record.write(pack(proof.as_record()))

@@ -31,9 +31,9 @@ def shake(scene: Scene, seconds: float) -> None:
 
 
 def follow(scene: Scene, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
-    """Aftermath's own turn; returns the causes that it brought."""
+    """Monitor's own turn; returns the causes that it brought."""
     scene.now_ns += elapsed_ns
-    stops = scene.supervisor.aftermath.follow(scene.now_ns, listening=listening)
+    stops = scene.supervisor.monitor.follow(scene.now_ns, listening=listening)
     return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
 
 
@@ -72,14 +72,14 @@ def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Scene) -
     sent_ns = scene.now_ns
     scene.pings(0)
     scene.turn(2 * MS)
-    assert scene.supervisor.aftermath.heard == (sent_ns, sent_ns + MS)
+    assert scene.supervisor.monitor.heard == (sent_ns, sent_ns + MS)
 
 
 def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
     scene.pings(0)
     scene.turn(2 * MS)
     assert scene.read("link") == b"alive"
-    scene.supervisor.aftermath.opened(scene.now_ns)
+    scene.supervisor.monitor.opened(scene.now_ns)
     scene.turn(2 * MS)
     assert scene.read("link") == b"unproven"
 
@@ -104,7 +104,7 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> 
     """Its two words may be of different moments: still of before, judged of now."""
     look = "still_ns = self._still.get()"
     meanwhile = f"{look}; self._run.meanwhile and self._run.meanwhile.pop()()"
-    scene = Scene(layout.PORT_OWNER, patches=(("failstop.supervisor.aftermath", look, meanwhile),))
+    scene = Scene(layout.PORT_OWNER, patches=(("failstop.supervisor.monitor", look, meanwhile),))
     scene.run.meanwhile = []
     scene.stops("the first")
     shake(scene, 0.1)
@@ -133,7 +133,7 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
     scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
-    scene.supervisor.aftermath.link.opened()
+    scene.supervisor.monitor.link.opened()
     scene.said()
     follow(scene, MS)
     text = "whether the board hears is not known until it answers"
@@ -182,10 +182,10 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene)
 
 
 def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -> None:
-    opened = scene.supervisor.aftermath.opened
+    opened = scene.supervisor.monitor.opened
     stop = scene.made_stop(why("the first"), layout.GATE)
     stop.answered_by("supervisor", 0, stop, 1)
-    scene.supervisor.aftermath.answered(stop, ending=False)
+    scene.supervisor.monitor.answered(stop, ending=False)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, stop.t_ns):
         opened(burst_ns)
@@ -197,7 +197,7 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -
 
 
 @pytest.mark.parametrize("answered", [False, True])
-def test_aftermath_tells_of_a_stop_that_the_kernel_holds_unless_the_board_answered(
+def test_the_monitor_tells_of_a_stop_that_the_kernel_holds_unless_the_board_answered(
     scene: Scene, answered: bool
 ) -> None:
     scene.wire.hold()  # of a later write, where the board has answered
