@@ -306,6 +306,19 @@ ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
 )
 """A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
 (MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
+OF_SESSION: dict[str, Shape] = {
+    "command": COMMAND,
+    "sensed": HELD,  # its time is that of the obstacle sensor's last delivery
+    "interlocks": HELD,  # the conditions that this client says hold, at its time
+    "attended": HELD,  # the operator who was there at its time; 0: who is there no more
+    "request": REQUEST,
+    "speed_limit": SPEED_LIMIT,  # the limit that a request is about
+    "seen": SEEN,  # the newest stop that the person knew of who asks for a reset
+    "arm_goal": ARM_GOAL,  # follow or jog, renewed
+    "arm_path": ARM_PATH,  # the trajectory that a request is about
+    "said": SAID,  # in a line, what the client sees and what is wrong
+}
+"""The records that a client writes into its slot after its hello: each begins with its session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
 """An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
 none."""

@@ -31,6 +31,7 @@ Speeds = tuple[float, float, float, float]
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = f"a stop is latched ({CAUSE})"
+WHEELS_ENABLED = "wheels enabled"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 _DISABLE, _LATCH, _STAY = DEATHS
@@ -86,6 +87,10 @@ class GateCore:
         if not driving.manual and self.scan.silent(now_ns):
             return NO_SCAN
         return ""
+
+    def arm_closed(self) -> str:
+        """Why the arm takes no goal now; empty when it does."""
+        return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled else ""
 
     def due_ns(self, now_ns: int) -> int | None:
         """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing

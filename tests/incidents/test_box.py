@@ -15,7 +15,7 @@ from failstop.board.interface import BOARD
 from failstop.messages import box, layout
 from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.main import GateBox
+from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes

@@ -27,7 +27,7 @@ class ArmBench:
     def __init__(self, **changed: object) -> None:
         values = {key.replace("__", "."): value for key, value in changed.items()}
         self.gate = Gate()
-        self.core = ArmCore(Settings({**ARM, **values}), self.gate.core, T0)
+        self.core = ArmCore(Settings({**ARM, **values}), T0)
         self.now = T0
         self.servos = Servos(T0, 0)
         self.frames: list[tuple[int, bytes]] = []
@@ -88,7 +88,7 @@ class ArmBench:
 
     def goal(self, mode: str = goals.FOLLOW, session: int = ME, rate: float = 0.3, age_ns: int = 0) -> Goal:
         made = Goal(mode, session, f"client {session}", self.now - age_ns, {self.core.joints[0]: rate})
-        self.core.take(made, self.now)
+        self.core.take(made, self.gate.core.arm_closed(), self.now)
         return made
 
     def travel(self, *rows: tuple[float, float], session: int = ME, joints: int = 1) -> Journey:

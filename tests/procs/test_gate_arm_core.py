@@ -240,7 +240,7 @@ def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> 
     bench.run(0.2)
     bench.holds.clear()
     joints = bench.core.joints
-    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), bench.now)
+    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), "", bench.now)
     bench.look()
     assert bench.holds == [bench.now]
     assert not bench.core.streaming()
@@ -370,9 +370,9 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
 
 
 def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
-    assert bench.core.closed == ""
+    assert bench.gate.core.arm_closed() == ""
     bench.gate.enable()
-    assert bench.core.closed == "wheels enabled"
+    assert bench.gate.core.arm_closed() == "wheels enabled"
     bench.goal()
     assert bench.core.why_not() == "wheels enabled"
     assert bench.core.followed is None

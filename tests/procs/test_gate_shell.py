@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.messages import records
-from failstop.procs.gate.requests import NO_ARM
+from failstop.procs.gate.main import NO_ARM
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
@@ -50,8 +50,8 @@ def test_a_slot_s_next_session_is_answered_from_its_first_request_on(scene: Scen
 def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s(scene: Scene) -> None:
     scene.turn()
     slot, now_ns = scene.gate.clients.slots[0], scene.clock()
-    scene.gate.requests.take(slot, 7, records.RESET, now_ns, now_ns)
-    scene.gate.requests.take(slot, 8, records.DISABLE, now_ns, now_ns)
+    scene.gate.take_request(now_ns, slot, now_ns, 7, records.RESET)
+    scene.gate.take_request(now_ns, slot, now_ns, 8, records.DISABLE)
     scene.decide()
     assert scene.replied() == (8, True, "motion disabled")
 

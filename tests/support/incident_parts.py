@@ -17,7 +17,7 @@ from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.main import GateBox
+from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
 
 CAUSE_NS = 5_000_000_000_000
