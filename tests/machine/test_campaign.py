@@ -38,7 +38,7 @@ def test_a_control_names_code_that_is_there(control: Control) -> None:
 
 @pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
 def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Control) -> None:
-    found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, first=True))
+    found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True))
     assert found.wrong
     assert found.wrong[0].story
 

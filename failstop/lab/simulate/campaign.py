@@ -12,6 +12,7 @@ import json
 import multiprocessing
 import os
 import signal
+import traceback
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -84,7 +85,7 @@ class Result:
 class Plan:
     """A scenario's calls, or one share of them. `most`: how many calls of one line of code in one process are tried; 0:
     all. `only`: one call, by its number, and one fault, without a fork. `patches`: changes of the code
-    (controls.py)."""
+    (controls.py). `fault`: the name of the only fault that is tried; empty: every one."""
 
     scenario: str
     share: tuple[int, int] = (0, 1)
@@ -92,6 +93,7 @@ class Plan:
     seed: int = 0
     only: tuple[int, str] | None = None
     patches: Patches = ()
+    fault: str = ""
     first: bool = False
     """The campaign ends with the first run that is wrong."""
 
@@ -122,10 +124,16 @@ class Explorer:
         gc.collect()
         gc.freeze()
         gc.disable()
-        self.stage.run()
-        run = self._judged()
-        if self._to is not None:
-            _send(self._to, run)
+        try:
+            self.stage.run()
+            run = self._judged()
+            if self._to is not None:
+                _send(self._to, run)
+        except BaseException:
+            if self._to is None:
+                raise
+            traceback.print_exc()
+            os._exit(1)  # a fork must not go on as whoever started the campaign
         self.result.add(run)
         return self.result
 
@@ -149,17 +157,24 @@ class Explorer:
         for fault, inject in faults(self.stage, thread, call, about):
             if self.stage.machine.at_seam is None:
                 return
+            if plan.fault not in ("", fault):
+                continue
             reader, writer = os.pipe()
             child = os.fork()
             if not child:
                 os.close(reader)
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
                 signal.alarm(RUN_S)
                 self._to = writer
                 self._begin(fault, where)
                 inject()
                 return
             os.close(writer)
-            self._collect(child, reader, Run(plan.scenario, fault, self._count, where))
+            try:
+                self._collect(child, reader, Run(plan.scenario, fault, self._count, where))
+            except BaseException:  # Ctrl-C, a test's time limit: it passes through programs that make calls on its way
+                self.stage.machine.at_seam = None
+                raise
 
     def _only(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         self._count += 1

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -197,10 +198,15 @@ def _forked(what: Callable[[], Any]) -> Any:
     child = os.fork()
     if not child:
         os.close(reader)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(RUN_S)
-        data = json.dumps(what()).encode()
-        while data:
-            data = data[os.write(writer, data) :]
+        try:
+            data = json.dumps(what()).encode()
+            while data:
+                data = data[os.write(writer, data) :]
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
         os._exit(0)
     os.close(writer)
     data = b""
