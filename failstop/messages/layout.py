@@ -24,7 +24,7 @@ NOTE_BYTES = 576
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
-CLIENTS = 0o660
+CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
 
 SUPERVISOR = "supervisor"
@@ -70,7 +70,7 @@ def _client(index: int) -> SegmentSpec:
     return SegmentSpec(
         f"client.{index}",
         "the client that holds the slot's claim",
-        CLIENTS,
+        CLIENTS_WRITE,
         (
             _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
@@ -138,7 +138,7 @@ SEGMENTS = (
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # remarks of clients on themselves (msgpack, procs/gate/remarks.py)
             *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
-            _ring("box", box.GATE, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
+            _ring("box", box.TICK, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
             _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # the arm's aims, and whose (box.py)
         ),
     ),

@@ -146,8 +146,8 @@ def requested(line: bytes) -> Cause:
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
     if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
-        if who.startswith(records.FLEET):
-            return FLEET(printable(words), printable(who.removeprefix(records.FLEET)))
+        if who.startswith(records.FLEET_PREFIX):
+            return FLEET(printable(words), printable(who.removeprefix(records.FLEET_PREFIX)))
         return REQUESTED(printable(words), printable(who), int(pid))
     return PIPED(printable(text))
 

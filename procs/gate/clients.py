@@ -22,11 +22,9 @@ if TYPE_CHECKING:
     from failstop.shm.cell import Entry
 
     News = tuple["Slot", str, tuple[Any, ...]]
-    """A session's slot; the name of a record there, with its time (ns) and its values, or GONE."""
+    """A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
 
-NAME_BYTES = 64
-SAID_BYTES = 190
-GONE = "gone"
+OVER = "gone"
 """News of a session that has left its slot, with True when it said goodbye."""
 ONCE = ("command", "request", "arm_goal")
 """Those that are acted on when they are new."""
@@ -72,7 +70,7 @@ class Slot:
             try:
                 if entry:
                     self._greeted, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
-                    self.name = bounded(name, NAME_BYTES)
+                    self.name = bounded(name, records.WHO_BYTES)
             except ValueError:
                 return None
         return self._greeted
@@ -120,7 +118,7 @@ class Slot:
         """The last words of this session for people: when, what it sees, what is wrong; None: nothing yet."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
-            return t_ns, bounded(sees, SAID_BYTES), bounded(wrong, SAID_BYTES)
+            return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
         return None
 
 
@@ -211,5 +209,5 @@ class ClientTable:
                 self._loop.forget(slot.life.fd)
                 slot.life.close()
                 slot.life = None
-            yield slot, GONE, (slot.parted(),)
+            yield slot, OVER, (slot.parted(),)
             slot.ended, slot.session = slot.session, 0

@@ -23,7 +23,7 @@ from failstop.policy.reply import Reply
 from failstop.policy.settings import DEATHS, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
-from failstop.procs.gate.sources import PAD, PAD_SESSION, Command, Sources
+from failstop.procs.gate.sources import PAD_SESSION, PAD_SOURCE, Command, Sources
 
 Vector = tuple[float, float, float]
 Speeds = tuple[float, float, float, float]
@@ -127,8 +127,8 @@ class GateCore:
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
-            reserved = f"the source {PAD!r} is the board's gamepad alone"
-            why = reserved if command.source == PAD else f"no source {command.source!r} in the settings"
+            reserved = f"the source {PAD_SOURCE!r} is the board's gamepad alone"
+            why = reserved if command.source == PAD_SOURCE else f"no source {command.source!r} in the settings"
             text = f"command from {command.who} ignored: {why}"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 

@@ -14,12 +14,12 @@ from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
-from failstop.procs.gate.clients import GONE, NAME_BYTES, ClientTable, Slot, bounded, seen
+from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, seen
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames, GateBox
-from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
+from failstop.procs.gate.sources import PAD_SESSION, PAD_SOURCE, Command
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
@@ -76,7 +76,7 @@ class Gate:
         self.arm = Arm(context, *to, now_ns) if settings.servos() else None
         self._act_on: dict[str, Callable[..., None]] = {
             "sensed": lambda now_ns, _slot, t_ns, _names: core.scan.deliver(t_ns, now_ns),
-            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.hold(names, t_ns, now_ns),
+            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.confirm(names, t_ns, now_ns),
             "attended": self._attend,
             **({"arm_goal": self._aim_arm} if self.arm else {}),
             "request": self.take_request,
@@ -93,7 +93,7 @@ class Gate:
         """Actions on requests, by verb; one that returns None is answered later."""
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, tuple(self._act_on))
-        self._act_on[GONE] = self._client_gone
+        self._act_on[OVER] = self._client_gone
 
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
@@ -247,7 +247,7 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.PAD_COMMAND.unpack(payload)
-            self._command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
+            self._command(Command(PAD_SESSION, PAD_SOURCE, t_ns, velocity, manual=True, source=PAD_SOURCE), now_ns)
         while request := self._pad_requests.next():
             kind, frame = records.PAD_REQUEST.unpack(request[2])
             if kind == records.PAD_RESET:
@@ -329,7 +329,7 @@ class Gate:
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
         """An operator that this session speaks for was there then, or with the time 0 is there no more."""
         if names and t_ns:
-            self.core.attendance.hear(slot.session, bounded(names[0], NAME_BYTES), t_ns, now_ns)
+            self.core.attendance.hear(slot.session, bounded(names[0], records.WHO_BYTES), t_ns, now_ns)
         elif names:
             self.core.attendance.leave(slot.session)
 

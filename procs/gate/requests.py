@@ -11,7 +11,7 @@ from failstop.policy.reply import Reply, asked_before, unpack
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
 from failstop.procs.gate.remarks import Budget, of_request
-from failstop.procs.gate.sources import PAD
+from failstop.procs.gate.sources import PAD_SOURCE
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
@@ -39,7 +39,7 @@ class Request(Data):
     @property
     def who(self) -> str:
         """Its asker as people see it."""
-        return self.slot.who() if self.slot else PAD
+        return self.slot.who() if self.slot else PAD_SOURCE
 
     @property
     def heard(self) -> bool:
@@ -124,7 +124,7 @@ class Requests:
 
     def _remark(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool) -> None:
         """Tell people who has asked for what, with what effect."""
-        who, pid = (request.slot.name, request.slot.pid) if request.slot else (PAD, 0)
+        who, pid = (request.slot.name, request.slot.pid) if request.slot else (PAD_SOURCE, 0)
         note = of_request(request.verb, who, pid, reply, enabled=enabled)
         if note and self._budget.spend(now_ns):
             self._notes.append(note)

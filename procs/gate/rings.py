@@ -25,7 +25,7 @@ class Frames:
 
     def stop(self, now_ns: int) -> None:
         """Have the stop burst written now."""
-        self.put(records.STOP, b"", now_ns)
+        self.put(records.WRITE_BURST, b"", now_ns)
 
 
 class GateBox:
@@ -45,16 +45,16 @@ class GateBox:
         """The end of a tick."""
         command = self._newest
         flags = box.ENABLED if core.enabled else 0
-        age_us, source, who = box.LONGEST, b"", b""
+        age_us, source, who = box.MOST_U32, b"", b""
         velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
         if command is not None:
-            age_us = min(max(0, now_ns - command.t_ns) // 1000, box.LONGEST)
+            age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
             velocity = tuple(map(box.single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.WHO_BYTES]
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
             flags |= (box.MANUAL if command.manual else 0) | (
                 box.DRIVES if core.sources.driving(now_ns) is command else 0
             )
-        block = box.BLOCK.get(core.blocked(now_ns), 1)
+        block = box.DECISION.get(core.blocked(now_ns), 1)
         numbers = (*velocity, *core.velocity, *core.speeds)
         count, self._count = min(self._count, 255), 0
-        self._ring.put(box.GATE.pack(epoch & box.LONGEST, block, flags, count, age_us, *numbers, source, who), now_ns)
+        self._ring.put(box.TICK.pack(epoch & box.MOST_U32, block, flags, count, age_us, *numbers, source, who), now_ns)

@@ -54,7 +54,7 @@ class ArmBench:
         if hold:
             self.holds.append(self.now)
             for servo in SERVOS:
-                self.servos.execute(bytes((servos.STOP, 1, servo)), self.now)
+                self.servos.execute(bytes((servos.SERVO_STOP, 1, servo)), self.now)
         if frame:
             self.frames.append((self.now, frame[4:-1]))
             if answer := self.servos.execute(frame[4:-1], self.now):
@@ -75,7 +75,7 @@ class ArmBench:
 
     def until_moves(self, count: int) -> None:
         """Goes on until so many frames of moves were made."""
-        self.until(lambda: len(self.times(servos.MOVE)) == count)
+        self.until(lambda: len(self.times(servos.SERVO_MOVE)) == count)
 
     def known(self) -> ArmBench:
         """All of its joints have been read."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from failstop.messages import layout
-from failstop.procs.gate.clients import GONE
+from failstop.procs.gate.clients import OVER
 from tests.support.gate_scene import CLAIMS, Client, Scene
 
 NOW = 77_000_000_000
@@ -61,7 +61,7 @@ class Service:
         told: list[tuple[object, ...]] = []
         self.held.clear()
         for slot, record, values in news:
-            if record == GONE:
+            if record == OVER:
                 (self.parted,) = values
                 told.append((record, slot.session))
             elif record == "request":

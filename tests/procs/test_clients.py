@@ -334,11 +334,11 @@ def test_a_ring_that_was_taken_by_an_earlier_wake_up_is_nothing(service: Service
 def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
     client = service.known()
     assert service.held == {}
-    client.segment.latest_writer("sensed").write(records.HELD.pack(11, []), 1234)
-    client.segment.latest_writer("interlocks").write(records.HELD.pack(11, ["arm", "lid"]), 5678)
+    client.segment.latest_writer("sensed").write(records.ASSERTED.pack(11, []), 1234)
+    client.segment.latest_writer("interlocks").write(records.ASSERTED.pack(11, ["arm", "lid"]), 5678)
     service.look()
     assert service.held == {"sensed": (1234, []), "interlocks": (5678, ["arm", "lid"])}
-    client.segment.latest_writer("sensed").write(records.HELD.pack(12, []), 9999)
+    client.segment.latest_writer("sensed").write(records.ASSERTED.pack(12, []), 9999)
     client.segment.latest_writer("interlocks").write(b"\xff")
     service.look()
     assert service.held == {}, "another session's word, and damage"

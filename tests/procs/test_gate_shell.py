@@ -59,7 +59,7 @@ def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s
 def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(scene: Scene) -> None:
     assert scene.ask(records.ENABLE)[0]
     assert records.MOTION in scene.drive(0.1)
-    assert scene.drive(float("nan")) == [records.STOP]
+    assert scene.drive(float("nan")) == [records.WRITE_BURST]
     assert "is not finite" in scene.stopped()
 
 
@@ -70,7 +70,7 @@ def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(scene: Sc
     scene.turn()
     assert scene.ask(records.ENABLE)[0]
     assert scene.turn(lease_ns, supervisor_beats=False) == [records.MOTION]
-    assert records.STOP in scene.turn(20 * MS, supervisor_beats=False)
+    assert records.WRITE_BURST in scene.turn(20 * MS, supervisor_beats=False)
     assert scene.stopped().startswith("supervisor hangs: ")
     assert not scene.gate.core.enabled
 
@@ -85,7 +85,7 @@ def test_a_disable_writes_a_stop(scene: Scene) -> None:
     scene.ask(records.ENABLE)
     scene.drive(0.1)
     scene.ask(records.DISABLE)
-    assert scene.asked == [records.STOP]
+    assert scene.asked == [records.WRITE_BURST]
 
 
 def test_a_successor_keeps_the_speed_limit(scene: Scene) -> None:

@@ -53,7 +53,7 @@ def test_interlocks() -> None:
 
 def test_the_gamepad_is_a_source_without_settings() -> None:
     assert refusal({"sources.gamepad.priority": 5}) == (
-        f"sources.{sources.PAD}.priority: the board's gamepad is a source above all others, with no settings"
+        f"sources.{sources.PAD_SOURCE}.priority: the board's gamepad is a source above all others, with no settings"
     )
     assert BY_PRIORITY.high is not None
     assert BY_PRIORITY.high < sources.PAD_PRIORITY

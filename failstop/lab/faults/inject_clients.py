@@ -19,7 +19,7 @@ from failstop.lab.faults.scene import Scene
 from failstop.messages import segments
 from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.procs.gate.sources import DEFAULT, PAD
+from failstop.procs.gate.sources import DEFAULT, PAD_SOURCE
 
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""
@@ -194,7 +194,7 @@ class ClientAsGamepad(SecondClient):
     """The gamepad goes before every source: whoever could stand in for it would have the wheels."""
 
     velocity = (0.0, 0.0, 0.0)
-    source = PAD
+    source = PAD_SOURCE
 
 
 class StopRequest(Injector):

@@ -27,7 +27,7 @@ STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 0.5
 """Pulses from its end at which a journey is there: as near as a frame can say."""
-LATE_NS = 2_000_000_000
+LOST_NS = 2_000_000_000
 """A journey that is not there so long after its time has lost its way."""
 FIND_NS = 4_000_000_000
 
@@ -219,7 +219,7 @@ class ArmCore:
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
-        if (way := self.way) and way.phase not in (goals.LOADING, goals.UNDER_WAY):
+        if (way := self.way) and way.phase not in (goals.LOADING, goals.ON_ITS_WAY):
             return []
         return list(self.followed.ends) if self.followed else []
 
@@ -263,7 +263,7 @@ class ArmCore:
                 journey.finish()
                 return []
             journey.phase = goals.LOADING
-        if journey.phase == goals.UNDER_WAY:
+        if journey.phase == goals.ON_ITS_WAY:
             self._watch_end(journey, now_ns)
         elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
             journey.phase, journey.since_ns = goals.CHECKING, now_ns
@@ -277,7 +277,7 @@ class ArmCore:
         if journey.left_s(now_ns) <= 0.0 and there:
             self._stream.end()
             journey.phase, journey.since_ns = goals.SETTLING, now_ns
-        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LATE_NS:
+        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LOST_NS:
             self._stream.end()
             journey.finish("it did not get there in time")
 
@@ -319,7 +319,7 @@ class ArmCore:
             if fault := journey.begin(now_ns):
                 journey.finish(fault)
                 return
-            journey.phase = goals.UNDER_WAY
+            journey.phase = goals.ON_ITS_WAY
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Journey | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:

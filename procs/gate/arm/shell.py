@@ -20,7 +20,7 @@ from failstop.procs.gate.clients import Slot, seen
 from failstop.procs.gate.core import WHEELS_ENABLED
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
-from failstop.procs.gate.sources import PAD
+from failstop.procs.gate.sources import PAD_SOURCE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 BOX_NS = 100_000_000
 """How often the black box is told what it is to do, while it does anything."""
-MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
+GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
 """The gamepad's session: no client's."""
@@ -131,11 +131,11 @@ class Arm:
         self, slot: Slot, t_ns: int, mode: int, values: dict[int, float], closed: str, now_ns: int
     ) -> Cause | None:
         """A new goal of a stream; returns the cause to stop for."""
-        if mode not in MODES or not set(values) <= set(self._by_servo):
+        if mode not in GOAL_MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return None
         ends = {self._by_servo[servo]: value for servo, value in values.items()}
-        return self._take(Goal(MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
+        return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
         """A second publisher of goals latches."""
@@ -161,7 +161,7 @@ class Arm:
         self._pad_joint = joint.name
         if share:
             rate = share * joint.speed / PULSES_PER_RAD
-            return self._take(Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, {joint: rate}), closed, now_ns)
+            return self._take(Goal(goals.JOG, PAD_PUBLISHER, PAD_SOURCE, t_ns, {joint: rate}), closed, now_ns)
         self.core.pause(PAD_PUBLISHER)
         if self.core.moved_by(PAD_PUBLISHER):
             self._give_up("let go", now_ns)
@@ -206,7 +206,7 @@ class Arm:
         if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
             return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
         joints = [self._by_servo[servo] for servo in servos]
-        way: list[goals.Row] = []
+        way: list[goals.Waypoint] = []
         for t_s, angles in rows:
             aims = dict(zip(joints, angles, strict=True))
             if fault := goals.too_far(aims):

@@ -1,4 +1,4 @@
-"""The code does in the order of model/arm what its litmus tests do: here the processes themselves are watched."""
+"""The code does in the order of model/aarch64 what its litmus tests do: here the processes themselves are watched."""
 
 from __future__ import annotations
 
