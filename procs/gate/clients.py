@@ -77,11 +77,7 @@ class Slot:
 
     def parted(self) -> bool:
         """True when the session that holds the slot has said goodbye."""
-        entry = self._left.read()
-        try:
-            return entry is not None and records.LEFT.unpack(entry[2]) == (self.session,)
-        except ValueError:
-            return False
+        return self._believed(records.LEFT, self._left.read()) is not None
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""
@@ -91,7 +87,7 @@ class Slot:
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
         """When that record was written (ns) and its values, when it is whole and of this session."""
-        return self._believed(name, self._readers[name].read())
+        return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
         """The newest record of this name, once."""
@@ -99,13 +95,13 @@ class Slot:
         if entry is None or entry[0] == self._seen[name]:
             return None
         self._seen[name] = entry[0]
-        return self._believed(name, entry)
+        return self._believed(records.OF_SESSION[name], entry)
 
-    def _believed(self, name: str, entry: Entry | None) -> tuple[Any, ...] | None:
+    def _believed(self, shape: records.Shape, entry: Entry | None) -> tuple[Any, ...] | None:
         if entry is None:
             return None
         try:
-            writer, *values = records.OF_SESSION[name].unpack(entry[2])
+            writer, *values = shape.unpack(entry[2])
         except ValueError:
             return None
         return (entry[1], *values) if writer == self.session else None
@@ -144,22 +140,16 @@ class ClientTable:
         self.slots = [Slot(index, segment) for index, segment in enumerate(segments)]
         self.active: list[Slot] = []
 
-    def rung(self, hints: bytes) -> Iterator[News]:
-        """The client bell rang: each byte hints at a slot; anything else hints at all of them."""
+    def hinted(self, hints: bytes) -> list[Slot]:
+        """Slots to look at when the client bell rang: each byte hints at one; anything else hints at all of them."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
-            for index in set(hints):
-                yield from self._look(self.slots[index])
-        else:
-            yield from self.look_at_all()
+            return [self.slots[index] for index in set(hints)]
+        return self.slots
 
-    def look_at_active(self) -> Iterator[News]:
-        """Once a tick: news whose ring was lost, and claims that have ended."""
-        for slot in tuple(self.active):
-            yield from self._look(slot)
-
-    def look_at_all(self) -> Iterator[News]:
-        """Now and then: new clients whose ring was lost."""
-        for slot in self.slots:
+    def look(self, slots: list[Slot]) -> Iterator[News]:
+        """Look at these: at the active ones once a tick, for news whose ring was lost and for claims that have ended;
+        now and then at all, for new clients whose ring was lost."""
+        for slot in tuple(slots):
             yield from self._look(slot)
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:

@@ -148,7 +148,7 @@ class Gate:
             self._tick(now_ns)
         elif self._due.due(now_ns):
             # A client that repeats its command has not rung for it.
-            self._follow_clients(self.clients.look_at_active(), now_ns)
+            self._follow_clients(self.clients.look(self.clients.active), now_ns)
             self._step(now_ns)
         # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
@@ -178,7 +178,8 @@ class Gate:
     def _client_rang(self, now_ns: int) -> None:
         """News from clients, at once. Who rings without end is heard at the ticks: at real-time priority a flood would
         take a core from everybody below."""
-        self._follow_clients(self.clients.rung(bell.take(self._client_bell)), now_ns)
+        rung = self.clients.hinted(bell.take(self._client_bell))
+        self._follow_clients(self.clients.look(rung), now_ns)
         self._rings += 1
         if self._rings == MOST_RINGS:
             self.loop.forget(self._client_bell)
@@ -195,9 +196,9 @@ class Gate:
         self._next_tick.set(max(self._next_tick.ns + self.period_ns, now_ns + self.period_ns // 2))
         self._ticks += 1
         if self._ticks % LOOK_AT_ALL_EVERY:
-            self._follow_clients(self.clients.look_at_active(), now_ns)
+            self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
-            self._follow_clients(self.clients.look_at_all(), now_ns)
+            self._follow_clients(self.clients.look(self.clients.slots), now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
             self._frames.stop(now_ns)

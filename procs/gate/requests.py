@@ -41,11 +41,6 @@ class Request(Data):
         """Its asker as people see it."""
         return self.slot.who() if self.slot else PAD_SOURCE
 
-    @property
-    def heard(self) -> bool:
-        """True while its session holds the slot, and so waits for the answer."""
-        return self.slot is not None and self.slot.session == self.session
-
     def about(self, record: str) -> tuple[Any, ...] | None:
         """A record of the slot that the request is about: as Slot.latest()."""
         return self.slot.latest(record) if self.slot else None
@@ -79,7 +74,9 @@ class Requests:
         """The refusal of a reset whose person had not seen the newest stop; and of what would move something, when a
         stop, or something that ends it, was asked for since. `stopped_ns`, `last`: of the last stop."""
         if request.verb == records.RESET:
-            return self._newer_than_seen(request)
+            _, seen = request.about("seen") or (0, 0)
+            # A stop that comes after this look is newer than the request, which the supervisor refuses for that.
+            return Reply(False, UNSEEN) if seen and seen != self._epoch_word.get() else None
         if request.verb not in GIVES_WAY:
             return None
         if request.asked_ns < stopped_ns:
@@ -87,12 +84,6 @@ class Requests:
         if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY[request.verb]):
             return Reply(False, "a later request took its place: ask again")
         return None
-
-    def _newer_than_seen(self, request: Request) -> Reply | None:
-        """The refusal where the newest stop is not the one that the person knew of. A stop that comes after this look
-        is newer than the request, which the supervisor refuses for that."""
-        _, seen = request.about("seen") or (0, 0)
-        return Reply(False, UNSEEN) if seen and seen != self._epoch_word.get() else None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
         """A request has come to this: tell its asker, and people. `enabled`: as motion was before."""

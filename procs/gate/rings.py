@@ -8,6 +8,8 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.shm.cell import RingWriter
 
+NONE_YET = Command(records.NOBODY, "", -(2**62), (0.0, 0.0, 0.0), source="")
+
 
 class Frames:
     """The ring of frames; each put wakes the port owner."""
@@ -33,7 +35,7 @@ class GateBox:
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring
-        self._newest: Command | None = None
+        self._newest = NONE_YET
         self._count = 0
 
     def command(self, command: Command) -> None:
@@ -44,17 +46,14 @@ class GateBox:
     def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
         """The end of a tick."""
         command = self._newest
-        flags = box.ENABLED if core.enabled else 0
-        age_us, source, who = box.MOST_U32, b"", b""
-        velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
-        if command is not None:
-            age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
-            velocity = tuple(map(box.single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
-            flags |= (box.MANUAL if command.manual else 0) | (
-                box.DRIVES if core.sources.driving(now_ns) is command else 0
-            )
+        flags = (
+            (box.ENABLED if core.enabled else 0)
+            | (box.MANUAL if command.manual else 0)
+            | (box.DRIVES if core.sources.driving(now_ns) is command else 0)
+        )
+        age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
+        source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
         block = box.DECISION.get(core.blocked(now_ns), 1)
-        numbers = (*velocity, *core.velocity, *core.speeds)
+        numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds)
         count, self._count = min(self._count, 255), 0
         self._ring.put(box.TICK.pack(epoch & box.MOST_U32, block, flags, count, age_us, *numbers, source, who), now_ns)

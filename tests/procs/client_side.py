@@ -46,11 +46,11 @@ class Service:
 
     def look(self, hints: bytes = ALL) -> list[tuple[object, ...]]:
         """Ring the bell; returns what it came to."""
-        return self._hear(self.table.rung(hints))
+        return self._hear(self.table.look(self.table.hinted(hints)))
 
     def tick(self) -> list[tuple[object, ...]]:
         """The gate's tick; returns the same."""
-        return self._hear(self.table.look_at_active())
+        return self._hear(self.table.look(self.table.active))
 
     def ended(self, ready: dict[int, int]) -> list[tuple[object, ...]]:
         """A wake-up by these descriptors; returns the same."""

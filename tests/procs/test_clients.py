@@ -155,7 +155,7 @@ def test_a_new_client_whose_ring_was_lost_is_found_now_and_then(service: Service
     service.join(7)
     service.tick()
     assert service.sessions() == []
-    assert list(service.table.look_at_all()) == []
+    assert list(service.table.look(service.table.slots)) == []
     assert service.sessions() == [11]
 
 

@@ -235,7 +235,7 @@ class Arm:
                 self._requests.answer(request, Reply(records.UNDER_WAY, journey.progress(now_ns)))
             return None
         self._waiter = None
-        if not request.heard:
+        if request.slot is None or request.slot.session != request.session:
             return None
         if waiter.enables and not journey.dropped:
             if not (fault := self._out_of_pose(journey)):
