@@ -23,7 +23,7 @@ BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
 """The place of a name that is not known yet: the asker completes its cause by asking once more."""
-RESET = "a reset"
+A_RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
 """The process that notices the acts of clients."""
@@ -46,7 +46,7 @@ class Kind(Data):
     noticed_by: str
     what: str
     remedy: str
-    cleared_by: str = RESET
+    cleared_by: str = A_RESET
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:

@@ -20,10 +20,10 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import Wheels
 from failstop.policy.reply import Reply
-from failstop.policy.settings import DEATHS, Settings
+from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
-from failstop.procs.gate.sources import PAD_SESSION, PAD_SOURCE, Command, Sources
+from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
 Vector = tuple[float, float, float]
 Speeds = tuple[float, float, float, float]

@@ -12,6 +12,7 @@ from failstop.messages.packing import pack
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
 from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, seen
@@ -19,7 +20,7 @@ from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames, GateBox
-from failstop.procs.gate.sources import PAD_SESSION, PAD_SOURCE, Command
+from failstop.procs.gate.sources import PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader

@@ -6,7 +6,8 @@ from __future__ import annotations
 from failstop.messages import records
 from failstop.messages.packing import Note
 from failstop.policy.reply import Reply
-from failstop.procs.gate.sources import PAD_SOURCE, Command
+from failstop.policy.settings import PAD_SOURCE
+from failstop.procs.gate.sources import Command
 
 SaidRow = tuple[int, int, str, int, str, str]
 """Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""

@@ -8,10 +8,10 @@ from failstop.messages import layout, records
 from failstop.messages.packing import Note
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply, asked_before, unpack
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
 from failstop.procs.gate.remarks import Budget, of_request
-from failstop.procs.gate.sources import PAD_SOURCE
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False

@@ -9,8 +9,8 @@ service's own: no client commands as it.
 from __future__ import annotations
 
 from failstop.messages import records
+from failstop.policy.settings import PAD_SOURCE
 
-PAD_SOURCE = "gamepad"
 PAD_PRIORITY = 101
 PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""

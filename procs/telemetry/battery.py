@@ -9,7 +9,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 
-NOT_KNOWN, PLUGGED_IN, UNPLUGGED = range(3)
+UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
 """Indices of records.PLUGGED."""
 
 LOW_READINGS = 5
@@ -44,7 +44,7 @@ class Charger:
     """A step of the voltage while nothing loads it. Remembers the last seconds of readings. Measured on the robot:
     plugging in is +249 mV, unplugging -226 mV."""
 
-    def __init__(self, settings: Settings, state: int = NOT_KNOWN) -> None:
+    def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
         """`state`: what was known before a restart."""
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []

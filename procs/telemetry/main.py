@@ -27,7 +27,7 @@ from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
-LONGEST_WAIT_NS = 50_000_000
+LONGEST_IDLE_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
 BIAS_NS = 80_000_000
@@ -175,7 +175,7 @@ class Telemetry:
     def _known_charger_state(self) -> int:
         """The charger's state as the run before this one saw it last."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
-        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.NOT_KNOWN
+        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
@@ -347,5 +347,5 @@ class Telemetry:
 def run(context: Context) -> int:
     """Run forever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
-    context.run(telemetry.turn, telemetry.loop, LONGEST_WAIT_NS)
+    context.run(telemetry.turn, telemetry.loop, LONGEST_IDLE_NS)
     return 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.gate.sources import PAD_SESSION, PAD_SOURCE
+from failstop.policy.settings import PAD_SOURCE
+from failstop.procs.gate.sources import PAD_SESSION
 from tests.support.why import why
 
 from .gate_bench import MS, REST, TICK, Gate

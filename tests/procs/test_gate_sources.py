@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import kinematics
-from failstop.policy.settings import Settings
+from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
 from failstop.procs.gate.core import REST, STILL, GateCore
-from failstop.procs.gate.sources import PAD_PRIORITY, PAD_SOURCE, Command
+from failstop.procs.gate.sources import PAD_PRIORITY, Command
 from tests.support.why import told
 
 from .gate_bench import MS, T0, TICK, Gate

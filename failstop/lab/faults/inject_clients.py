@@ -19,7 +19,8 @@ from failstop.lab.faults.scene import Scene
 from failstop.messages import segments
 from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.procs.gate.sources import DEFAULT, PAD_SOURCE
+from failstop.policy.settings import PAD_SOURCE
+from failstop.procs.gate.sources import DEFAULT
 
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""

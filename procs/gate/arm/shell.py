@@ -11,6 +11,7 @@ from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
@@ -20,7 +21,6 @@ from failstop.procs.gate.clients import Slot, seen
 from failstop.procs.gate.core import WHEELS_ENABLED
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
-from failstop.procs.gate.sources import PAD_SOURCE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
