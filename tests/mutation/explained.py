@@ -97,7 +97,7 @@ PROCS: tuple[Reason, ...] = (
 )
 
 TELEMETRY = (
-    Reason("procs/telemetry/battery.py", r"PLUGGED if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
+    Reason("procs/telemetry/battery.py", r"PLUGGED_IN if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(
@@ -198,7 +198,7 @@ SHM: tuple[Reason, ...] = (
         r"\n\+.*cell\.build\((2, 0|1, 1), header",
         "nobody reads a header's number and time",
     ),
-    Reason("messages/segments.py", r"\n\+.*HEADER_BYTES \+ cell\.HEADER_BYTES\)", "zeros more, where zeros are"),
+    Reason("messages/segments.py", r"\n\+.*HEADER_BYTES \+ cell\.CELL_HEADER_BYTES\)", "zeros more, where zeros are"),
     Reason("messages/segments.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
     Reason(
         "messages/segments.py",
