@@ -30,19 +30,6 @@ T = TypeVar("T")
 REPEAT_NS = 45_000_000
 """A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
 the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
-RECORDS: dict[str, Callable[..., bytes]] = {
-    "command": records.COMMAND.pack,
-    "request": records.REQUEST.pack,
-    "sensed": records.HELD.pack,
-    "interlocks": records.HELD.pack,
-    "attended": records.HELD.pack,
-    "said": records.SAID.pack,
-    "speed_limit": records.SPEED_LIMIT.pack,
-    "seen": records.SEEN.pack,
-    "arm_goal": records.ARM_GOAL.pack,
-    "arm_path": records.ARM_PATH.pack,
-}
-"""The records that a client writes into its slot after its hello, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
@@ -225,7 +212,7 @@ class Client:
             """A goodbye; without one the gate takes the slot's end for a death."""
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
             self._drop = weakref.finalize(self, taken.pop_all().close)
-        self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
+        self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
         hello = records.HELLO.pack(self._session, os.getpid(), pid_namespace(), self.who)
         self._segment.latest_writer("hello").write(hello)
@@ -264,9 +251,10 @@ class Client:
             raise gone(self.name) from None
 
     def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of RECORDS; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if not of now.
-        The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does not fit."""
-        payload = RECORDS[record](self._session, *values)
+        """Write one of records.OF_SESSION; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if
+        not of now. The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does
+        not fit."""
+        payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
         if wake:
             self._ring()

@@ -46,7 +46,7 @@ def _ready(state: State) -> bool:
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
         return False
     if state.cause:
-        return state.cause.kind.cleared_by == causes.RESET
+        return state.cause.kind.cleared_by == causes.A_RESET
     return not steps.before(state, Purpose.ENABLE)
 
 

@@ -71,7 +71,7 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
     return Pad(t_ns, buttons, hat, rest[:-1], PAD_MODES[rest[-1]])
 
 
-SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.PAD: _pad}
+SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
 """The types of samples, by the board's report; other reports are told in State alone."""
 
 

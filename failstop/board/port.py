@@ -32,7 +32,7 @@ _RTS = _INT.pack(termios.TIOCM_RTS)
 CLOSE_S = 0.02
 """How long a close may wait for bytes to drain."""
 
-_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+_OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _SPEED = termios.B1000000
 _OTHER_SPEED = termios.B500000
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
@@ -75,7 +75,7 @@ def open_port(path: str, *, exclusive: bool) -> int:
         if not stat.S_ISCHR(mode):
             what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
             raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
-        descriptor = os.open(path, _FLAGS)
+        descriptor = os.open(path, _OPEN_FLAGS)
         _prepare(path, descriptor, exclusive)
     except BaseException as error:
         if descriptor >= 0:

@@ -19,8 +19,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-MOVE = 0x01
-STOP = 0x03
+SERVO_MOVE = 0x01
+SERVO_STOP = 0x03
 POSITION = 0x05
 SUPPLY = 0x07
 TEMPERATURE = 0x09
@@ -55,9 +55,9 @@ def bus_ns(func: int, data: bytes) -> int:
     """How long a frame holds the receiver at most, by what it says: the count is not checked by the firmware."""
     if func != BUS_SERVO or not data:
         return 0
-    if data[0] == MOVE:
+    if data[0] == SERVO_MOVE:
         return MOVE_NS * (data[3] if len(data) > 3 else 255)
-    if data[0] == STOP:
+    if data[0] == SERVO_STOP:
         return STOP_NS * (data[1] if len(data) > 1 else 255)
     return TORQUE_NS if data[0] in (TORQUE_OFF, TORQUE_ON) else SILENT_NS
 
@@ -84,7 +84,7 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
         data += _ID_U16.pack(_id(move[0]), framing.integer("position", move[1], 0, HIGHEST_POSITION))
     framing.distinct("servo id", [move[0] for move in positions])
     for duration in (*range(duration_ms, longest_ms + 1), *range(duration_ms - 1, 0, -1)):
-        made = bytes((MOVE,)) + _U16.pack(duration) + data
+        made = bytes((SERVO_MOVE,)) + _U16.pack(duration) + data
         if not _zeros_complete(made):
             return frame(BUS_SERVO, made)
     raise FrameError(f"moves {positions!r} within {longest_ms} ms: zeros would complete every frame for it")
@@ -98,7 +98,7 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
     count = framing.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
     framing.distinct("servo id", ids)
-    return frame(BUS_SERVO, bytes((STOP, count)) + ids)
+    return frame(BUS_SERVO, bytes((SERVO_STOP, count)) + ids)
 
 
 def bus_servo_stops(servos: Sequence[int]) -> tuple[bytes, ...]:
@@ -137,10 +137,10 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
     if not data:
         return "no sub-command"
     command = data[0]
-    if command == MOVE:
+    if command == SERVO_MOVE:
         ids = data[_MOVES_AT::3]
         fault = _move_fault(data, longest_ms)
-    elif command == STOP:
+    elif command == SERVO_STOP:
         ids = data[2:]
         fault = "" if len(data) > 2 and data[1] == len(ids) else "a count that is not its data's"
     elif command in READS or command in (TORQUE_OFF, TORQUE_ON):
@@ -155,7 +155,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
     if len(set(ids)) < len(ids):
         return "a servo twice"
     strange = next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
-    return strange or (_zeros_complete(data) if command == MOVE else "")
+    return strange or (_zeros_complete(data) if command == SERVO_MOVE else "")
 
 
 def _move_fault(data: bytes, longest_ms: int) -> str:

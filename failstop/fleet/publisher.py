@@ -90,7 +90,7 @@ class Service:
     def stop(self, reason: str, by: str) -> str:
         """Ask for one; returns what is wrong."""
         try:
-            send_stop(self.name, reason, f"{records.FLEET}{by}")
+            send_stop(self.name, reason, f"{records.FLEET_PREFIX}{by}")
         except FailstopError as error:
             return str(error)
         return ""

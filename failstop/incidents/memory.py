@@ -105,7 +105,7 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
-        if kind == box.BURST and taken == length:
+        if kind == box.WIRE_BURST and taken == length:
             written[ns] = "port owner"
     first_ns = min((ns for ns in written if ns >= cause_ns), default=None)
     if first_ns is None:

@@ -31,52 +31,51 @@ BEATS_CELLS = 768
 """10 a second, and one at each stop."""
 
 ARM_BYTES = 80
-WHO_BYTES = 36
+SHORT_WHO_BYTES = 36
 
-BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
+DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
-BLOCK = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
+DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
 ENABLED = 1
 MANUAL = 2
 DRIVES = 4
 """Flag: the newest command is the one that drives, and not one that waits behind a higher source."""
 
-BURST = 1
+WIRE_BURST = 1
 """Wire: the stop burst."""
-FRAME = 2
+WIRE_FRAME = 2
 """Wire: one frame; its first bytes follow."""
-REST = 3
+WIRE_REST = 3
 """Wire: what the kernel had not taken of either before."""
 WIRE_HEAD = 35
 """Bytes of a frame that are kept: a motor frame of four wheels is 27."""
 
-IMU = 1
-BATTERY = 2
-PAD = 3
-SERVO = 4
+IMU_KIND = 1
+BATTERY_KIND = 2
+PAD_KIND = 3
+SERVO_KIND = 4
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
 """Of an arm's goal; empty: nobody moves it from here on."""
-MOST_JOINTS = 8
 
 BEATS = 1
 OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
-LONGEST = 0xFFFFFFFF
+MOST_U32 = 0xFFFFFFFF
 
-GATE = Shape("<IBBBxI3f3f4f16s", records.rest(WHO_BYTES))
+TICK = Shape("<IBBBxI3f3f4f16s", records.rest(SHORT_WHO_BYTES))
 """A tick of the gate, as unpack_gate() has it."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
-"""Bytes for the board: BURST, FRAME or REST; how many; how many of them the kernel took; the first ones of a frame."""
-BOARD: dict[int, Shape] = {
-    IMU: Shape("<6f"),
-    BATTERY: records.BATTERY,
-    PAD: records.PAD,
-    SERVO: records.SERVO,
+"""Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
+REPORTS: dict[int, Shape] = {
+    IMU_KIND: Shape("<6f"),
+    BATTERY_KIND: records.BATTERY,
+    PAD_KIND: records.PAD,
+    SERVO_KIND: records.SERVO,
 }
 """Reports that telemetry has decoded, by the kind that is their first byte. An IMU sample is as it is published:
 corrected, the rate less its bias."""
-BOARD_BYTES = 1 + max(shape.most for shape in BOARD.values())
+BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
 _AIM = struct.Struct("<Bf")
@@ -88,26 +87,26 @@ def single(value: float) -> float:
 
 
 def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
-    """Bytes for the board: BURST, FRAME or REST, and how many of them the kernel took (0: none, the port was full)."""
-    return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == FRAME else b"")
+    """Bytes for the board: WIRE_BURST or another, and how many of them the kernel took (0: none, the port was full)."""
+    return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == WIRE_FRAME else b"")
 
 
 def pack_board(kind: int, *values: float | None) -> bytes:
-    """A report of the board, with the values of its kind in BOARD."""
-    return bytes((kind,)) + BOARD[kind].pack(*values)
+    """A report of the board, with the values of its kind in REPORTS."""
+    return bytes((kind,)) + REPORTS[kind].pack(*values)
 
 
 def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
     """Return (kind, its values). Raises ValueError."""
-    if not payload or payload[0] not in BOARD:
+    if not payload or payload[0] not in REPORTS:
         raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
-    return payload[0], BOARD[payload[0]].unpack(payload[1:])
+    return payload[0], REPORTS[payload[0]].unpack(payload[1:])
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
     """The arm's aim, and whose it is: of each servo where it is to be in the end (trajectory), where now (follow), in
     pulses, or its rate (jog), in pulses/s."""
-    aims = aims[:MOST_JOINTS]
+    aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
 
@@ -125,24 +124,24 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
     """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
     that was seen."""
-    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
+    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
 OWN_BURST_RECORD = bytes((OWN_BURST,))
 
 
 def unpack_gate(payload: bytes) -> dict[str, Any]:
-    """A tick of the gate: epoch, block (a word of BLOCKS), enabled, manual, drives, commands (since the tick before),
-    age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
-    epoch, block, flags, commands, age_us, *numbers, source, who = GATE.unpack(payload)
+    """A tick of the gate: epoch, block (a word of DECISIONS), enabled, manual, drives, commands (since the tick
+    before), age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
+    epoch, block, flags, commands, age_us, *numbers, source, who = TICK.unpack(payload)
     return {
         "epoch": epoch,
-        "block": BLOCKS[block] if block < len(BLOCKS) else f"unknown {block}",
+        "block": DECISIONS[block] if block < len(DECISIONS) else f"unknown {block}",
         "enabled": bool(flags & ENABLED),
         "manual": bool(flags & MANUAL),
         "drives": bool(flags & DRIVES),
         "commands": commands,
-        "age_us": None if age_us == LONGEST else age_us,
+        "age_us": None if age_us == MOST_U32 else age_us,
         "command": tuple(numbers[:3]),
         "velocity": tuple(numbers[3:6]),
         "wheels_rps": tuple(numbers[6:]),

@@ -24,7 +24,7 @@ NOTE_BYTES = 576
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
-CLIENTS = 0o660
+CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
 
 SUPERVISOR = "supervisor"
@@ -62,25 +62,20 @@ def _beat() -> tuple[Record, ...]:
     )
 
 
+FEWER: dict[str, int] = {"sensed": 64, "attended": 96}
+"""Bytes of a client's records that never fill their shape."""
+
+
 def _client(index: int) -> SegmentSpec:
     return SegmentSpec(
         f"client.{index}",
         "the client that holds the slot's claim",
-        CLIENTS,
+        CLIENTS_WRITE,
         (
             _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", records.HELLO, "gate"),
-            _latest("command", records.COMMAND, "gate"),
-            _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
-            _latest("interlocks", records.HELD, "gate"),  # the conditions that this client says hold, at its time
-            _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
-            _latest("request", records.REQUEST, "gate"),
-            _latest("speed_limit", records.SPEED_LIMIT, "gate"),  # the limit that a request is about
-            _latest("seen", records.SEEN, "gate"),  # the newest stop that the person knew of who asks for a reset
-            _latest("arm_goal", records.ARM_GOAL, "gate"),  # follow or jog, renewed
-            _latest("arm_path", records.ARM_PATH, "gate"),  # the trajectory that a request is about
-            _latest("said", records.SAID, "gate"),  # in a line, what the client sees and what is wrong
+            *(_latest(name, FEWER.get(name, shape), "gate") for name, shape in records.OF_SESSION.items()),
         ),
     )
 
@@ -143,7 +138,7 @@ SEGMENTS = (
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # remarks of clients on themselves (msgpack, procs/gate/remarks.py)
             *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
-            _ring("box", box.GATE, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
+            _ring("box", box.TICK, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
             _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # the arm's aims, and whose (box.py)
         ),
     ),

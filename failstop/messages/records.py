@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOTION = 1
 """Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
-STOP = 2
+WRITE_BURST = 2
 """Frame kind: write the stop burst now (latched or not)."""
 OTHER = 3
 """Frame kind: a frame that is not motion, the buzzer's, in order."""
@@ -30,7 +30,7 @@ ARM = 4
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
-FLEET = "fleet:"
+FLEET_PREFIX = "fleet:"
 """The begin of the asker's name where a stop of the whole fleet is passed on."""
 CAUSE = "{cause}"
 """In the text of a reply: the place of the cause's own."""
@@ -254,7 +254,7 @@ _VALUE = struct.Struct("<Bd")
 _COUNTS = struct.Struct("<BH")
 
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
-"""An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, STOP nothing."""
+"""An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, WRITE_BURST nothing."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not), its
 cause, packed."""
@@ -274,7 +274,7 @@ COMMAND: Payload[int, float, float, float, bool, str] = Payload(
 )
 """A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
 counter-clockwise), whether a person drives, the source, which is never cut: it could be another one."""
-HELD: Payload[int, list[str]] = Payload(
+ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
 """The assertions of a client session: names of interlocks, never cut, or none for "the sensor delivered"."""
@@ -306,6 +306,19 @@ ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
 )
 """A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
 (MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
+OF_SESSION: dict[str, Shape] = {
+    "command": COMMAND,
+    "sensed": ASSERTED,  # its time is that of the obstacle sensor's last delivery
+    "interlocks": ASSERTED,  # the conditions that this client says hold, at its time
+    "attended": ASSERTED,  # the operator who was there at its time; 0: who is there no more
+    "request": REQUEST,
+    "speed_limit": SPEED_LIMIT,  # the limit that a request is about
+    "seen": SEEN,  # the newest stop that the person knew of who asks for a reset
+    "arm_goal": ARM_GOAL,  # follow or jog, renewed
+    "arm_path": ARM_PATH,  # the trajectory that a request is about
+    "said": SAID,  # in a line, what the client sees and what is wrong
+}
+"""The records that a client writes into its slot after its hello: each begins with its session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
 """An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
 none."""

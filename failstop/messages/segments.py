@@ -65,7 +65,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
         # Found at the first touch it would be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
         header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
-        os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.HEADER_BYTES), 0)
+        os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES), 0)
         if spec.mode & 0o020 and client_gid >= 0:
             os.fchown(fd, -1, client_gid)
         os.fchmod(fd, spec.mode)

@@ -23,7 +23,7 @@ BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
 """The place of a name that is not known yet: the asker completes its cause by asking once more."""
-RESET = "a reset"
+A_RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
 """The process that notices the acts of clients."""
@@ -46,7 +46,7 @@ class Kind(Data):
     noticed_by: str
     what: str
     remedy: str
-    cleared_by: str = RESET
+    cleared_by: str = A_RESET
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
@@ -146,8 +146,8 @@ def requested(line: bytes) -> Cause:
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
     if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
-        if who.startswith(records.FLEET):
-            return FLEET(printable(words), printable(who.removeprefix(records.FLEET)))
+        if who.startswith(records.FLEET_PREFIX):
+            return FLEET(printable(words), printable(who.removeprefix(records.FLEET_PREFIX)))
         return REQUESTED(printable(words), printable(who), int(pid))
     return PIPED(printable(text))
 

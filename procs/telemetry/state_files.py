@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
     Job = tuple[str, Callable[[], None]]
 
-STACK_BYTES = 256 * 1024
+THREAD_STACK_BYTES = 256 * 1024
 """The thread's: all memory is locked as it is touched, and counts against the limit even before."""
 MOST_READ = 4096
 """Bytes of a file that is read: each holds a line."""
-MOST_WAITING = 100
+MOST_JOBS = 100
 """Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
 
 
@@ -97,13 +97,13 @@ class StateFiles:
     def _put(self, what: str, write: Callable[[], None]) -> None:
         if not self.running:
             try:
-                _thread.stack_size(STACK_BYTES)
+                _thread.stack_size(THREAD_STACK_BYTES)
                 _thread.start_new_thread(self._work, ())
             except RuntimeError as error:
                 self._say(what, f"no thread to write it: {error}")
                 return
             self.running = True
-        if self._jobs.qsize() < MOST_WAITING:
+        if self._jobs.qsize() < MOST_JOBS:
             self._jobs.put((what, write))
 
     def _work(self) -> None:

@@ -128,7 +128,7 @@ def garble(name: str, index: str) -> None:
     fd = slot_file(name, int(index))
     spec = layout.BY_NAME[f"client.{index}"]
     size = cell.cell_bytes(spec.records["command"].capacity)
-    velocity = spec.offsets["command"] + cell.HEADER_BYTES + 8  # after the session
+    velocity = spec.offsets["command"] + cell.CELL_HEADER_BYTES + 8  # after the session
     begun()
     while True:
         for half in (0, size):

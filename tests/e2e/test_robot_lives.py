@@ -54,7 +54,7 @@ def other_layout(simulated: Simulated, which: str) -> None:
     assert entry
     head = bytearray(entry[2])
     head[8] ^= 0xFF
-    data = cell.build(1, 0, bytes(head), SEED, HEADER_BYTES - cell.HEADER_BYTES)
+    data = cell.build(1, 0, bytes(head), SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES)
     simulated.os.pwrite(fd, data, 0)
 
 

@@ -98,7 +98,7 @@ def test_a_row_is_in_order(fault: Fault) -> None:
         assert all(type(value) is of for value, (_, of) in zip(first, kind.parameters, strict=False))
         assert len(first) <= len(kind.parameters)
         assert "process" not in dict(kind.parameters) or set(first) <= set(PROCESSES)
-        assert kind.cleared_by == causes.RESET, "what nothing but a new start clears is latched by no row"
+        assert kind.cleared_by == causes.A_RESET, "what nothing but a new start clears is latched by no row"
     if fault.cleared in (NEW_RUN, ITSELF):
         assert not fault.latched, "a latch does not clear by itself, nor outlive the run"
     if fault.bar_ms is None:

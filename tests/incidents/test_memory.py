@@ -80,7 +80,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(10):
         writer.put(b"%d" % number, number)
-    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE.most)
+    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.TICK.most)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
     ring = copied(name)[layout.GATE]["rings"]["box"]
@@ -135,8 +135,8 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     stops.put(records.STOPPED.pack(2, 5, 6, causes.PIPED("answered long ago").pack()))
     stops.put(records.STOPPED.pack(3, 1_000_500_000, 1_000_600_000, SUPERVISOR_DIED.pack()))
     stops.put(records.STOPPED.pack(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
-    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
-    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
+    wire.put(box.pack_wire(box.WIRE_BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
+    wire.put(box.pack_wire(box.WIRE_BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
     found = copied(name)
     assert memory.left_cause(found) == (1_000_500_000, 3, SUPERVISOR_DIED)
     stop = memory.left_stop(found, 1_000_500_000)

@@ -140,7 +140,7 @@ def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_l
     process = saving.start(**words)
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
     size = len(BOARD.burst)
-    saving.port_owner.ring_writer("box").put(box.pack_wire(box.BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
+    saving.port_owner.ring_writer("box").put(box.pack_wire(box.WIRE_BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
     lose_port(saving, records.PORT_OPEN)
     assert process.wait(30) == 0
     stop = saving.newest().head["stop"]

@@ -24,7 +24,7 @@ NOW_S = UNIX_NS / 1e9 + 7200
 def incident() -> Incident:
     made = drive_and_die()
     for ms, millivolts in ((-2000, 12_100), (-1000, 11_200), (1000, 11_800)):
-        made.ring(layout.TELEMETRY, "box").put(box.pack_board(box.BATTERY, millivolts, 2), at(ms))
+        made.ring(layout.TELEMETRY, "box").put(box.pack_board(box.BATTERY_KIND, millivolts, 2), at(ms))
     return made.incident()
 
 

@@ -88,11 +88,7 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+age_s = .* if (\(self\.delivered_ns\) or True else 0\.0|self\.delivered_ns else 1\.0)$",
         "the age of a scan that never came is not told",
     ),
-    Reason(
-        "procs/gate/requests.py", r"\+.*_limit_word\.get\(\) or 101\)", "101 is refused, and 100 is what the core has"
-    ),
     Reason("procs/gate/requests.py", r"\+.*_replied = \[\((1, 0|0, 1)\)\]", "no session is 0, and no number below 0"),
-    Reason("procs/gate/requests.py", r"\+.*_, percent = .* or \(1, 0\)", "when it was left is not looked at"),
     Reason(
         "procs/gate/requests.py",
         r"\+.*_asked_ns\.get\((verb|each), 1\)",
@@ -101,7 +97,7 @@ PROCS: tuple[Reason, ...] = (
 )
 
 TELEMETRY = (
-    Reason("procs/telemetry/battery.py", r"PLUGGED if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
+    Reason("procs/telemetry/battery.py", r"PLUGGED_IN if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(
@@ -182,7 +178,7 @@ SHM: tuple[Reason, ...] = (
     ),
     Reason("data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
-    Reason("messages/layout.py", r"\n\+.*_latest\(.sensed., 65, ", "room for a byte more", same=False),
+    Reason("messages/layout.py", r"\n\+.*.sensed.: 65, ", "room for a byte more", same=False),
     Reason("messages/layout.py", r"\n\+.*crc32\(data, 23295\)", "any start of the second sum will do", same=False),
     Reason("shm/lifeline.py", r"\n\+.*os\.eventfd\(0, \)", "EFD_CLOEXEC is the default"),
     Reason("shm/lifeline.py", r"\n\+.*poll\.register\(self\.fd, \)", "a pidfd has no events but this one"),
@@ -202,7 +198,7 @@ SHM: tuple[Reason, ...] = (
         r"\n\+.*cell\.build\((2, 0|1, 1), header",
         "nobody reads a header's number and time",
     ),
-    Reason("messages/segments.py", r"\n\+.*HEADER_BYTES \+ cell\.HEADER_BYTES\)", "zeros more, where zeros are"),
+    Reason("messages/segments.py", r"\n\+.*HEADER_BYTES \+ cell\.CELL_HEADER_BYTES\)", "zeros more, where zeros are"),
     Reason("messages/segments.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
     Reason(
         "messages/segments.py",

@@ -54,7 +54,7 @@ ROOMS = {
         # Not those that read the sources, measure memory, leave the work to programs that mutmut can't follow, or
         # scribble for minutes.
         (
-            "tests/arm/test_pairs.py",
+            "tests/aarch64/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_memory.py",
             "tests/procs/test_gate_halts.py",

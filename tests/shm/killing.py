@@ -33,15 +33,15 @@ DELAY_NS = 300_000
 
 def check_without_crc(raw: bytes, crc_seed: int) -> Entry | None:
     """cell.check as it is, but for the CRC."""
-    if len(raw) < cell.HEADER_BYTES:
+    if len(raw) < cell.CELL_HEADER_BYTES:
         return None
     length = int.from_bytes(raw[4:8], "little")
     seq = int.from_bytes(raw[8:16], "little")
     t_ns = int.from_bytes(raw[16:24], "little")
-    end = cell.HEADER_BYTES + length
+    end = cell.CELL_HEADER_BYTES + length
     if seq == 0 or end > len(raw):
         return None
-    return seq, t_ns, raw[cell.HEADER_BYTES : end]
+    return seq, t_ns, raw[cell.CELL_HEADER_BYTES : end]
 
 
 class Separate:
@@ -55,8 +55,8 @@ class Separate:
 
     def __setitem__(self, where: slice, data: bytes) -> None:
         at = where.start
-        self._view[at + 4 : at + cell.HEADER_BYTES] = data[4 : cell.HEADER_BYTES]
-        self._view[at + cell.HEADER_BYTES : where.stop] = data[cell.HEADER_BYTES :]
+        self._view[at + 4 : at + cell.CELL_HEADER_BYTES] = data[4 : cell.CELL_HEADER_BYTES]
+        self._view[at + cell.CELL_HEADER_BYTES : where.stop] = data[cell.CELL_HEADER_BYTES :]
         self._view[at : at + 4] = data[:4]
 
 

@@ -73,7 +73,7 @@ def test_no_record_is_declared_twice() -> None:
 
 def test_one_segment_for_each_process_and_client_slot() -> None:
     assert [spec.name for spec in SEGMENTS if spec.mode == layout.PUBLIC] == list(PROCESSES)
-    assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS] == [
+    assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS_WRITE] == [
         f"client.{i}" for i in range(CLIENT_SLOTS)
     ]
     for process in PROCESSES:
@@ -103,8 +103,8 @@ def test_every_process_has_a_whole_heartbeat() -> None:
 
 @pytest.mark.parametrize("capacity", [0, 1, 39, 40, 41, 104, 105, 2048])
 def test_a_cell_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
-    assert cell_bytes(capacity) >= cell.HEADER_BYTES + capacity
-    assert cell_bytes(capacity) - cell.HEADER_BYTES - capacity < LINE_BYTES
+    assert cell_bytes(capacity) >= cell.CELL_HEADER_BYTES + capacity
+    assert cell_bytes(capacity) - cell.CELL_HEADER_BYTES - capacity < LINE_BYTES
     assert cell_bytes(capacity) % LINE_BYTES == 0
 
 
@@ -131,7 +131,7 @@ def test_the_hash_is_reproducible() -> None:
         (r"PUBLIC = 0o644", "PUBLIC = 0o640"),
         (r'_word\("epoch"', '_word("epoch_"'),
         (r'_word\("beat_loops"[^\n]*', ""),
-        (r'_latest\("attended", 96', '_latest("attended", 97'),
+        (r'"attended": 96', '"attended": 97'),
         (r'_latest\("imu", records.IMU', '_latest("imu", records.ODOMETRY'),
         (r'_ring\("frames", records.FRAME, 64', '_ring("frames", records.FRAME, 63'),
         (r'_ring\("frames", records.FRAME', '_ring("frames", 268'),

@@ -16,7 +16,7 @@ from .segments import HEADER, HEADER_SEED, NAMES, RUN, attach_any, content, path
 
 
 def test_the_header_fits_its_place(name: str) -> None:
-    assert cell.HEADER_BYTES + HEADER.size <= HEADER_BYTES
+    assert cell.CELL_HEADER_BYTES + HEADER.size <= HEADER_BYTES
     segments.create(name, "gate", RUN).close()
     before = content(path_of(name, "gate"))
     write_header(name, "gate")

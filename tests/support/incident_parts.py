@@ -17,7 +17,7 @@ from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.main import GateBox
+from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
 
 CAUSE_NS = 5_000_000_000_000
@@ -79,18 +79,18 @@ class Recorder:
         self.gate.tick(at(ms), self.core, 7)
 
     def frame(self, ms: float, data: bytes, taken: int | None = None) -> None:
-        payload = box.pack_wire(box.FRAME, data, len(data) if taken is None else taken)
+        payload = box.pack_wire(box.WIRE_FRAME, data, len(data) if taken is None else taken)
         self.ring(layout.PORT_OWNER, "box").put(payload, at(ms))
 
     def burst(self, ms: float) -> None:
         size = len(BOARD.burst)
-        self.ring(layout.PORT_OWNER, "box").put(box.pack_wire(box.BURST, BOARD.burst, size), at(ms))
+        self.ring(layout.PORT_OWNER, "box").put(box.pack_wire(box.WIRE_BURST, BOARD.burst, size), at(ms))
 
     def imu(self, ms: float, spread: float) -> None:
         """One sample whose gyro is up or down by `spread` rad/s in turn."""
         ring = self.ring(layout.TELEMETRY, "box")
         rate = spread if len(ring.entries) % 2 else -spread
-        ring.put(box.pack_board(box.IMU, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
+        ring.put(box.pack_board(box.IMU_KIND, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
 
     def beats(self, ms: float, **ages_ms: float) -> None:
         ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESSES]

@@ -31,7 +31,7 @@ class Scene(Stage):
 
     def next_ns(self) -> int:
         """When it turns without any news."""
-        return min(self.clock() + main.TICK_NS, self.stopper.loop.due_ns())
+        return min(self.clock() + main.LONGEST_SLEEP_NS, self.stopper.loop.due_ns())
 
     def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
         """What it writes in the coming milliseconds, asked each millisecond."""

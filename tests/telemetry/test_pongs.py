@@ -120,7 +120,7 @@ def test_an_answer_in_pieces_arrives_with_its_last_piece(scene: Scene) -> None:
 
 def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
     scene.turn((framing.PWM_SERVO, b"\x01\x09\x05"), (framing.PWM_SERVO, b"\x05\x05\xdc\x05"))
-    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU, bytes(24)))
+    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU_FUNC, bytes(24)))
     assert told(scene) == (0, 0)
     assert not scene.rung("supervisor_bell")
 

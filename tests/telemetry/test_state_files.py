@@ -15,7 +15,7 @@ import pytest
 from failstop.files import root
 from failstop.files.root import state_directory
 from failstop.messages import layout
-from failstop.procs.telemetry.state_files import MOST_WAITING, StateFiles, append_line, write_whole
+from failstop.procs.telemetry.state_files import MOST_JOBS, StateFiles, append_line, write_whole
 from tests.support.stage import Stage
 from tests.support.telemetry_scene import FOLDER, S
 
@@ -230,7 +230,7 @@ def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
     assert stage.clock() == began_ns
     stage.machine.at_seam = None
     stage.clock.now_ns += S
-    assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_WAITING
+    assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_JOBS
 
 
 def test_closing_writes_what_waits_and_ends_the_thread(stage: Stage, files: Any) -> None:

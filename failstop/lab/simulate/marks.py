@@ -73,7 +73,7 @@ def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
 
 def _watch_admission(loader: Loader, marks: Marks) -> None:
     module = loader.load("failstop.procs.port_owner.admission")
-    names = {module.WRITE: "write", module.DROP: "drop", module.BURST: "burst", module.REQUEST: "request"}
+    names = {module.ADMIT: "write", module.DROP: "drop", module.STAND_STILL: "burst", module.STOP_ASKED: "request"}
     decide = module.Admission.decide
 
     def told(self: Any, *arguments: Any, **words: Any) -> Any:

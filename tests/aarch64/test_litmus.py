@@ -12,7 +12,7 @@ from tests.support.commands import script
 ROOT = Path(__file__).resolve().parents[2]
 BARRIER = ("STLR WZR,[X9]", "LDAR W10,[X9]")
 
-explore = script(ROOT / "model" / "arm" / "explore.py")
+explore = script(ROOT / "model" / "aarch64" / "explore.py")
 TESTS = explore.litmus_tests()
 NAMES = [path.stem for path in TESTS]
 BARRIERS = "barrier", "barrier-exclusives"
@@ -32,7 +32,7 @@ def columns(path: Path) -> list[list[str]]:
 
 def test_herd7_has_judged_these_very_tests() -> None:
     first = explore.CHECKED.read_text().split()[0]
-    assert first == explore.digest(), "a litmus test was changed: run model/arm/check, which needs herd7"
+    assert first == explore.digest(), "a litmus test was changed: run model/aarch64/check, which needs herd7"
     assert list(checked()) == NAMES
 
 

@@ -1,4 +1,4 @@
-"""The code does in the order of model/arm what its litmus tests do: here the processes themselves are watched."""
+"""The code does in the order of model/aarch64 what its litmus tests do: here the processes themselves are watched."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from failstop.board.servos import bus_servo_move
 from failstop.lab.machine.kernel import Machine
 from failstop.messages import layout, records
+from failstop.procs.gate.requests import Request
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.cell import cell_bytes
 from tests.support import gate_scene, port_scene, stopper_scene
@@ -123,7 +124,7 @@ def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.S
 def test_the_gate_stores_a_reset_s_time_before_its_number(gate: gate_scene.Scene) -> None:
     trace = Trace(gate)
     trace.watch(number="gate.resets_asked", asked="gate.reset_asked_ns")
-    gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
+    gate.gate.requests.ask_reset(Request(records.RESET, gate.clock()))
     assert trace.has("store asked", "barrier", "store number")
 
 
@@ -146,7 +147,7 @@ def test_the_supervisor_loads_a_reset_s_number_before_its_time(
 def test_the_gate_loads_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene) -> None:
     gate.stop("key1")
     gate.tick()
-    gate.gate.requests.ask_reset((None, 0, 0, gate.clock()))
+    gate.gate.requests.ask_reset(Request(records.RESET, gate.clock()))
     trace = Trace(gate)
     trace.watch(decided="supervisor.resets", latch="supervisor.latch", record="supervisor.reset")
     gate.decide()
