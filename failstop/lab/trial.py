@@ -115,9 +115,15 @@ class Service:
         return os.stat(self._log.name).st_size
 
     def pids(self) -> dict[str, int]:
-        """The pid of each process now."""
-        with Robot(self.name) as robot:
-            return {name: process.pid for name, process in robot.state.processes.items()}
+        """The pid of each process now. Raises TrialError, with the service's words, when it has ended."""
+        try:
+            with Robot(self.name) as robot:
+                return {name: process.pid for name, process in robot.state.processes.items()}
+        except FailstopError:
+            if self.process is None or self.process.poll() is None:
+                raise
+            code, said = self.process.returncode, self.said()[-MOST_SAID:].strip()
+            raise TrialError(f"the service ended with {code}; it said: {said}") from None
 
     def kill(self) -> None:
         """SIGKILL the supervisor and collect it; the rest ends by itself."""
