@@ -27,7 +27,7 @@ test: $(VENV)/.dev lint
 campaigns: $(VENV)/.dev
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
 	  tests/procs/test_gate_arm.py tests/faults/test_arm_rows.py \
-	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py
+	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py tests/boards
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
@@ -79,15 +79,7 @@ vm-arm64: $(VENV)/.dev
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.dev
-	$(BIN)/failstop config --example > examples/failstop.toml
-	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
-	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
-	$(BIN)/python packaging/reference.py > docs/python-reference.md
-	$(BIN)/python packaging/deb/commands.py > docs/commands.md
-	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
-	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
-	$(BIN)/python -m failstop.ros2.page docs/ros2.md
-	$(BIN)/python -m failstop.fleet.page docs/fleet.md
+	$(BIN)/python -m failstop.lab.pages
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 site: $(VENV)/.dev

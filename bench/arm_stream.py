@@ -12,10 +12,10 @@ from bench.carriers import Carriers
 from bench.stats import Row
 from failstop.api.client import attach
 from failstop.board.framing import BUS_SERVO
-from failstop.board.servos import MOVE
+from failstop.board.servos import SERVO_MOVE
 from failstop.lab.faults.arm import ArmTrial
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-from failstop.shm import box, layout, records
+from failstop.messages import box, layout, records
+from failstop.policy.joints import PULSES_PER_RAD
 
 PERIOD_NS = 40_000_000
 LOOK_EVERY_S = 0.1
@@ -80,7 +80,7 @@ def _hop(before: Sequence[Timed], after: Sequence[Timed]) -> tuple[int, list[int
 
 
 def _is_move(frame: bytes) -> bool:
-    return len(frame) > 5 and frame[2] == BUS_SERVO and frame[4] == MOVE
+    return len(frame) > 5 and frame[2] == BUS_SERVO and frame[4] == SERVO_MOVE
 
 
 def watch(trial: ArmTrial, seconds: float, carriers: Carriers) -> Hops:
@@ -100,7 +100,7 @@ def watch(trial: ArmTrial, seconds: float, carriers: Carriers) -> Hops:
             _, _, taken, frame = box.WIRE.unpack(entry[2])
             if taken and _is_move(frame):
                 hops.written.append((entry[1], frame[4:-1]))
-    events = [event for event in trial.board.events(mark) if event.func == BUS_SERVO and event.data[0] == MOVE]
+    events = [event for event in trial.board.events(mark) if event.func == BUS_SERVO and event.data[0] == SERVO_MOVE]
     hops.arrived += [(event.arrival_ns, event.data) for event in events]
     return hops
 

@@ -21,7 +21,7 @@ from typing import Any
 
 from bench import BenchError, ratio, visit
 from bench.report import progress
-from failstop.machine import facts
+from failstop.doctor.machine import facts
 
 ROOT = Path(__file__).parents[1]
 INSTRUMENT = (

@@ -12,7 +12,7 @@ from bench import floor, stats
 from bench.carriers import Carriers
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Stopped, Trial
-from failstop.shm import layout
+from failstop.messages import layout
 
 WIRE_MS = 0.59
 

@@ -18,11 +18,11 @@ from typing import Any, Protocol
 
 import posix_ipc
 
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME
 from failstop.procs.loop import READ, Loop
 from failstop.procs.port_owner.main import TICK_NS
-from failstop.shm import segment
 from failstop.shm.bell import EventBell
-from failstop.shm.layout import BY_NAME
 
 PAYLOAD_BYTES = 64
 RING_CELLS = BY_NAME["gate"].records["frames"].cells
@@ -52,14 +52,14 @@ class RingAndBell:
 
     def __init__(self, directory: str) -> None:
         self._instance = f"oneway-{os.getpid()}"
-        self._created = segment.create(self._instance, "gate", 1)
+        self._created = segments.create(self._instance, "gate", 1)
         self._bell = EventBell.create()
         # The port owner waits for more than its bell: its other descriptors are in the set, and silent.
         self._silent = EventBell.create()
 
     def sender(self) -> Send:
         """As the gate does: put, then ring."""
-        writer = segment.attach(self._instance, "gate", 1, write=True).ring_writer("frames")
+        writer = segments.attach(self._instance, "gate", 1, write=True).ring_writer("frames")
         ring = self._bell.ring
 
         def send(payload: bytes) -> None:
@@ -70,7 +70,7 @@ class RingAndBell:
 
     def receiver(self) -> Receive:
         """As the port owner does: wait for the set until the next tick, clear the bell, drain the ring."""
-        reader = segment.attach(self._instance, "gate", 1).ring_reader("frames")
+        reader = segments.attach(self._instance, "gate", 1).ring_reader("frames")
         bell = self._bell
         loop = Loop()
         loop.watch(bell.fd, READ)
@@ -88,7 +88,7 @@ class RingAndBell:
     def close(self) -> None:
         """Unlink the segment."""
         self._created.close()
-        segment.unlink(self._instance, "gate")
+        segments.unlink(self._instance, "gate")
         os.close(self._bell.fd)
         os.close(self._silent.fd)
 
@@ -98,7 +98,7 @@ class RingAndBellAlone(RingAndBell):
 
     def receiver(self) -> Receive:
         """Block in the bell's read, then take the entry."""
-        reader = segment.attach(self._instance, "gate", 1).ring_reader("frames")
+        reader = segments.attach(self._instance, "gate", 1).ring_reader("frames")
         fd = self._bell.fd
         os.set_blocking(fd, True)
 

@@ -23,7 +23,7 @@ from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Stopped, Trial, judge
-from failstop.shm import layout
+from failstop.messages import layout
 
 PEERS: tuple[type[Peer], ...] = (ExitHandler, Supervisord, BusySupervisord, Systemd)
 OURS = (layout.GATE, layout.PORT_OWNER)

@@ -12,8 +12,8 @@ from typing import Any
 from bench import BenchError
 from bench.stats import Row
 from failstop.api.errors import FailstopError
+from failstop.doctor.machine import facts
 from failstop.lab.sim.client import SimBoardError
-from failstop.machine import facts
 
 VERDICT = {True: "met", False: "MISSED", None: ""}
 

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from failstop.api.snapshot import Stop
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
 NAME = "failstop"

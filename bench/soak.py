@@ -22,10 +22,10 @@ from failstop.api.client import attach
 from failstop.api.errors import FailstopError
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Trial, wait_for
+from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
-from failstop.shm import layout, records
 from failstop.shm.cell import LatestReader
 
 LATE_MS = 10.0

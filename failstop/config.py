@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import sys
 
+from failstop.files import durable, root
 from failstop.policy.setting import SettingError, shortened, shown
 from failstop.policy.settings import Settings
-from failstop.shm import durable, root
 
 MOST_BYTES = 65536
 """Nine times a file that sets everything and explains it."""

@@ -7,7 +7,8 @@ import errno
 import os
 import time
 
-from failstop.shm import bell, claim, instance, place
+from failstop.files import instance, place
+from failstop.shm import bell, claim
 
 LETTING_GO_S = 0.5
 """How long a lock whose owner has died is waited for."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
+from failstop.messages import layout, segments
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
 from failstop.procs.loop import Loop
-from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, STOPPING, Heartbeat
@@ -32,7 +32,7 @@ class Context:
         self.process = process
         self.instance = words.pop("name")
         self.incarnation = int(words.pop("run"), 16)
-        self.memory = segment.memory(self.instance, self.incarnation)
+        self.memory = segments.memory(self.instance, self.incarnation)
         self.runtime_dir = words.pop("dir")
         self.parent = int(words.pop("parent"))
         block = int(words.pop("block"))
@@ -46,8 +46,8 @@ class Context:
             rights.die_with_parent(self.parent)
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
-        self.own = segment.attach(self.memory, process, self.incarnation, write=True)
-        lifelines = segment.attach(self.memory, "lifelines", self.incarnation, write=True)
+        self.own = segments.attach(self.memory, process, self.incarnation, write=True)
+        lifelines = segments.attach(self.memory, "lifelines", self.incarnation, write=True)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
         self.early = EarlyNews(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
@@ -73,7 +73,7 @@ class Context:
 
     def segment(self, name: str) -> Segment:
         """Another process's segment, read-only."""
-        return segment.attach(self.memory, name, self.incarnation)
+        return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
         """Every client's segment, as the service reads it; one that is gone is out of use."""
@@ -81,7 +81,7 @@ class Context:
 
     def _client_slot(self, index: int) -> Segment:
         try:
-            return segment.read_client_slot(self.memory, index, self.incarnation)
-        except segment.AttachError:
+            return segments.read_client_slot(self.memory, index, self.incarnation)
+        except segments.AttachError:
             # Its name was taken away, which the supervisor tells of: no reason to be without a gate.
-            return segment.no_client_slot(index, self.incarnation)
+            return segments.no_client_slot(index, self.incarnation)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import _socket
 import struct
 
-from failstop.shm.records import PATH_BYTES, cut
+from failstop.messages.records import PATH_BYTES, cut
 
 _FD = struct.Struct("i")
 _NUMBER = struct.Struct("<Q")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 
 from failstop.board.stop_port import StopPort
+from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.procs.context import Context
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ, Loop
-from failstop.shm import layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 

@@ -19,6 +19,7 @@ from time import clock_gettime_ns
 
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.thread_state import state_of
 
 LONGEST_NS = 5_000_000_000
 """A process silent for longer than this beyond its deadline is replaced, whatever the machine does."""
@@ -44,10 +45,3 @@ def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) ->
     except (OSError, IndexError):
         return False
     return starved(state, ran_ns, deadline_ns)
-
-
-def state_of(pid: int) -> str:
-    """The letter of the main thread's state, which is the one that beats. Raises OSError."""
-    with open(f"/proc/{pid}/task/{pid}/stat", "rb", buffering=0) as file:
-        # The name in parentheses may hold anything.
-        return file.read(512).rpartition(b") ")[2][:1].decode("ascii", "replace")

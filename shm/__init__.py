@@ -1,1 +1,1 @@
-"""Shared memory between the processes: the layout, segments and their records, bells, claims, lifelines."""
+"""Shared memory: words, cells, segments, bells, claims, futexes, lifelines, heartbeats. It knows no robot."""

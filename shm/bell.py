@@ -10,7 +10,7 @@ import contextlib
 import errno
 import os
 
-from failstop.shm import place
+from failstop.files import place
 
 _ONE = (1).to_bytes(8, "little")
 

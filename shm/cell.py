@@ -24,7 +24,7 @@ from zlib import crc32
 
 from failstop.shm.words import LINE_BYTES, Barrier
 
-HEADER_BYTES = 24
+CELL_HEADER_BYTES = 24
 _HEAD = struct.Struct("<IIQQ")
 _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
@@ -81,18 +81,18 @@ def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> 
 
 def check(raw: bytes, crc_seed: int) -> Entry | None:
     """Return (seq, t_mono_ns, payload) of a cell's private copy, or None when it is not whole."""
-    if len(raw) < HEADER_BYTES:
+    if len(raw) < CELL_HEADER_BYTES:
         return None
     crc, length, seq, t_ns = _HEAD.unpack_from(raw)
-    end = HEADER_BYTES + length
+    end = CELL_HEADER_BYTES + length
     if seq == 0 or end > len(raw) or crc32(raw[4:end], crc_seed) != crc:
         return None
-    return seq, t_ns, raw[HEADER_BYTES:end]
+    return seq, t_ns, raw[CELL_HEADER_BYTES:end]
 
 
 def cell_bytes(capacity: int) -> int:
     """Bytes one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
-    return -(-(HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
+    return -(-(CELL_HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
 
 
 class _Cells:

@@ -11,7 +11,7 @@ import fcntl
 import os
 import struct
 
-from failstop.shm import place
+from failstop.files import place
 
 _FLOCK = struct.Struct("hhqqi4x")  # l_type, l_whence, l_start, l_len, l_pid on every 64-bit Linux
 

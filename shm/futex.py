@@ -28,12 +28,12 @@ BLOCKS = 256
 
 _OWNER_DIED = 1 << 30
 _WAITERS = 1 << 31  # without it the kernel marks the word, and wakes nobody
-_NUMBER = _OWNER_DIED - 1
+_OWNER = _OWNER_DIED - 1
 _WAIT, _WAKE = 0, 1
 _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.uname().machine, (-1, -1))
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
-_HEAD = struct.Struct("<QqQ")  # struct robust_list_head: the first entry, from an entry to its word, one in the making
+_LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: the first entry, from an entry to its word, one in the making
 _POINTER = struct.Struct("<Q")
 
 TYPE_CHECKING = False
@@ -82,11 +82,11 @@ class Futex:
     def hold(self, lines: int = 1) -> object:
         """Let the death of the calling thread be told here, on so many lines. Returns what has to be kept as long as
         the thread lives, or until let_go(); None where the kernel can't. Raises OSError."""
-        kept = ctypes.create_string_buffer(_HEAD.size + lines * LINE_BYTES)
+        kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
-        entries = [head + _HEAD.size + line * LINE_BYTES for line in range(lines)]
+        entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
         following = [_POINTER.pack(entry).ljust(LINE_BYTES, b"\0") for entry in (*entries[1:], head)]
-        kept.raw = _HEAD.pack(entries[0], self._address - entries[0], 0) + b"".join(following)
+        kept.raw = _LIST_HEAD.pack(entries[0], self._address - entries[0], 0) + b"".join(following)
         if _set_robust_list(kept):
             return None
         word = (_thread.get_native_id() | _WAITERS).to_bytes(4, "little")
@@ -100,7 +100,7 @@ class Futex:
 
     def held(self) -> bool:
         """True while a thread holds it that has not died."""
-        return bool(self._value() & _NUMBER)
+        return bool(self._value() & _OWNER)
 
     def told(self) -> bool:
         """True once the kernel has told of the death of who held it."""
@@ -111,7 +111,7 @@ class Futex:
         `wanted` any more (wake() makes it look). Lets other threads run meanwhile."""
         value = held = self._value()
         while wanted():
-            if value != held or not held & _NUMBER:
+            if value != held or not held & _OWNER:
                 return bool(value & _OWNER_DIED)
             failed = _libc.syscall(_FUTEX, ctypes.c_void_p(self._address), _WAIT, ctypes.c_uint(held), None)
             if failed and ctypes.get_errno() not in (errno.EAGAIN, errno.EINTR):
@@ -133,13 +133,13 @@ class Futex:
 
 
 def _set_robust_list(kept: ctypes.Array[ctypes.c_char]) -> int:
-    failed: int = _libc.syscall(_SET_ROBUST_LIST, kept, _HEAD.size)
+    failed: int = _libc.syscall(_SET_ROBUST_LIST, kept, _LIST_HEAD.size)
     return failed
 
 
-_NOTHING = ctypes.create_string_buffer(_HEAD.size)
+_NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
 """The empty list: its first entry is itself."""
-_NOTHING.raw = _HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
+_NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
 def let_go() -> None:

@@ -13,7 +13,8 @@ from time import monotonic_ns
 
 import msgpack
 
-from failstop.shm import box, layout, records
+from failstop.messages import box, layout, records
+from failstop.messages.packing import NEXT
 from failstop.shm.lifeline import Lifeline
 from failstop.supervisor.starter import environment, reap, script_command, spawn
 
@@ -27,13 +28,13 @@ START_NS = 150_000_000
 """From a stop to the saver's start. Starting it holds the supervisor until the new process has a core, and that must
 not come to the gate's lease: so before people have enabled motion again, when the repeats at 20 and 100 ms are out."""
 COPY_NS = 2_200_000_000
-"""From a stop to the copy: what can be known of a stop is known after 2.0 s (stops.py)."""
+"""From a stop to the copy: what can be known of a stop is known after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
 """A dead run's saver waits for the service to be ready, at most so long."""
 MOST_SAVERS = 4
 """Stops that are being saved, or wait for it, at one time."""
 FINISH_S = 1.0
-NEXT = "next: look at the disk and at the state directory"
+STEP = "look at the disk and at the state directory"
 
 
 class BlackBox:
@@ -121,7 +122,7 @@ class BlackBox:
             self._savers[pid] = ends.pop(0)
         except OSError as error:
             pid = 0
-            self._not_saved(f"cannot start the saver: {error}; {NEXT}")
+            self._not_saved(f"cannot start the saver: {error}")
         for end in ends:
             end.close()
         return pid
@@ -149,13 +150,14 @@ class BlackBox:
         identity = "" if code else told.get("id")
         if identity:
             show = self._events.command(f"incident show {identity}")
-            self._events.tell("incident", f"incident {identity} saved; next: {show}", told)
+            self._events.tell("incident", f"incident {identity} saved", told, step=show)
         else:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
-            self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}; {NEXT}")
+            self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}")
 
     def _not_saved(self, why: str) -> None:
-        self._events.tell("incident", f"incident not saved: {why}", {"reason": why}, level="warning")
+        reason = {"reason": f"{why}{NEXT}{STEP}"}
+        self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=STEP)
 
     def finish(self) -> None:
         """The end of the service, its stops written: what is being saved is saved now."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import signal
 
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, Timer
 from failstop.shm.heartbeat import HeartbeatReader
@@ -25,22 +27,26 @@ RUNNING = "running"
 HUNG = "hanging"  # silent past its deadline, which the machine explains: not killed for that
 FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
-ALIVE = (STARTING, RUNNING, HUNG, FENCED)
 
-# Events of a process. SPARED: it is silent, which the machine explains; BEATS: again, after that.
-STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = EVENTS = range(9)
+EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
+"""The events of a process, in the words that people read. Spared: it is silent, which the machine explains."""
+STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = range(len(EVENTS))
 
-NEXT = {
-    WAITING: {STARTED: STARTING, GIVEN_UP: DOWN},
-    DOWN: {STARTED: STARTING, RECALLED: WAITING},  # a gate is started after a while all the same
-    STARTING: {RUNS: RUNNING, SPARED: STARTING, BEATS: STARTING, KILLED: FENCED, DIED: DEAD},
-    RUNNING: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},  # it may have been spared as it started
-    HUNG: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
-    FENCED: {BEATS: FENCED, DIED: DEAD},  # just before its end
-    DEAD: {BEATS: DEAD, REAPED: WAITING},
-}
-"""The next state, by state and event. An event that is not here cannot happen, and would leave the state as it is: the
-supervisor must not die of it."""
+NO = None
+NEXT: dict[str, tuple[str | None, ...]] = {
+    #          STARTED   RUNS     SPARED    BEATS     KILLED  DIED  REAPED   GIVEN_UP  RECALLED
+    WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,   NO,      DOWN,     NO),
+    DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,   NO,      NO,       WAITING),
+    STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD, NO,      NO,       NO),
+    RUNNING:  (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD, NO,      NO,       NO),
+    HUNG:     (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD, NO,      NO,       NO),
+    FENCED:   (NO,       NO,      NO,       FENCED,   NO,     DEAD, NO,      NO,       NO),
+    DEAD:     (NO,       NO,      NO,       DEAD,     NO,     NO,   WAITING, NO,       NO),
+}  # fmt: skip
+"""The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
+the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
+that it runs, and just before its end, of which the news may come sooner than the beat."""
+ALIVE = tuple(state for state, row in NEXT.items() if row[DIED])
 
 
 class Fence:
@@ -113,12 +119,19 @@ class Child:
         """Silence before this is not its own."""
         self._spared_ns = 0
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
+        self.defects: list[Cause] = []
+        """Events that cannot happen and did, since they were last stopped for."""
         self.times_restarted = 0
         self.last_exit = ""
+        self.killed = False
+        """Its predecessor was killed by a signal."""
 
     def on(self, event: int) -> None:
         """One of EVENTS has happened to it."""
-        self.state = NEXT[self.state].get(event, self.state)
+        after = NEXT[self.state][event]
+        if after is None:
+            self.defects.append(causes.DEFECT(self.row.name, EVENTS[event], self.state))
+        self.state = after or self.state
 
     def started(self, life: Lifeline, block: int, now_ns: int) -> None:
         """It was just started; `life`: the news of its death."""
@@ -174,7 +187,7 @@ class Child:
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
-        if self.state not in (STARTING, RUNNING, HUNG):
+        if NEXT[self.state][KILLED] is None:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
@@ -193,7 +206,8 @@ class Child:
         debugger holds it."""
         if (code := starter.reap(self.pid)) is None:
             return ""
-        self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
+        self.killed = code < 0
+        self.last_exit = f"killed by {_SIGNALS.get(-code, -code)}" if self.killed else f"exited with code {code}"
         if self.life:
             self.life.close()
             self.life = None

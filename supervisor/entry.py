@@ -7,13 +7,13 @@ import contextlib
 import os
 import signal
 
+from failstop.files.instance import InstanceError
+from failstop.messages.segments import AttachError
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
-from failstop.shm.instance import InstanceError
-from failstop.shm.segment import AttachError
 from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
 from failstop.supervisor.main import Supervisor
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify
 

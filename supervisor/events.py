@@ -12,15 +12,15 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from time import monotonic_ns, time
 
+from failstop.files import instance
+from failstop.messages import layout
+from failstop.messages.packing import NEXT, fitting
 from failstop.policy import causes
-from failstop.shm import instance, layout
 from failstop.shm.cell import RingWriter
-from failstop.shm.packing import fitting
-from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
 Value = str | int | float
-Told = tuple[int, float, str, str, str, dict[str, Value]]
+Told = tuple[int, float, str, str, str, str, dict[str, Value]]
 Sort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
@@ -38,6 +38,45 @@ OWN_BYTES = 65536
 """Bytes told in a minute of each kind and level: a dozen stops a second for half of it."""
 ASKED_BYTES = 8192
 """Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
+LEAST_COLUMNS = 40
+"""Below this a hanging indent leaves too little."""
+PREFIX = "failstop: "
+"""The begin of the service's lines and of the commands' errors."""
+JOINED = "\0"
+"""In the place of a space that is no place to break at."""
+
+
+def fold(text: str, width: int, indent: int) -> str:
+    """The text with line breaks, no line longer than `width` columns, those after the first indented. A command in
+    backquotes stays whole where it fits; a single word that is longer than a line is left to the terminal."""
+    if len(text) <= width or width < LEAST_COLUMNS:
+        return text
+    rows, row = [], ""
+    for word in _words(text, width - indent):
+        if row and len(row) + 1 + len(word) > width:
+            rows.append(row)
+            row = " " * indent + word
+        else:
+            row = f"{row} {word}" if row else word
+    return "\n".join([*rows, row])
+
+
+def _words(text: str, room: int) -> list[str]:
+    """The pieces that may not be broken: words, and commands in backquotes with what is written against them."""
+    parts = text.split("`")
+    parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
+    found: list[str] = []
+    for word in "`".join(parts).split(" "):
+        found += [word.replace(JOINED, " ")] if len(word) <= room else word.split(JOINED)
+    return found
+
+
+def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
+    """The text as it is to be written to this descriptor, a terminal or not."""
+    try:
+        return fold(text, os.get_terminal_size(fd).columns, indent)
+    except (OSError, ValueError):
+        return text
 
 
 def say(text: str) -> None:
@@ -92,14 +131,16 @@ class Events:
         self._left_out: Counter[Sort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 
-    def tell(self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "") -> None:
-        """An event of a kind of kinds.py (any other becomes a note), at its kind's level or another; a field that is
-        None is left out."""
+    def tell(
+        self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""
+    ) -> None:
+        """Tell an event of a kind of kinds.py (any other becomes a note), at its kind's level or another. `step`: what
+        to do next. A field that is None is left out."""
         known = BY_NAME.get(kind) or BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
         if len(self._waiting) < MOST_WAITING:
-            self._waiting.append((now_ns, time(), known.name, level, text, given))
+            self._waiting.append((now_ns, time(), known.name, level, text, step, given))
         else:
             self._left_out[known.name, level, _asked(known.name, given)] += 1
 
@@ -123,8 +164,11 @@ class Events:
         for told in waiting:
             self._send(*told)
 
-    def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
+    def _send(
+        self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
+    ) -> None:
         """To everybody, unless there was too much of its sort."""
+        text = f"{what}{NEXT}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
@@ -132,7 +176,7 @@ class Events:
             self._left_out[sort] += 1
             return
         if self._ring:
-            self._ring.put(pack(t_ns, unix_s, kind, level, text, fields), t_ns)
+            self._ring.put(pack(t_ns, unix_s, kind, level, text, fields, len(what) if step else 0), t_ns)
         if not self._journal or not self._journal.send(datagram):
             say(text)
 
@@ -157,9 +201,9 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
-def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
-    """One event for the ring, as a msgpack map."""
-    told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level}
+def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0) -> bytes:
+    """One event for the ring, as a msgpack map. `what`: the characters of the text before its step; 0: it has none."""
+    told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(ROOM, CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
 

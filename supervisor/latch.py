@@ -6,10 +6,10 @@ new epoch, with its bell or without, finds the cause of it and a service that is
 
 from __future__ import annotations
 
+from failstop.messages import layout, records
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.reply import Reply, asked_before
-from failstop.shm import layout, records
-from failstop.shm.records import CAUSE
 from failstop.shm.words import Barrier
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
@@ -61,6 +61,8 @@ class Epochs:
         own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
+        self.owed_ns = 0
+        """Since when a stop is neither answered nor written by the supervisor; 0: there is none such."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
@@ -82,6 +84,7 @@ class Epochs:
         self._epoch_word.set(self.number)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
+        self.owed_ns = self.owed_ns or now_ns
 
     def answered(self) -> bool:
         """True when the port owner has answered this epoch with a stop."""

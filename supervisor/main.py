@@ -12,24 +12,24 @@ from time import monotonic_ns, sleep
 
 import msgpack
 
+from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
+from failstop.policy.proofs import UNASKED, UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import NEVER, READ
-from failstop.shm import bell, heartbeat, layout, records
+from failstop.procs.loop import READ
+from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
-from failstop.supervisor import grant
-from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence
 from failstop.supervisor.latch import Epochs
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.port_handover import PortHandover
+from failstop.supervisor.monitor import Monitor
+from failstop.supervisor.port_handover import OwnPort, PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
-from failstop.supervisor.status import Notify, Status
-from failstop.supervisor.stops import UNASKED, UNPROVEN, Stop, explained
+from failstop.supervisor.status import LEASE, Notify, Status, advice, lacking
+from failstop.supervisor.stops import Stop, explained
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -68,11 +68,11 @@ class Supervisor:
         self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, monotonic_ns())
-        self._advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
+        self._advice = advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
         self.epochs = Epochs(run)
-        self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
+        self.monitor = Monitor(run, self.epochs.latch, port.holds)
         self.blackbox = BlackBox(run)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
@@ -89,16 +89,10 @@ class Supervisor:
     def _begin(self) -> None:
         """Nothing has happened yet."""
         self._unanswered: Stop | None = None
-        self._answer_by = self.loop.timer()
-        self._overdue = self.loop.timer()
-        """When the first of the processes counts as hanging unless it beats before."""
-        self._stop_ns = 0
-        """When the last stop that was answered was written; 0: it could not be."""
-        self._owed_ns = 0
-        """Since when a stop is neither answered nor written; 0: there is none such."""
+        self._due = self.loop.timer()
+        """When the port owner has had its time to answer, or the first of the processes counts as hanging unless it
+        beats before."""
         self._turned_ns = self._watched_ns = monotonic_ns()
-        self._suspended_ns = 0
-        """How long a signal has suspended it since its last turn; 0: none has."""
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
@@ -123,7 +117,7 @@ class Supervisor:
         now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
-        self._follow_aftermath(now_ns)
+        self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
         self.processes.reap(ready, now_ns)
         self.processes.arm()
         self._follow_port(ready, now_ns)
@@ -134,11 +128,14 @@ class Supervisor:
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
         self.processes.restart_due(now_ns)
+        self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, it.defects.pop()) for it in self.children if it.defects])
         self.processes.pass_notes()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.status.ever)
         self.heartbeat.beat(now_ns, self.epoch)
         self._events.flush(now_ns, hold=self._unanswered is not None)
+        late_ns = [self._unanswered.answer_by_ns] if self._unanswered else []
+        self._due.set(min([*late_ns, *(child.overdue_ns() for child in self.children)]))
 
     def rest(self) -> dict[int, int]:
         """Sleep until something has happened, or it is time to look whether something has; returns what is ready."""
@@ -155,17 +152,14 @@ class Supervisor:
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
         gap_ns = now_ns - self._turned_ns
-        self._suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and _continued() else 0
+        suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and _continued() else 0
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0
         for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        self._raise_epoch(self._collect(dead, now_ns, written_ns) + self._held_up(now_ns))
-
-    def _follow_aftermath(self, now_ns: int) -> None:
-        self._raise_epoch(self.aftermath.follow(now_ns, listening=self._listening(now_ns)))
+        self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
@@ -175,7 +169,7 @@ class Supervisor:
 
     def _wrote(self, written_ns: int) -> int:
         """A burst went out on its own descriptor then, which is returned."""
-        self._owed_ns = 0
+        self.epochs.owed_ns = 0
         self._written_word.set(written_ns)
         self.blackbox.wrote(written_ns)
         return written_ns
@@ -183,11 +177,11 @@ class Supervisor:
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
         """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
         if self.handover.lost(ready, now_ns):
-            self.aftermath.link.opened()
+            self.monitor.link.opened()
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
             self._tried_ns = opened_ns
-            self.aftermath.opened(self._wrote(opened_ns) if opened_ns else self._burst())
+            self.monitor.opened(self._wrote(opened_ns) if opened_ns else self._burst())
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
@@ -196,9 +190,9 @@ class Supervisor:
         if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
             self._burst()
 
-    def _held_up(self, now_ns: int) -> list[Stop]:
+    def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
-        that it did not hear."""
+        that it did not hear. `suspended_ns`: how long a signal has suspended it since its last turn; 0: none has."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -206,10 +200,10 @@ class Supervisor:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
-        cause = explained(causes.HELD_UP(gap_ns // MS), self._suspended_ns)
+        cause = explained(causes.HELD_UP(gap_ns // MS), suspended_ns)
         if self._motion():
             return [Stop(now_ns, layout.SUPERVISOR, cause)]
-        if self._suspended_ns:
+        if suspended_ns:
             self._events.tell("suspended", str(cause), {"silent_ms": gap_ns // MS})
         else:
             self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
@@ -231,14 +225,14 @@ class Supervisor:
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._motion()
 
-    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
+    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
-                stops.append(Stop(cause_ns, process, explained(causes.read(cause), self._suspended_ns), written_ns))
+                stops.append(Stop(cause_ns, process, explained(causes.read(cause), suspended_ns), written_ns))
         for child in dead:
             child.on(DIED)
             death = causes.DIED(child.row.name)
@@ -251,18 +245,17 @@ class Supervisor:
         if not stops:
             return
         self.epochs.raise_for(stops, monotonic_ns())
-        self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
-            self._answer_by.set(monotonic_ns() + ANSWER_NS)
+            self._unanswered.answer_by_ns = monotonic_ns() + ANSWER_NS
         latch = self.epochs.latch
         if latch.stop and latch.since == self.epoch:
-            self.aftermath.latched(latch.stop)
+            self.monitor.latched(latch.stop)
             if not self.ending:
                 self.blackbox.latched(latch.stop, self.epoch)
         for stop in stops:
             if stop is not self._unanswered:
-                self.aftermath.also(stop)
+                self.monitor.also(stop)
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""
@@ -278,17 +271,15 @@ class Supervisor:
         port_owner = self.processes[layout.PORT_OWNER]
         found = stop.who_wrote(
             answered=self.epochs.answered(),
-            may_answer=port_owner.state in ALIVE and not self._answer_by.due(now_ns),
+            may_answer=port_owner.state in ALIVE and now_ns < stop.answer_by_ns,
             port_owner_ns=self._port_owner_written.get(),
         )
         if found is None:
             return
-        self._answer_by.set(NEVER)
         by, written_ns = found
         self._unanswered = None
-        self._stop_ns = written_ns or self._burst()
-        stop.answered_by(by, self._stop_ns, self.epochs.latch.stop or stop, self.epoch)
-        self.aftermath.answered(stop, ending=self.ending)
+        stop.answered_by(by, written_ns or self._burst(), self.epochs.latch.stop or stop, self.epoch)
+        self.monitor.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
         """True while motion is enabled in this epoch, or the wheels were last told to turn. Read after whatever it is
@@ -308,7 +299,6 @@ class Supervisor:
                 silent_ns = now_ns - child.heard_ns()
                 if now_ns >= child.overdue_ns():  # else it has just beaten
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
-        self._overdue.set(min(child.overdue_ns() for child in self.children))
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
         """A stop is right whatever the reason, a kill is not: what the machine did not run is run again, and a process
@@ -344,22 +334,24 @@ class Supervisor:
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
-            for what, text in grant.lacking(self._granted, self._advice, self._run.settings[grant.LEASE]):
+            for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):
                 self._events.tell("rights", text, {"what": what})
         self.status.tell_people(missing, now_ns)
         if self.epochs.answered():
-            self._owed_ns = 0
-        self.status.tell_manager(now_ns, missing, self._owed_ns if self._port.fd >= 0 else 0)
+            self.epochs.owed_ns = 0
+        self.status.tell_manager(now_ns, missing, self.epochs.owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
-        self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
+        stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
+        self._raise_epoch([stop])
         while self._unanswered:
+            stop = self._unanswered
             self.loop.wait(HURRY_NS)
             self._follow_answer(monotonic_ns())
-        heard_ns = self._hear()
-        link = self.aftermath.link.state
+        heard_ns = self._hear(stop.written_ns)
+        link = self.monitor.link.state
         self.status.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.STOPPING, monotonic_ns())
         for child in reversed(self.children):
@@ -367,20 +359,21 @@ class Supervisor:
         self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
-        self.aftermath.ended(heard_ns, link, written=written, sent=sent)
+        self.monitor.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
         return sent and (heard_ns > 0 or link in (UNPROVEN, UNASKED))
 
-    def _hear(self) -> int:
-        """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
-        ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that ask and listen must live for it."""
-        until_ns = monotonic_ns() + (0 if self.aftermath.link.state == UNASKED else HEAR_NS)
-        while self._stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
-            self.aftermath.follow(now_ns, listening=True)
-            sent_ns, arrival_ns = self.aftermath.heard
-            if sent_ns >= self._stop_ns:
-                return arrival_ns - self._stop_ns
+    def _hear(self, stop_ns: int) -> int:
+        """Wait until the board has answered a ping from after the stop that was written then (0: it could not be), and
+        return how long after it that was in ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that
+        ask and listen must live for it."""
+        until_ns = monotonic_ns() + (0 if self.monitor.link.state == UNASKED else HEAR_NS)
+        while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
+            self.monitor.follow(now_ns, listening=True)
+            sent_ns, arrival_ns = self.monitor.heard
+            if sent_ns >= stop_ns:
+                return arrival_ns - stop_ns
             self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
             sleep(HURRY_NS / 1e9)

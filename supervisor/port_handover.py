@@ -1,7 +1,8 @@
-"""PortHandover: the port's descriptors of supervisor, port owner and stopper, which are one port or none.
+"""The port in the supervisor: its own descriptor, for the first stop of a run and for the stop when the port owner
+can't; the thread that opens a lost port again; and the handover to port owner and stopper.
 
-The supervisor alone opens a port and numbers it; the others inherit it, or are sent it. All let it go at once when it
-has gone.
+The descriptors of the three are one port or none. The supervisor alone opens a port and numbers it; the others inherit
+it, or are sent it. All let it go at once when it has gone.
 """
 
 from __future__ import annotations
@@ -9,22 +10,86 @@ from __future__ import annotations
 import _thread
 import os
 import signal
-from time import monotonic_ns, sleep
+import stat
+from collections.abc import Callable
+from time import monotonic, monotonic_ns, sleep
 
+from failstop.board import port
 from failstop.board.finder import Finder
 from failstop.board.stop_port import StopPort
+from failstop.messages import layout, records
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
-from failstop.shm import layout, records
-from failstop.shm.bell import EventBell
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.process_table import ProcessTable
-from failstop.supervisor.run import Run
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # `failstop run` has OwnPort of here before its first stop, and needs no more
+    from failstop.shm.bell import EventBell
+    from failstop.supervisor.process_table import ProcessTable
+    from failstop.supervisor.run import Run
 
 LOOK_NS = 5_000_000
 """How often a lost port is looked for."""
 SHARE_NS = 100_000_000
 """How often a process is sent the port until it has it."""
+BUSY_S = 1.0
+"""How long a port that a dead run's processes are just letting go of is waited for."""
+UDEV_S = 2.0
+"""How long udev may take, at boot, to give a device that is there to its users."""
+
+
+class OwnPort(StopPort):
+    """A duplicate of the port's descriptor; -1 while the port is gone."""
+
+    __slots__ = ("number", "stopped")
+
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
+        super().__init__(fd, servos)
+        self.stopped = False
+        """The kernel has taken the whole of the run's first burst."""
+        self.number = 1
+        """How many ports this run has had: the name of this one among those who share it."""
+
+    @classmethod
+    def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
+        """Open the port and write the burst: the first bytes of a run. While another process holds the port, `held` is
+        called, and may raise. Raises port.PortError."""
+        start_s = monotonic()
+        while True:
+            # Looked at before it is opened: its rights may come between a refusal and a look.
+            patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
+            try:
+                own = cls(port.open_port(path, exclusive=True))
+            except port.PortError as error:
+                if monotonic() - start_s > patience_s.get(error.kind, 0.0):
+                    raise
+                if error.kind == "busy":
+                    held()
+                sleep(0.005)
+            else:
+                own.stopped = own.burst()
+                return own
+
+    def adopt(self, fd: int) -> None:
+        super().adopt(fd)
+        self.number += fd >= 0
+
+    def holds(self) -> bool:
+        """True while the kernel holds bytes that it has taken and not passed on, of whoever; False too where the port
+        can't say."""
+        try:
+            return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
+        except OSError:
+            return False
+
+
+def _is_new(path: str) -> bool:
+    """True while a device is as the kernel has made it: udev is still to give it to its users."""
+    try:
+        node = os.stat(path)
+    except OSError:
+        return False
+    return (node.st_uid, node.st_gid, stat.S_IMODE(node.st_mode)) == (0, 0, 0o600)
 
 
 class Opener:

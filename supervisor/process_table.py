@@ -6,16 +6,16 @@ import os
 import signal
 from time import monotonic_ns
 
+from failstop.messages import layout, records, segments
+from failstop.messages.packing import Note
 from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
-from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews, Lifeline
-from failstop.shm.packing import Note
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
@@ -34,7 +34,7 @@ class ProcessTable:
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
-        lifelines = segment.attach(run.memory, "lifelines", run.incarnation, write=True)
+        lifelines = segments.attach(run.memory, "lifelines", run.incarnation, write=True)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = EarlyNews(lifelines)
@@ -75,7 +75,7 @@ class ProcessTable:
         told: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
             self._events.tell("fenced", child.fence.story(name), {**told, **child.fence.fields()})
-        how = f"was {death}" if death.startswith("killed") else death
+        how = f"was {death}" if child.killed else death
         self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
 
     def _plan_restart(self, child: Child, now_ns: int) -> None:
@@ -86,12 +86,13 @@ class ProcessTable:
             self._restart_in(child, wait_ns, now_ns)
             return
         child.on(GIVEN_UP)
-        todo = f"next: see to the cause, then {self._events.command('reset')} restarts it"
+        text, step = f"{name} died too often and is down, the wheels stopped", ""
         if name == layout.GATE:
             child.restart.set(now_ns + GATE_AGAIN_NS)
-            todo = f"it is restarted in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
-        text = f"{name} died too often and is down, the wheels stopped; {todo}"
-        self._events.tell("down", text, {"process": name})
+            text += f"; it is restarted in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
+        else:
+            step = f"see to the cause, then {self._events.command('reset')} restarts it"
+        self._events.tell("down", text, {"process": name}, step=step)
 
     def _restart_in(self, child: Child, wait_ns: int, now_ns: int) -> None:
         child.restart.set(now_ns + wait_ns)
@@ -166,7 +167,8 @@ class ProcessTable:
                     note = Note.unpack(entry[2])
                 except ValueError:
                     continue  # a damaged one: nothing depends on it
-                self._events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
+                text, step = note.parts()
+                self._events.tell(note.kind, text, {"process": process, **note.fields}, level=note.level, step=step)
 
     def follow_spared(self, now_ns: int) -> None:
         """Once a turn: who was spared and has beaten again is told of."""

@@ -13,15 +13,17 @@ from __future__ import annotations
 import grp
 import os
 
+from failstop.files import instance
+from failstop.messages import layout, segments
+from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.loop import Loop
-from failstop.shm import bell, claim, instance, layout, segment
+from failstop.shm import bell, claim
 from failstop.shm.bell import EventBell
 from failstop.shm.lifeline import pid_namespace
-from failstop.shm.packing import pack
 from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events, Outbox
 
@@ -55,19 +57,19 @@ class Run:
         again: str = "",
     ) -> None:
         """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
-        publish(). Raises segment.AttachError, instance.InstanceError, OSError, and leaves a dead run's memory then, and
-        nothing else."""
+        publish(). Raises segments.AttachError, instance.InstanceError, OSError; then nothing is left but a dead run's
+        memory."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
         self._again = again
         """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
-        self.memory = segment.memory(name, self.incarnation)
+        self.memory = segments.memory(name, self.incarnation)
         """The name that the segments share."""
         self._refuse_living()
-        self._dead = segment.dead_runs(name)
-        self.left = segment.open_all(self._dead[-1]) if self._dead else {}
+        self._dead = segments.dead_runs(name)
+        self.left = segments.open_all(self._dead[-1]) if self._dead else {}
         """The segments of a run that was not ended in order: its black box. Their names go when this run has its
         own."""
         self._segments: list[Segment] = []
@@ -75,8 +77,8 @@ class Run:
         """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
         try:
             self._make(client_gid())
-            self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
-            self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
+            self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
+            self.views = {each: segments.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
             self._tell_settings()
             self.loop = Loop()
         except BaseException:
@@ -91,17 +93,17 @@ class Run:
             incarnation, _ = instance.run(self.runtime_dir)
         except instance.NoService:
             return
-        if segment.living(segment.memory(self.name, incarnation)):
+        if segments.living(segments.memory(self.name, incarnation)):
             raise instance.already_running(self.name, "unknown")
 
     def _make(self, gid: int) -> None:
         instance.clear(self.runtime_dir)  # the name of a dead run, before anything under it is another's
         # One after the other: what is there is known, whichever can't be made.
         for spec in layout.SEGMENTS:
-            self._segments.append(segment.create(self.memory, spec.name, self.incarnation, gid))
-        self.readable = segment.open_all(self.memory)
+            self._segments.append(segments.create(self.memory, spec.name, self.incarnation, gid))
+        self.readable = segments.open_all(self.memory)
         if missing := [process for process in layout.PROCESSES if process not in self.readable]:
-            raise segment.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
+            raise segments.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(self.runtime_dir), 0o620, gid)
@@ -134,7 +136,7 @@ class Run:
         self.published = instance.publish(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:
-            segment.unlink_all(run)
+            segments.unlink_all(run)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
         """Every descriptor that a process of the table may be given, by the name it has there."""
@@ -156,18 +158,18 @@ class Run:
             del self.named[name]
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
             text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
-            doubt = "next: is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
-            self.events.tell("note", f"{text}; {doubt}", level="error")
+            step = "is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
+            self.events.tell("note", text, level="error", step=step)
             return causes.REMOVED(vital[0])
         for name in gone:
-            text = f"{name} was removed: that client slot is out of use; next: restart the service when it may stop"
-            self.events.tell("note", text, level="warning")
+            text = f"{name} was removed: that client slot is out of use"
+            self.events.tell("note", text, level="warning", step="restart the service when it may stop")
         return None
 
     def remove(self) -> None:
         """Take away every name, the run's own first; descriptors and mappings end with their processes."""
         instance.clear(self.runtime_dir)
-        segment.unlink_all(self.memory)
+        segments.unlink_all(self.memory)
         for made in self._segments:
             made.close()
         while self.readable:

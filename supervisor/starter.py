@@ -11,8 +11,8 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 
+from failstop.files import root
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
-from failstop.shm import root
 from failstop.supervisor.child import PATH_VARIABLE
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))

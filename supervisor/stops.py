@@ -1,56 +1,29 @@
-"""A stop and its life, from the moment somebody noticed a cause until all that can be known of it is known; and the
-link, which is what the board's answers prove. Pure.
+"""A stop: a cause from the moment that somebody noticed it until somebody has answered it with a burst. Pure.
 
-    raised         its cause was noticed
-    written        its bytes were handed to the kernel (or they were not; held: it has not passed them on)
-    acknowledged   the board answered a ping that was written after it: its receiver was in step by then
-    observed       the IMU says that the wheels are still (unstill: they are not)
-
-The last three are levels of proof, kept apart everywhere. What was not written may be written later, by whoever gets
-the port back; the board may be silent while the IMU sees the wheels come to rest.
+A stop that nobody could write is written later, by whoever gets the port back. proof.py has what a stop has done.
 """
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import layout
 
-UNPROVEN = "unproven"
-ALIVE = "alive"
-DEAF = "deaf"
-UNASKED = "unasked"
-ANSWER_NS = 20_000_000
-"""A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
+WAITS = "nobody yet"
+BY_NOTICER = "who noticed it"
 BY_PORT_OWNER = "port owner"
 BY_SUPERVISOR = "supervisor"
+MAY_ANSWER, ANSWERED, LATE = range(3)
+WRITERS = (
+    # may answer, answered, late
+    (WAITS, BY_NOTICER, BY_NOTICER),  # its cause came with the time of its burst
+    (WAITS, BY_PORT_OWNER, BY_SUPERVISOR),  # the port owner's last burst is about as old as the cause, or younger
+    (WAITS, BY_SUPERVISOR, BY_SUPERVISOR),  # neither, or a cause without a time of the port owner's: it could not write
+)
+"""The process that writes a stop, or has written it: by what is known of its burst, and by the port owner, who has
+answered the epoch, may still do so, or is late or dead."""
 SOONER_NS = 20_000_000
 """The port owner may have noticed the cause this much sooner; its burst from before that is none for this cause."""
-ACKNOWLEDGE_NS = 1_500_000_000
-"""A stop that the board has not acknowledged by then is told of without."""
-JUDGED_AFTER_NS = 800_000_000
-"""The IMU's word is of the time after the cause once it was judged this long after it: longer than a window of the
-judgement and its hold (procs/telemetry/still.py)."""
-JUDGED_WITHIN_NS = 500_000_000
-"""A judgement older than this is none: the IMU, or who decodes it, is silent."""
-LEAST_NS = 1_000_000
-"""The shortest time to rest: 0 means that there was nothing to come to rest."""
-LATE_LOOK_NS = 200_000_000
-"""A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
-NOT_SENT = "NOT sent: the board takes no bytes"
-"""For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
-RESOLUTION_S = 0.2
-"""The IMU's word of when the wheels came to rest is no better than this."""
-
-
-def still_after(seconds: float) -> str:
-    """For people, to the resolution there is."""
-    return f"less than {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
-
-
-def wheels_seen(seconds: float) -> str:
-    """The IMU's word for people; 0: it saw no shaking before the stop either."""
-    return f"wheels still after {still_after(seconds)}" if seconds else "no shaking seen before or after"
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
@@ -70,57 +43,26 @@ class Stop:
         self.t_ns = t_ns
         self.written_ns = written_ns
         """When its burst was handed to the kernel; 0: not known, or not written."""
+        self.answer_by_ns = 0
+        """Until when the port owner may answer it."""
         self.by = ""
         """The process that wrote it; empty while none has answered it."""
         self.epoch = 0
-        """That was raised for it."""
+        """The epoch that was raised for it."""
         self.behind: Stop | None = None
         """The one that was latched when it was answered; None: this one itself."""
-        self.unix_s = 0.0
-        """The wall clock when its cause was noticed, for people."""
-        self.acknowledged_ns: int | None = None
-        """From the cause to the board's answer."""
-        self.observed_ns: int | None = None
-        """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
-        self._found_unstill = False
-        self.held = False
-        """Its bytes were still in the kernel when it was told of: the board takes none."""
-        self.told = False
-        """All that can be known of it was told."""
-        self._was_still = True
-        self._looked_ns = self._after_ns = self._again_ns = 0
-        self._since_ns = t_ns
-        """The time from which the board's obedience and its answer are counted."""
-
-    @property
-    def unstill(self) -> bool:
-        """The wheels were found not to be still when they should be, and not seen still since."""
-        return self._found_unstill and self.observed_ns is None
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait. `answered`: the port
-        owner has answered the epoch; `may_answer`: it lives and has had little time; `port_owner_ns`: its last burst.
-
-        | the cause came with the time of its stop | the port owner has answered the epoch    | the stop is            |
-        |------------------------------------------|------------------------------------------|------------------------|
-        | any                                      | not yet, and it still may                | waited for             |
-        | yes                                      | any                                      | that of who noticed it |
-        | no                                       | no: it is dead, or late                  | still to be written    |
-        | no                                       | yes; the cause is its own                | still to be written    |
-        | no                                       | yes, with a stop about as old or younger | that of the port owner |
-        | no                                       | yes, with a stop from long before        | still to be written    |
-
-        Who publishes a cause of its own without a time could not write. What is still to be written, the supervisor
-        writes.
-        """
-        if may_answer and not answered:
-            return None
+        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait: see WRITERS. `answered`:
+        the port owner has answered the epoch; `may_answer`: it lives and has had little time; `port_owner_ns`: its
+        last burst."""
         own = self.noticed_by == layout.PORT_OWNER
-        if self.written_ns:
+        recent = not own and port_owner_ns >= self.t_ns - SOONER_NS
+        row = WRITERS[0 if self.written_ns else 1 if recent else 2]
+        by = row[ANSWERED if answered else MAY_ANSWER if may_answer else LATE]
+        if by == BY_NOTICER:
             return (BY_PORT_OWNER if own else BY_SUPERVISOR), self.written_ns
-        if answered and not own and port_owner_ns >= self.t_ns - SOONER_NS:
-            return BY_PORT_OWNER, port_owner_ns
-        return BY_SUPERVISOR, 0
+        return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)
 
     def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
         """Somebody has written it, while `latched` was; `written_ns` 0: it could not be written."""
@@ -128,151 +70,3 @@ class Stop:
         self.written_ns = written_ns
         self.behind = None if latched is self else latched  # nobody collects what refers to itself
         self.epoch = epoch
-
-    def follow(self, after_ns: int, now_ns: int, unix_s: float) -> None:
-        """From here on it is followed. `after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock
-        now. A supervisor that was held up follows late: the stop has the time of its cause, and whoever is to answer
-        has the usual time from now on."""
-        self.unix_s = unix_s - (now_ns - self.t_ns) / 1e9
-        self._since_ns = now_ns
-        self._after_ns = after_ns
-        self._again_ns = self.t_ns + after_ns
-
-    def written_at_last(self, written_ns: int, by: str) -> None:
-        """It could not be written, and now it was: the port is back."""
-        self.written_ns = written_ns
-        self.by = by
-        self.told = False
-        self._since_ns = written_ns
-        self._again_ns = written_ns + self._after_ns
-
-    def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
-        """A ping was answered; True when this acknowledges the stop."""
-        if self.acknowledged_ns is not None or sent_ns < self.written_ns or not self.written_ns:
-            return False
-        self.acknowledged_ns = arrival_ns - self.t_ns
-        return True
-
-    def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Take the IMU's word: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
-        True when they should be still and are not, and again each time they have had as long: stop again."""
-        self._looked_ns = self._looked_ns or now_ns
-        if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
-            return False
-        late = self._looked_ns - self.t_ns > LATE_LOOK_NS
-        if not still_ns:
-            self._was_still = False
-            if now_ns >= self._again_ns:
-                self._again_ns = now_ns + self._after_ns
-                self._found_unstill = True
-                return True
-        elif not self._was_still or (late and still_ns > self.t_ns):
-            # A window may begin before the cause: they turned all the same.
-            self.observed_ns = max(LEAST_NS, still_ns - self.t_ns)
-        elif judged_ns - self.t_ns >= JUDGED_AFTER_NS:
-            self.observed_ns = 0
-        return False
-
-    def complete(self, now_ns: int) -> bool:
-        """True, once, when nothing more will be known of it: the time to tell people."""
-        age_ns = now_ns - self._since_ns
-        if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
-            return False
-        if self.observed_ns is None and not self.unstill and age_ns < self._after_ns + JUDGED_WITHIN_NS:
-            return False
-        self.told, before = True, self.told
-        return not before
-
-    def outcome(self, link: str) -> str:
-        """The outcome, for the journal; `link`: what the board's answers prove."""
-        heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
-        heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
-        if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.unstill else "not observed"
-        else:
-            seen = wheels_seen(self.observed_ns / 1e9)
-        return f"{self.cause}: {heard}, {seen}"
-
-    def fields(self, link: str) -> dict[str, str | float | None]:
-        """The outcome, for programs."""
-        seen = "unknown" if self.observed_ns is None else "still"
-        return {
-            **self.cause.fields(),
-            "epoch": self.epoch,
-            "link": link,
-            "sent": not self.held,
-            **self._proofs(),
-            "wheels": "unstill" if self.unstill else seen,
-        }
-
-    def as_record(self) -> dict[str, object]:
-        """The stop as clients see it."""
-        return {
-            "cause": self.cause.pack(),
-            "latched": (self.behind or self).cause.pack(),
-            "noticed_by": self.noticed_by,
-            "written_by": self.by,
-            "t": self.unix_s,
-            "epoch": self.epoch,
-            "sent": not self.held or self.acknowledged_ns is not None,
-            "written_us": max(0, self.written_ns - self.t_ns) / 1e3 if self.written_ns else None,
-            **self._proofs(),
-        }
-
-    def _proofs(self) -> dict[str, float | None]:
-        return {
-            "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
-            "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
-        }
-
-
-class Link:
-    """Link: whether the board at one opened port hears what is written to it. Pure.
-
-    unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
-    alive      it answers
-    deaf       it has answered before and is silent: a stop cause, once, until it answers again
-    unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
-
-    A board can go deaf while its telemetry goes on, so only answers count.
-    """
-
-    def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
-        """`asked`: the board has pings."""
-        self._deaf_ns = deaf_ns
-        self._opened = UNPROVEN if asked else UNASKED
-        self.state = self._opened
-        self._answered_ns = 0
-        """When the newest answered ping was sent."""
-        self._asked_ns = 0
-        """When the oldest ping after it was sent; 0: none yet."""
-
-    def opened(self) -> None:
-        """Another port, perhaps another board: nothing is known of it."""
-        self.state = self._opened
-        self._answered_ns = self._asked_ns = 0
-
-    def listen(self, newest_ping_ns: int) -> None:
-        """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
-        self._asked_ns = 0
-        self._answered_ns = max(self._answered_ns, newest_ping_ns)
-
-    def answered(self, sent_ns: int) -> None:
-        """A ping that was sent at `sent_ns` was answered."""
-        self.state = ALIVE
-        self._answered_ns = max(self._answered_ns, sent_ns)
-        self._asked_ns = 0
-
-    def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
-        """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
-        if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
-            self._asked_ns = newest_ping_ns
-        if self.state != ALIVE or not self._asked_ns:
-            return False
-        # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
-        if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
-            return False
-        if now_ns - newest_ping_ns < ANSWER_NS:
-            return False
-        self.state = DEAF
-        return True

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from failstop.shm import root
+from failstop.files import root
+from failstop.lab.machine.kernel import living
 from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.
@@ -63,6 +64,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests first: a worker that gets one of them last is waited for by all others."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(autouse=True)
+def _no_machine_is_left() -> Iterator[None]:
+    """The simulated machines that a test made end with it: their threads would keep them in memory."""
+    before = set(living)
+    yield
+    for machine in set(living) - before:
+        machine.end()
 
 
 @pytest.fixture

@@ -18,9 +18,9 @@ from failstop.board.interface import BOARD, Board
 from failstop.doctor import stop_path
 from failstop.doctor.look import OK
 from failstop.lab.sim.receiver import Receiver
+from failstop.messages import layout
 from failstop.procs.loop import Timer
 from failstop.procs.port_owner.schedule import Pings
-from failstop.shm import layout
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -106,7 +106,7 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
 
 
 USERS = {
-    "stop port": "board/stop_port.py",
+    "stop port": "failstop/board/stop_port.py",
     "gate": "procs/gate",
     "port owner": "procs/port_owner",
     "supervisor": "supervisor",

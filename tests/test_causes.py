@@ -17,17 +17,17 @@ import failstop
 from failstop.api import why
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
+from failstop.messages import records
+from failstop.messages.layout import PROCESSES
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
-from failstop.shm import records
-from failstop.shm.layout import PROCESSES
 from tests.support.incident_parts import Recorder
 from tests.support.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
-FOLDERS = ("board", "shm", "policy", "procs", "supervisor", "failstop", "ros2", "bench")
+FOLDERS = ("failstop", "procs", "shm", "supervisor", "bench")
 KINDS = tuple(BY_NUMBER.values())
 ASKED = (causes.REQUESTED, causes.PIPED)
 NAMES = [kind.name for kind in KINDS]

@@ -241,7 +241,7 @@ def test_a_limit_of_zero_lets_only_stops_pass() -> None:
         codec.motor_speeds((0.0, 0.0, 0.0, 1e-9), 0.0)
 
 
-@pytest.mark.parametrize("func", [framing.SYS, framing.LED, framing.KEY, framing.IMU, framing.RGB])
+@pytest.mark.parametrize("func", [framing.SYS, framing.LED, framing.KEY_FUNC, framing.IMU_FUNC, framing.RGB])
 def test_raw_frames_of_other_functions(func: int) -> None:
     assert framing.frame(func, bytearray(b"\x01\x00")) == framing.frame(func, memoryview(b"\x01\x00"))
     data = bytes(range(255))

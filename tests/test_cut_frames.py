@@ -26,7 +26,7 @@ FRAMES = amount(20_000, 2_000_000)
 PINGS = list(BOARD.pings)
 READS = [servos.bus_servo_read(servo, what) for servo in range(1, servos.HIGHEST_ID + 1) for what in servos.READS]
 TORQUES = [servos.bus_servo_torque(servo, on) for servo in range(1, servos.HIGHEST_ID + 1) for on in (True, False)]
-SOUNDS = [pad.LATCH, pad.TUCK, *pad.MODES]
+SOUNDS = [pad.LATCH_SOUND, pad.TUCK_SOUND, *pad.MODE_SOUNDS]
 U16 = (1, 2, 255, 256, 0xAA55, 0x55AA, 65_534, 65_535)
 
 
@@ -109,7 +109,7 @@ def test_a_cut_stop_stops_some_of_its_servos_and_a_servo_0() -> None:
     for ids in permutations(range(1, 11), 3):
         frame = servos.bus_servo_stop(ids)
         for data in completed(frame):
-            assert data[0] == servos.STOP
+            assert data[0] == servos.SERVO_STOP
             assert set(data[2:]) <= {*ids, 0}
             found += 1
     assert found

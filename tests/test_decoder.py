@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from failstop.board import decoder
 from failstop.board.decoder import Decoder
-from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, crc8, seal
+from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SBUS, SYS, crc8, seal
 from failstop.lab.sim import upward
 
 UP = {
@@ -29,7 +29,7 @@ ENCODED: dict[str, Callable[[], bytes]] = {
 }
 DECODED = {
     "battery 7400 mV": (SYS, decoder.battery_mv, 7400),
-    "key 1 pressed": (KEY, decoder.key, (1, 0x01)),
+    "key 1 pressed": (KEY_FUNC, decoder.key, (1, 0x01)),
     "gamepad X": (GAMEPAD, decoder.gamepad, (0x0100, 0, 0, 0, 0, 0)),
     "pwm servo 1 at 1500 us (the ping's answer)": (
         PWM_SERVO,
@@ -131,7 +131,7 @@ def test_a_flipped_bit_costs_one_frame() -> None:
         damaged[bit // 8] ^= 1 << bit % 8
         machine = Decoder()
         got = machine.feed(bytes(damaged) + frame * 3)
-        assert got == [(IMU, frame[4:-1])] * 3, bit
+        assert got == [(IMU_FUNC, frame[4:-1])] * 3, bit
         assert machine.skipped_bytes == len(frame)
 
 
@@ -139,7 +139,7 @@ def test_reset_forgets_a_partial_frame() -> None:
     machine = Decoder()
     machine.feed(upward.battery(7400)[:5])
     machine.reset()
-    assert machine.feed(upward.battery(7400)[5:] + upward.key(2, 0x20)) == [(KEY, b"\x02\x20")]
+    assert machine.feed(upward.battery(7400)[5:] + upward.key(2, 0x20)) == [(KEY_FUNC, b"\x02\x20")]
     assert machine.skipped_bytes == len(upward.battery(7400))
 
 

@@ -25,15 +25,11 @@ def printed(capsys: pytest.CaptureFixture[str], option: str) -> str:
 
 
 def test_the_complete_example_is_the_generated_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert COMPLETE.read_text() == printed(capsys, "--example"), (
-        "renew it: failstop config --example > examples/failstop.toml"
-    )
+    assert COMPLETE.read_text() == printed(capsys, "--example"), "renew it: make docs"
 
 
 def test_the_page_on_settings_is_the_generated_one() -> None:
-    assert (ROOT / "docs" / "configuration.md").read_text() == page_of_settings.page(), (
-        "renew it: python -m failstop.lab.pages settings > docs/configuration.md"
-    )
+    assert (ROOT / "docs" / "configuration.md").read_text() == page_of_settings.page(), "renew it: make docs"
 
 
 def uncommented(text: str) -> str:

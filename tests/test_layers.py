@@ -12,37 +12,20 @@ import pytest
 
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import HARMLESS, Loader
+from failstop.lab.pages.rooms import EVERYBODYS, ROOMS, arrows
+from tests.support import rooms
+from tests.support.rooms import CORE, ROOT, imported, modules, name_of, package
 
-ROOT = Path(__file__).resolve().parent.parent
-BELOW = {
-    "board": {"board"},
-    "shm": {"shm"},
-    "policy": {"policy", "board", "shm"},
-    "procs": {"procs", "policy", "board", "shm"},
-    "supervisor": {"supervisor", "procs", "policy", "board", "shm"},
-}
-"""What each room may import of failstop; the face (failstop, ros2) knows all of them."""
-EVERYBODYS = {"version"}
 FEATURES = {"fleet", "web", "ros2", "lab"}
 """What a robot may do without, each with its commands."""
+OF_A_TERMINAL = {
+    "fleet": {"command", "metrics_command", "publisher", "report", "view"},
+    "ros2": {"command", "bridge"},
+    "web": {"command"},
+}
+"""Modules of a feature that are its commands, with what these print."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-
-
-def modules(room: str) -> list[Path]:
-    return sorted((ROOT / room).rglob("*.py"))
-
-
-def imported(path: Path) -> Iterator[str]:
-    """The names after `failstop.` of all that a module imports, for types too."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
-        elif isinstance(node, ast.Import):
-            names = [name.name for name in node.names]
-        else:
-            continue
-        yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
 
 
 MOST_OF_THE_FACE = 8500
@@ -54,30 +37,46 @@ def lines(paths: Iterable[Path]) -> int:
 
 
 def test_the_face_that_a_robot_carries_is_small() -> None:
-    own = [path for path in (ROOT / "failstop").glob("*") if not path.is_symlink() and path.name != "lab"]
-    face = [path for top in own for path in (top.rglob("*.py") if top.is_dir() else [top]) if path.suffix == ".py"]
-    core = [path for room in BELOW for path in modules(room)]
+    core = [path for room in CORE for path in modules(room)]
+    beside = {path for room in (*FEATURES, "data", "version") for path in modules(room)}
+    face = [path for path in package() if path not in beside and path not in core]
     assert len(face) > 40
     assert lines(face) < min(MOST_OF_THE_FACE, lines(core))
 
 
-@pytest.mark.parametrize("room", BELOW)
-def test_a_room_imports_only_what_is_below_it(room: str) -> None:
-    found = modules(room)
-    assert found
-    upward = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path in found
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_what_its_row_names(room: str) -> None:
+    """The rows name no room that is not imported, either."""
+    assert modules(room)
+    assert sorted(arrows(room)) == ROOMS[room].below.split()
+
+
+def test_the_rooms_point_one_way() -> None:
+    tuple(TopologicalSorter({room: row.below.split() for room, row in ROOMS.items()}).static_order())
+    core = [(room, below) for room in CORE for below in ROOMS[room].below.split() if below not in CORE]
+    assert not core
+
+
+def test_every_folder_and_module_of_the_package_is_a_room() -> None:
+    there = {path.stem for path in rooms.PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert there == {*ROOMS, *EVERYBODYS}
+
+
+def test_a_feature_draws_on_a_terminal_in_its_commands_alone() -> None:
+    """What the others show comes from the API."""
+    wrong = [
+        (str(path.relative_to(ROOT)), name)
+        for room in ("fleet", "ros2", "web")
+        for path in modules(room)
         for name in imported(path)
-        if name.partition(".")[0] not in BELOW[room] | EVERYBODYS
+        if name.partition(".")[0] == "cli" and path.stem not in OF_A_TERMINAL[room]
     ]
-    assert not upward
+    assert not wrong
 
 
 def test_a_robot_needs_nothing_of_the_laboratory() -> None:
     """`demo`, `chaos`, `prove` and `sim` are found by their names, when they are asked for."""
-    robots = [path for path in (ROOT / "failstop").rglob("*.py") if "lab" not in path.relative_to(ROOT).parts]
-    robots += [path for room in (*BELOW, "ros2") for path in (ROOT / room).rglob("*.py")]
+    robots = [path for path in package() if "lab" not in path.relative_to(ROOT).parts]
     assert len(robots) > 100
     wrong = [
         (str(path.relative_to(ROOT)), name) for path in robots for name in imported(path) if name.startswith("lab")
@@ -89,11 +88,11 @@ def test_the_command_line_knows_features_by_the_names_of_their_commands_alone() 
     """A command lies in the room of what it is for; `cli/main.py` imports it when it is asked for."""
     wrong = [
         (str(path.relative_to(ROOT)), name)
-        for path in modules("failstop/cli")
+        for path in modules("cli")
         for name in imported(path)
         if name.partition(".")[0] in FEATURES
     ]
-    assert modules("failstop/cli")
+    assert modules("cli")
     assert not wrong
 
 
@@ -108,7 +107,7 @@ def from_outside(path: Path) -> Iterator[str]:
 def test_the_core_asks_the_system_by_modules_that_the_simulated_machine_has() -> None:
     known = HARMLESS | {name.partition(".")[0] for name in Loader(Machine()).system} | {"failstop"}
     below = {ROOT / "shm/futex.py", ROOT / "procs/rights.py", ROOT / "procs/starved.py"}
-    paths = {path for room in BELOW for path in modules(room)} - below
+    paths = {path for room in CORE for path in modules(room)} - below
     wrong = [(str(path.relative_to(ROOT)), name) for path in paths for name in from_outside(path) if name not in known]
     assert not wrong
 
@@ -132,18 +131,28 @@ def needed(module: str, path: Path, modules: dict[str, Path]) -> set[str]:
     return found & modules.keys() - {module}
 
 
-def name_of(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    parts = parts if parts[0] == "failstop" else ("failstop", *parts)
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
 def test_no_module_imports_one_that_imports_it() -> None:
-    paths = [path for path in (ROOT / "failstop").rglob("*.py") if not path.parent.is_symlink()]
-    for room in (*BELOW, "ros2", "fleet", "web"):
-        paths += (ROOT / room).rglob("*.py")
-    found = {name_of(path): path for path in paths}
+    found = {name_of(path): path for path in package()}
     assert len(found) > 250
     graph = {name: needed(name, path, found) for name, path in found.items()}
     del graph[PROGRAM]
     tuple(TopologicalSorter(graph).static_order())
+
+
+def test_three_rooms_are_linked_into_the_package() -> None:
+    """What the service runs as lies at the top; every other room is a folder of the package."""
+    assert sorted(path.name for path in rooms.PACKAGE.iterdir() if path.is_symlink()) == list(rooms.LINKED)
+
+
+def test_nobody_imports_a_linked_room_by_its_folder() -> None:
+    """`import shm.cell` would be another module than `failstop.shm.cell`."""
+    sources = [*package(), *(path for top in ("bench", "tests", "packaging") for path in (ROOT / top).rglob("*.py"))]
+    wrong = [
+        (str(path.relative_to(ROOT)), name)
+        for path in sources
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom | ast.Import)
+        for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [each.name for each in node.names])
+        if name.partition(".")[0] in rooms.LINKED and not (isinstance(node, ast.ImportFrom) and node.level)
+    ]
+    assert not wrong

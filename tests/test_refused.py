@@ -8,8 +8,8 @@ import traceback
 import pytest
 
 from failstop.api.errors import FailstopError, NoService, Refused
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
-from failstop.shm.records import CAUSE
 
 
 @pytest.mark.parametrize("reason", ["a stop is latched (key1)", "arm is not in the drive pose"])

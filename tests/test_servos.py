@@ -52,7 +52,7 @@ def judge(stream: bytes, meant: dict[int, int]) -> None:
             for servo, position in moved(data).items():
                 assert meant.get(servo) == position, stream.hex()
                 stopped.discard(servo)
-            stopped |= set(data[2 : 2 + data[1]]) if data[0] == servos.STOP else set()
+            stopped |= set(data[2 : 2 + data[1]]) if data[0] == servos.SERVO_STOP else set()
     assert last == STOP[4:-1]
     assert not motors.wild
     assert motors.stopped

@@ -11,20 +11,7 @@ from pathlib import Path
 from failstop.policy.settings import DECLARED
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = (
-    "board",
-    "shm",
-    "policy",
-    "procs",
-    "supervisor",
-    "web",
-    "fleet",
-    "ros2",
-    "failstop",
-    "bench",
-    "packaging",
-    "model",
-)
+ROOMS = ("failstop", "procs", "shm", "supervisor", "bench", "packaging", "model")
 MADE = "build"
 """A folder of what is built."""
 LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)

@@ -10,11 +10,10 @@ from typing import Any
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.session import Session, Told, sleep_through
 from failstop.api.snapshot import ArmState
+from failstop.messages import records
 from failstop.policy.capsules import Model, on_the_way, would_hit
+from failstop.policy.joints import Joint, too_far
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.goals import too_far
-from failstop.procs.gate.arm.joints import Joint
-from failstop.shm import records
 
 Point = tuple[float, Mapping[str, float]]
 POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}

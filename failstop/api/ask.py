@@ -12,7 +12,8 @@ import time
 
 from failstop.api.client import attach, send_stop, unread
 from failstop.api.errors import FailstopError
-from failstop.shm import instance, layout, records
+from failstop.files import instance
+from failstop.messages import layout, records
 
 LATCH_S = 1.0
 """How long a request may take until it is seen latched; the service needs a few milliseconds."""

@@ -17,8 +17,10 @@ import msgpack
 from failstop.api import host, reason
 from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
+from failstop.files import instance
+from failstop.messages import layout, records, segments
 from failstop.policy.reply import Reply, unpack
-from failstop.shm import bell, claim, instance, layout, records, segment
+from failstop.shm import bell, claim, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.words import Barrier
@@ -28,19 +30,6 @@ T = TypeVar("T")
 REPEAT_NS = 45_000_000
 """A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
 the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
-RECORDS: dict[str, Callable[..., bytes]] = {
-    "command": records.COMMAND.pack,
-    "request": records.REQUEST.pack,
-    "sensed": records.HELD.pack,
-    "interlocks": records.HELD.pack,
-    "attended": records.HELD.pack,
-    "said": records.SAID.pack,
-    "speed_limit": records.SPEED_LIMIT.pack,
-    "seen": records.SEEN.pack,
-    "arm_goal": records.ARM_GOAL.pack,
-    "arm_path": records.ARM_PATH.pack,
-}
-"""The records that a client writes into its slot after its hello, each after its session's number."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
@@ -65,21 +54,21 @@ def _found(look: Callable[[str], T], where: str) -> T:
 def run(name: str) -> tuple[str, int]:
     """The name that the running service's segments share, and their owner's uid. Raises NoService, FailstopError."""
     incarnation, owner = _found(instance.run, runtime_dir(name))
-    return segment.memory(name, incarnation), owner
+    return segments.memory(name, incarnation), owner
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
     """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
     FailstopError."""
     memory, owner = found or run(name)
-    return _there(lambda: segment.attach(memory, which, owner=owner))
+    return _there(lambda: segments.attach(memory, which, owner=owner))
 
 
 def _there(take: Callable[[], T]) -> T:
     """Take something of a run. Raises NoService, FailstopError."""
     try:
         return take()
-    except segment.AttachError as error:
+    except segments.AttachError as error:
         kind = NoService if error.kind == "absent" else FailstopError
         raise kind(str(error)) from None
 
@@ -139,7 +128,7 @@ class Run:
         self.found = run(name)
         """The name that its segments share, and their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
-        self._life = _there(lambda: segment.open_life(*self.found))
+        self._life = _there(lambda: segments.open_life(*self.found))
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.told("rules")
         """When the supervisor told the rules, which it does once (CLOCK_MONOTONIC)."""
@@ -164,7 +153,7 @@ class Run:
     def over(self) -> bool:
         """True when this run has ended: its supervisor has died. One system call: cheap enough for every call."""
         try:
-            return not segment.lives(self._life)
+            return not segments.lives(self._life)
         except OSError:  # a program that closes what is not its own: the next look makes another
             self._life = -1  # its number may be another's from now on
             return True
@@ -211,7 +200,7 @@ class Client:
                     f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the "
                     "service's user"
                 ) from None
-            except segment.AttachError as error:
+            except segments.AttachError as error:
                 raise FailstopError(str(error)) from None
             except OSError as error:
                 raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
@@ -223,7 +212,7 @@ class Client:
             """A goodbye; without one the gate takes the slot's end for a death."""
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
             self._drop = weakref.finalize(self, taken.pop_all().close)
-        self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
+        self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
         hello = records.HELLO.pack(self._session, os.getpid(), pid_namespace(), self.who)
         self._segment.latest_writer("hello").write(hello)
@@ -240,8 +229,8 @@ class Client:
         for index in range(layout.CLIENT_SLOTS):
             if claim.take(claims, index):
                 try:
-                    taken = segment.attach(memory, f"client.{index}", incarnation, owner=owner, write=True)
-                except segment.AttachError as error:
+                    taken = segments.attach(memory, f"client.{index}", incarnation, owner=owner, write=True)
+                except segments.AttachError as error:
                     if error.kind not in ("damaged", "absent", "owner"):
                         raise
                     claim.drop(claims, index)
@@ -262,9 +251,10 @@ class Client:
             raise gone(self.name) from None
 
     def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of RECORDS; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if not of now.
-        The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does not fit."""
-        payload = RECORDS[record](self._session, *values)
+        """Write one of records.OF_SESSION; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if
+        not of now. The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does
+        not fit."""
+        payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
         if wake:
             self._ring()

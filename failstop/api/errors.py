@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.shm.records import CAUSE
+from failstop.messages.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

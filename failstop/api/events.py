@@ -14,7 +14,8 @@ import msgpack
 
 from failstop.api.client import Run, runtime_dir
 from failstop.api.errors import NoService
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.files.instance import DEFAULT_NAME
+from failstop.messages.packing import NEXT
 
 LOOK_S = 0.02
 """Time between two looks for what may have changed."""
@@ -38,6 +39,13 @@ class Event:
     """One line for people, the same as in the journal; cut at 280 bytes, or 200 or 120 where fields need room."""
     fields: dict[str, str | int | float]
     """Values that its kind has beside the text."""
+    next: str = ""
+    """The step that the text ends with; empty: it names none."""
+
+    @property
+    def what(self) -> str:
+        """The text without the step that it ends with."""
+        return self.text[: -len(NEXT) - len(self.next)] if self.next else self.text
 
 
 class EventLog:
@@ -76,6 +84,8 @@ def unpack(seq: int, payload: bytes) -> Event | None:
     """An entry of the ring; None for a payload that is none, as of another version."""
     try:
         found = msgpack.unpackb(payload)
-        return Event(seq, found["t"], found["ns"], found["kind"], found["level"], found["text"], found["fields"])
+        text, what = found["text"], found.get("what")
+        step = text[what + len(NEXT) :] if what else ""
+        return Event(seq, found["t"], found["ns"], found["kind"], found["level"], text, found["fields"], step)
     except (ValueError, KeyError, TypeError, msgpack.exceptions.UnpackException):
         return None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from failstop.files import instance, root
 from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
-from failstop.shm import instance, root
 
 BOOTED = "/run/systemd/system"
 """There when systemd runs the machine (sd_booted(3))."""

@@ -21,9 +21,9 @@ from failstop.api.errors import FailstopError
 from failstop.api.events import LOOK_S, Event, EventLog
 from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
 from failstop.api.snapshot import Block, Sample, State, Velocity
+from failstop.messages import records
 from failstop.policy.causes import Cause
-from failstop.procs.gate.sources import DEFAULT
-from failstop.shm import records
+from failstop.policy.settings import FIRST_SOURCE
 
 if TYPE_CHECKING:
     from failstop.api.why import Why
@@ -203,7 +203,7 @@ class AsyncRobot(Calls):
         finally:
             self._close(in_order=not isinstance(raised[1], Exception))
 
-    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT) -> Answer:
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
         """As Robot.drive, but it never waits: the answer is what the gate has decided last, which is of the command
         before until it has taken this one."""
         self._command(vx, vy, wz, manual=manual, source=source)
@@ -271,7 +271,7 @@ class Robot(Calls):
         wz: float,
         *,
         manual: bool = False,
-        source: str = DEFAULT,
+        source: str = FIRST_SOURCE,
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:

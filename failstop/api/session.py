@@ -22,10 +22,10 @@ from failstop.api.events import LOOK_S
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.api.steps import Purpose
+from failstop.files.instance import DEFAULT_NAME
+from failstop.messages import records
 from failstop.policy import causes
 from failstop.policy.reply import Reply
-from failstop.shm import records
-from failstop.shm.instance import DEFAULT_NAME
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
@@ -46,7 +46,7 @@ def _ready(state: State) -> bool:
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
         return False
     if state.cause:
-        return state.cause.kind.cleared_by == causes.RESET
+        return state.cause.kind.cleared_by == causes.A_RESET
     return not steps.before(state, Purpose.ENABLE)
 
 

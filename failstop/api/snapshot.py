@@ -6,10 +6,9 @@ import dataclasses
 import enum
 from typing import Any, Literal, NamedTuple
 
+from failstop.messages import blocks
+from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
-from failstop.procs.telemetry.imu import RATE_VARIANCE
-from failstop.procs.telemetry.odometry import POSE_VARIANCE
-from failstop.shm import blocks
 
 PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]
@@ -109,6 +108,8 @@ class Process:
     """Its memory can't be swapped out."""
     early_news: bool = True
     """The kernel tells it of a death before it takes the dead process's memory down."""
+    killed: bool = False
+    """Its predecessor was killed by a signal."""
 
 
 @dataclasses.dataclass(frozen=True)

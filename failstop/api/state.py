@@ -14,14 +14,15 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import Run, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
+from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.joints import Joint, from_settings
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.procs.starved import state_of
-from failstop.shm import blocks, box, heartbeat, layout, records
+from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
+from failstop.shm.thread_state import state_of
 
 T = TypeVar("T")
 
@@ -30,7 +31,6 @@ UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
-
 
 NOTHING_YET: dict[str, Any] = {
     "enabled": False,
@@ -71,7 +71,7 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
     return Pad(t_ns, buttons, hat, rest[:-1], PAD_MODES[rest[-1]])
 
 
-SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU: _imu, box.PAD: _pad}
+SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
 """The types of samples, by the board's report; other reports are told in State alone."""
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Block, State
-from failstop.shm.layout import GATE
+from failstop.messages.layout import GATE
 
 
 class Purpose(Enum):
@@ -28,10 +28,9 @@ REFUSED_WITHOUT = {
     Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET),
 }
 """Of a request: the steps without which the service refuses it."""
-POWER = "Turn the robot's POWER SWITCH off"
-"""The beginning of a sentence for the page."""
+POWER = "turn the robot's POWER SWITCH off"
+GATE_DOWN = "wait: the gate died too often and is tried again within a minute"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
-GATE_DOWN = "Wait: the gate died too often and is tried again within a minute."
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
 
@@ -41,16 +40,25 @@ class Step(NamedTuple):
     purpose: Purpose
     typed: str
     """For a terminal, commands in backquotes."""
-    pressed: str | None = None
-    """A sentence for the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
+    clause: str | None = None
+    """For the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
+
+    @property
+    def pressed(self) -> str:
+        """The step as a sentence for the page."""
+        return words.sentence(self.clause) if self.clause else ""
 
 
-HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "Hold ENABLE"}
+NO_SERVICE = Step(
+    Purpose.MEND, "start the service", "if the wheels turn: turn the robot's power switch off. Then start the service"
+)
+"""Where no service runs, and so no state tells of the robot."""
+HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE"}
 """How a paired device does it, by the page's buttons."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
-    "enable": "Enable motion with a paired device or failstop enable,",
+    "enable": "enable motion with a paired device or failstop enable,",
 }
 """How everybody else comes by it: their page has no such buttons."""
 
@@ -62,24 +70,24 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
     remedy = state.cause.kind.remedy if state.cause else ""
-    heed = "" if dead else words.sentence(f"{remedy}; then {how['reset']}")
+    heed = "" if dead else f"{remedy}; then {how['reset']}"
     start = host.start(state.name) if dead else ""
     go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
-    lost = f"{POWER} if the wheels turn; then plug the board in."
-    attend, press = "have somebody attend (`failstop attend`, or the page)", f"Somebody has to attend: {how['attend']}."
+    lost = f"{POWER} if the wheels turn; then plug the board in"
+    attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
         [
-            (dead, Step(Purpose.MEND, start, "Start the service again.")),
+            (dead, Step(Purpose.MEND, start, "start the service again")),
             (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
-            (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again.")),
+            (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again")),
             (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
-        [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", words.sentence(how["reset"])))],
+        [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
         [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
         [
@@ -89,9 +97,9 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
             )
         ],
         [
-            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way.")),
+            (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way")),
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
-            (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "Start what is to drive.")),
+            (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "start what is to drive")),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
         ],
     ]
@@ -103,8 +111,8 @@ def todo(state: State, told: str = "", how: Mapping[str, str] = HERE) -> list[St
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, told, how)]
     return [
-        Step(purpose, words.named(typed, state.name), words.sentence(typed) if pressed is None else pressed)
-        for purpose, typed, pressed in filter(None, found)
+        Step(purpose, words.named(typed, state.name), words.plain(typed) if clause is None else clause)
+        for purpose, typed, clause in filter(None, found)
     ]
 
 
@@ -123,8 +131,8 @@ def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state) and not sure:
-        return f"{POWER} if the wheels turn: the board has not answered."
-    return found[0].pressed or "" if found else ""
+        return words.sentence(f"{POWER} if the wheels turn: the board has not answered")
+    return found[0].pressed if found else ""
 
 
 def before(state: State, goal: Purpose) -> list[Step]:

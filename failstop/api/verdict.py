@@ -8,8 +8,8 @@ from collections.abc import Collection, Sequence
 from failstop.api import words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State
+from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.shm.layout import GATE
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"
@@ -18,6 +18,8 @@ MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 """Large words, beside STOPPED."""
+NO_SERVICE = "NO SERVICE"
+"""The word where no service runs."""
 NEVER_ANSWERED = "the board has never answered"
 LINKS = {
     "unproven": NEVER_ANSWERED,
@@ -28,6 +30,10 @@ LINKS = {
 """The proof by each state of the link, in words."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
+LATE_BEAT_S = 0.3
+"""A beat older than this is worth a look; the slowest process beats every 100 ms."""
+BATTERY_LOW_V = 10.5
+"""Three lithium cells at 3.5 V: little is left."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
 """Kinds of events that change whether motion is enabled, or may."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
@@ -112,9 +118,6 @@ def until(name: str) -> str:
     return "down for a minute" if name == GATE else "down until a reset"
 
 
-# Told by events.
-
-
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
     """The last event that is of one of these kinds."""
     return next((event for event in reversed(events) if event.kind in kinds), None)
@@ -140,7 +143,7 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
     found = {}
     for name, process in state.processes.items():
         how = process.last_exit or "was lost"
-        found[name] = f"was {how}" if how.startswith("killed") else how
+        found[name] = f"was {how}" if process.killed else how
         if died.get(name) in fenced:
             found[name] = "hung, and was killed by the supervisor"
     return found

@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.supervisor.stops import NOT_SENT, UNASKED, wheels_seen
+from failstop.policy.proofs import NOT_SENT, UNASKED, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -42,19 +42,27 @@ class Why:
 
 
 HOLDS = {
-    Block.LATCHED: "a stop is latched",
-    Block.DISABLED: "motion is disabled",
-    Block.NO_COMMAND: "nobody commands: no command is younger than its timeout",
-    Block.NO_SCAN: "the obstacle sensor is silent, and without it only a person may drive",
+    Block.LATCHED: ("a stop is latched", "A stop is latched."),
+    Block.DISABLED: ("motion is disabled", "Motion is disabled, as after every start and every stop."),
+    Block.NO_COMMAND: (
+        "nobody commands: no command is younger than its timeout",
+        "Motion is enabled, and nobody commands.",
+    ),
+    Block.NO_SCAN: (
+        "the obstacle sensor is silent, and without it only a person may drive",
+        "Motion is enabled, but the obstacle sensor is silent.",
+    ),
 }
-"""Each block in words."""
+"""Each block in words: for a terminal, and as a sentence for the page."""
+WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
+"""Blocks in which the wheels wait for a client: what a client sees is an answer then."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     """The whole answer; `events` of this run, oldest first, may be empty, and then less is known."""
-    since, began = _since(state, events, now_s)
-    when = "" if since is None else f" since {words.ago(since, now_s)}"
-    what = f"{HOLDS[state.block]}{when}" if state.block else _free(state)
+    start, began = since(state, events, now_s)
+    when = "" if start is None else f" since {words.ago(start, now_s)}"
+    what = f"{HOLDS[state.block][0]}{when}" if state.block else _free(state)
     also = troubles(state, events)
     if doubt := verdict.doubt(state):
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
@@ -67,7 +75,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         proof=_proof(state, now_s),
         do=tuple(step.typed for step in steps.todo(state)),
         also=tuple(words.named(text, state.name) for text in also),
-        since=since,
+        since=start,
     )
 
 
@@ -93,7 +101,7 @@ def _free(state: State) -> str:
     return f"nothing holds the wheels: the command is {how}"
 
 
-def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
+def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
     """Since when this block holds, as far as is known, and what began it."""
     stop = state.last_stop
     if state.cause:
@@ -104,7 +112,7 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
         return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
         change = verdict.newest(events, verdict.CHANGES)
-        return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
+        return (change.t, change.what) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven on since: that is not told of each time.
         return None, f"{event.text} ({words.ago(event.t, now_s)})"
@@ -167,6 +175,6 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     for who, sees, wrong in words.said(state):
         if wrong:
             found.append(f"{who} says: {wrong}")
-        elif state.block in (Block.NO_SCAN, Block.NO_COMMAND):
+        elif state.block in WAITS:
             found.append(f"{who} says: {sees}")
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.shm.instance import DEFAULT_NAME, option
+from failstop.files.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
@@ -40,6 +40,11 @@ def clock(unix_s: float, now_s: float) -> str:
     """Time of the day, with the date when it is more than half a day from now. Local time."""
     form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
     return time.strftime(form, time.localtime(unix_s))
+
+
+def date(unix_s: float) -> str:
+    """Day and time of the day, local."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
 
 
 def ago(unix_s: float, now_s: float) -> str:

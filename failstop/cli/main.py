@@ -168,9 +168,9 @@ def _told(error: Exception) -> int:
     again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.port import PortError
+    from failstop.files.instance import InstanceError
+    from failstop.messages.segments import AttachError
     from failstop.policy.setting import SettingError
-    from failstop.shm.instance import InstanceError
-    from failstop.shm.segment import AttachError
 
     if lacking := _lack(error):
         standard.say(lacking)

@@ -27,7 +27,7 @@ def fill() -> None:
 def say(text: str) -> None:
     """One line on stderr, broken at words on a terminal. Never raises: that people can't be told (a full disk, a
     terminal that has gone) is no reason not to do what they asked for."""
-    from failstop.supervisor.fold import PREFIX, fitted
+    from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(fitted(f"{PREFIX}{text}", 2) + "\n")
@@ -36,7 +36,7 @@ def say(text: str) -> None:
 
 def tell(text: str) -> None:
     """One line on stdout, of something that was done; on stderr if stdout does not take it. Never raises."""
-    from failstop.supervisor.fold import fitted
+    from failstop.supervisor.events import fitted
 
     try:
         sys.stdout.write(fitted(text, 1, 2) + "\n")

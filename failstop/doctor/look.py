@@ -13,11 +13,11 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.system import Holder, Node, System
+from failstop.files.instance import DEFAULT_NAME, option
 from failstop.instances import unit_of
+from failstop.messages import layout, segments
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
-from failstop.shm import layout, segment
-from failstop.shm.instance import DEFAULT_NAME, option
 
 OK = "ok"
 SKIP = "skip"
@@ -74,7 +74,7 @@ class Look:
     def service(self) -> tuple[State | None, str, str]:
         """(the running service's state, its version; why it can't be read, in one line). Nothing: there is none."""
         try:
-            return StateReader(self.name).read(), segment.version(client.run(self.name)[0]), ""
+            return StateReader(self.name).read(), segments.version(client.run(self.name)[0]), ""
         except NoService:
             return None, "", ""
         except FailstopError as error:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import platform
+import time
+from typing import Any
 
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.instances import unit_of
-from failstop.shm import layout
-from failstop.supervisor import grant
+from failstop.messages import layout
+from failstop.supervisor import status
+from failstop.version import VERSION
 
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 LATE_US = 5_000.0
@@ -16,6 +20,18 @@ LATE_US = 5_000.0
 MICRO = 1e6
 PROCESSORS = "/sys/devices/system/cpu"
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
+
+
+def facts() -> dict[str, Any]:
+    """This package's version, the date, and the machine's Python, kernel, architecture and number of cores."""
+    return {
+        "version": VERSION,
+        "date": time.strftime("%Y-%m-%d"),
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+    }
 
 
 def rights(look: Look) -> list[Finding]:
@@ -30,7 +46,7 @@ def rights(look: Look) -> list[Finding]:
         told = f"{starved}; " if starved else ""
         lack = f"no real-time priority, or memory that is not locked: {', '.join(poor)}"
         if not all(row.realtime for row in look.state.processes.values()):
-            price = f", and {grant.cost(look.state.lease_s)}"
+            price = f", and {status.cost(look.state.lease_s)}"
     else:
         with look.system.realtime() as granted:
             if granted:
@@ -44,7 +60,7 @@ def _grant(look: Look) -> tuple[str, str]:
     if look.unit.get("MainPID") == look.pid:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {unit_of(look.name)}", lines
-    return "", f"give it real-time rights: {grant.CONTAINER if look.system.contained() else grant.SHELL}"
+    return "", f"give it real-time rights: {status.CONTAINER if look.system.contained() else status.SHELL}"
 
 
 def early_news(look: Look) -> list[Finding]:
@@ -90,11 +106,11 @@ def ticks(look: Look) -> list[Finding]:
     numbers = f"median {median_us:.0f} us, 99 % {p99_us:.0f} us, worst {worst_us:.0f} us of {len(late_ns)}"
     text = f"woken late {'with real-time priority' if realtime else 'at ordinary priority'}: {numbers}"
     _, found, _ = look.settings
-    lease_s = found[grant.LEASE]
+    lease_s = found[status.LEASE]
     if look.state:
         lease_s = look.state.lease_s
-    elif not realtime and lease_s == grant.LEASE_S:  # a start from here would take it
-        lease_s = grant.without(found)
+    elif not realtime and lease_s == status.LEASE_S:  # a start from here would take it
+        lease_s = status.lease_without_rights(found)
     spare_us = (lease_s - found["gate.period_s"]) * MICRO
     if worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"

@@ -6,10 +6,8 @@ import shlex
 
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
-from failstop.doctor.system import SHM
+from failstop.files.instance import option
 from failstop.instances import unit_of
-from failstop.ros2 import transport
-from failstop.shm.instance import option
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
@@ -17,10 +15,6 @@ FIRST_REGULAR_UID = 1000
 LOGIND = "/etc/systemd/logind.conf.d"
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
 """Where logind says whether it does."""
-BRIDGE = "ros2"
-"""Its name among the clients."""
-FAST_DDS = "fastrtps_"
-"""The begin of the files that each process with Fast DDS has in /dev/shm, of its user."""
 
 
 def settings(look: Look) -> list[Finding]:
@@ -70,26 +64,6 @@ def clients(look: Look) -> list[Finding]:
     for who, sees, wrong in words.said(look.state) if look.state else ():
         found += warn(f"{who} says: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")
     return found or ok("no client says anything of itself")
-
-
-def bridge(look: Look) -> list[Finding]:
-    """The bridge to ROS 2, and whether it can hear the robot's nodes: with a Fast DDS profile of the user's own it may
-    use shared memory, which the nodes of two users do not share."""
-    system = look.system
-    pid = next((client.pid for client in look.state.clients if client.name == BRIDGE), 0) if look.state else 0
-    if not pid:
-        return ok("no bridge to ROS 2 is connected")
-    user = system.owner(f"/proc/{pid}")
-    where = f"the bridge to ROS 2 is connected (pid {pid}, user {user})"
-    given = (system.read(f"/proc/{pid}/environ") or "").split("\0")
-    if not transport.own_profile(dict(word.split("=", 1) for word in given if "=" in word)):
-        return ok(f"{where}, by UDP alone")
-    owners = {system.owner(f"{SHM}/{name}") for name in system.names(SHM) if name.startswith(FAST_DDS)}
-    if others := sorted(owners - {user, ""}):
-        text = f"{where}, and Fast DDS of {', '.join(others)} is here: nodes of two users exchange no data"
-        units = f"disable --now failstop-ros2@{user} && sudo systemctl enable --now failstop-ros2@{others[0]}"
-        return warn(text, f"sudo systemctl {units}", "or start it without a Fast DDS profile: it takes UDP alone then")
-    return ok(where)
 
 
 def unit(look: Look) -> list[Finding]:

@@ -21,9 +21,9 @@ from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
-from failstop.shm.instance import option
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.stops import UNASKED
+from failstop.files.instance import option
+from failstop.policy.proofs import UNASKED
+from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
 CHUNK = 4096

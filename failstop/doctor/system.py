@@ -23,7 +23,7 @@ from failstop import discovery, instances
 from failstop.policy.processes import BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
-from failstop.supervisor import grant
+from failstop.supervisor import status
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
@@ -75,7 +75,7 @@ class System:
     """The kernel tells of a death before it takes the memory down."""
     services, ports = staticmethod(instances.listening), staticmethod(discovery.candidates)
     """The names of the services that take stop requests; (path, description) of each serial device."""
-    contained = staticmethod(grant.in_container)
+    contained = staticmethod(status.in_container)
     """This process runs in a container."""
 
     def __init__(self, root: str = "/") -> None:

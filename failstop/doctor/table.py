@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
-from failstop.doctor import fleet, machine, port, service, stop_path
+from failstop.doctor import machine, port, service, stop_path
 from failstop.doctor.look import LEVELS, Finding, Look
 
-CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
+Check = Callable[[Look], list[Finding]]
+
+
+def _of(home: str) -> Check:
+    """The check that lies in the room of what it is for, found by its name when it is asked for."""
+    return lambda look: list(import_module(f"failstop.{home}").check(look))
+
+
+CHECKS: dict[str, Check] = {
     "port": port.present,
     "identity": port.identity,
     "permission": port.permission,
@@ -16,9 +25,9 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "settings": service.settings,
     "service": service.running,
     "clients": service.clients,
-    "ROS 2": service.bridge,
+    "ROS 2": _of("ros2.check"),
     "unit": service.unit,
-    "fleet": fleet.fleet,
+    "fleet": _of("fleet.check"),
     "rights": machine.rights,
     "deaths": machine.early_news,
     "shared memory": machine.shared_memory,

@@ -11,7 +11,7 @@ from failstop import extras
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import WHEELS, Incident
-from failstop.procs.telemetry.imu import RATE_VARIANCE
+from failstop.messages.records import RATE_VARIANCE
 
 NEEDS = extras.missing("an export needs MCAP", "export")
 SUFFIX = ".mcap"

@@ -18,8 +18,8 @@ from itertools import count
 import msgpack
 
 from failstop.api.errors import FailstopError
-from failstop.procs.telemetry.state_files import SYSTEM_BASE, state_directory
-from failstop.shm import durable, root
+from failstop.files import durable, root
+from failstop.files.root import SYSTEM_BASE, state_directory
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from failstop.board import framing, servos
 from failstop.board.interface import BOARD
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
+from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
-from failstop.shm import blocks, box, layout, records
 
 Payload = TypeVar("Payload")
 WHEELS = ("front left", "rear left", "front right", "rear right")
@@ -44,7 +44,7 @@ class Tick(NamedTuple):
     ns: int
     epoch: int
     block: str
-    """A word of box.BLOCKS."""
+    """A word of box.DECISIONS."""
     enabled: bool
     manual: bool
     drives: bool
@@ -112,13 +112,13 @@ class Incident:
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
         writes = [_write(ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
-        writes += [_write(ids, ns, layout.SUPERVISOR, box.BURST) for ns, times in supervisor if not times]
-        writes += [_write(ids, last_ns, layout.STOPPER, box.BURST)] * (last_ns > 0)
+        writes += [_write(ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
+        writes += [_write(ids, last_ns, layout.STOPPER, box.WIRE_BURST)] * (last_ns > 0)
         self.writes = sorted(writes, key=lambda write: write.ns)
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
-        self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
-        self.battery_v = [values[0] / 1e3 for _, (kind, values) in board if kind == box.BATTERY]
+        self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU_KIND]
+        self.battery_v = [values[0] / 1e3 for _, (kind, values) in board if kind == box.BATTERY_KIND]
         """Volts, at each of its readings."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
         """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
@@ -237,7 +237,7 @@ class Incident:
         found: dict[int, list[tuple[int, int]]] = {}
         for write in self.writes:
             head = write.head
-            if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.MOVE:
+            if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.SERVO_MOVE:
                 for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
                     found.setdefault(head[at], []).append((write.ns, head[at + 1] | head[at + 2] << 8))
         return found
@@ -246,9 +246,9 @@ class Incident:
 def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:
     """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None
-    if kind == box.BURST:
+    if kind == box.WIRE_BURST:
         sort, speeds = Sort.STOP_BURST, (0.0,) * framing.WHEELS
-    elif kind == box.REST:
+    elif kind == box.WIRE_REST:
         sort = Sort.REST
     elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
         found = _SPEEDS.unpack_from(head)

@@ -13,11 +13,12 @@ import struct
 import msgpack
 
 from failstop.api.words import took
+from failstop.messages import box, layout, records
+from failstop.messages import segments as shared
 from failstop.policy import causes
-from failstop.shm import box, cell, layout, records
-from failstop.shm import segment as shared
+from failstop.policy.proofs import seen as seen_after
+from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
-from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ _WORD = struct.Struct("<Q")
 
 def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
     """Every whole entry of a record (a latest has two cells, a ring many), the oldest first, of a copy of its segment
-    as shm.segment.copy() returns it."""
+    as messages.segments.copy() returns it."""
     spec = layout.BY_NAME[name]
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
@@ -104,7 +105,7 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
-        if kind == box.BURST and taken == length:
+        if kind == box.WIRE_BURST and taken == length:
             written[ns] = "port owner"
     first_ns = min((ns for ns in written if ns >= cause_ns), default=None)
     if first_ns is None:
@@ -116,7 +117,7 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
     """LEVELS and `wheels` (still, unstill or unknown) of the stop for this cause, as far as the supervisor has told;
     None when nothing was told of it.
 
-    The supervisor's record of the last stop (supervisor/stops.py) may be of a later one by now; what was told as
+    The supervisor's record of the last stop (supervisor/proof.py) may be of a later one by now; what was told as
     events `stop` and `stop_outcome` is of this one for good.
     """
     supervisor = segments[layout.SUPERVISOR]
@@ -149,20 +150,30 @@ def as_map(payload: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def proofs(head: dict[str, Any]) -> list[str]:
-    """The three levels of proof, in a few words each, by the head of an incident."""
+def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
+    """The three levels of proof, in a few words each, by the head of an incident, each with whether it is one (None:
+    not known)."""
     stop: dict[str, Any] = head["stop"] or {}
-    heard, seen = f"answer of the board: {NOT_KNOWN}", f"standstill: {NOT_KNOWN}"
-    written = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"
-    if not stop:
-        written = f"whether a stop was written: {NOT_KNOWN}"
-    elif stop.get("written_us") is not None:
-        written = f"written after {took(stop['written_us'] / 1e6)}"
-    if (heard_us := stop.get("acknowledged_us")) is not None:
-        heard = f"acknowledged after {took(heard_us / 1e6)}"
-    if (seen_ms := stop.get("observed_ms")) is not None:
+    written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
+    found: list[tuple[str, bool | None]] = [
+        (f"whether a stop was written: {NOT_KNOWN}", None),
+        (f"answer of the board: {NOT_KNOWN}", None),
+        (f"standstill: {NOT_KNOWN}", None),
+    ]
+    if written_us is not None:
+        found[0] = f"written after {took(written_us / 1e6)}", True
+    elif stop:
+        found[0] = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False
+    if heard_us is not None:
+        found[1] = f"acknowledged after {took(heard_us / 1e6)}", True
+    if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        seen = wheels_seen(seen_ms / 1e3).removeprefix("wheels ")
+        found[2] = seen_after(seen_ms / 1e3), True
     elif stop.get("wheels") == "unstill":
-        seen = "wheels NOT seen still"
-    return [written, heard, seen]
+        found[2] = "wheels NOT seen still", False
+    return found
+
+
+def proven(head: dict[str, Any]) -> str:
+    """The three levels in a line."""
+    return ", ".join(text for text, _ in proofs(head))

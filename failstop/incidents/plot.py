@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from failstop import extras
-from failstop.incidents import files, memory, report, story
+from failstop.api import words
+from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
 from failstop.incidents.story import Line
-from failstop.procs.telemetry.still import LEAST_SAMPLES, WINDOW_NS
-from failstop.shm import blocks, layout
+from failstop.messages import blocks, layout
+from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,8 +118,8 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
 def _title(figure: SubFigure, incident: Incident) -> None:
     head, reason = incident.head, shorten(incident.reason, 130) or "?"
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
-    figure.text(0.03, 0.28, ", ".join(memory.proofs(head)), fontsize=11)
-    when = report.when(head["t"])
+    figure.text(0.03, 0.28, memory.proven(head), fontsize=11)
+    when = words.date(head["t"])
     figure.text(0.03, 0.06, f"{when}   {head['host']}   service {head['name']}   {incident.id}", color=FAINT)
 
 

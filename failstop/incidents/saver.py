@@ -23,12 +23,12 @@ if __name__ == "__main__":
         os.nice(NICE)
     sys.path[:] = os.environ["FAILSTOP_PATH"].split(os.pathsep)
 
+from failstop.files.root import state_directory
 from failstop.incidents import files, memory
+from failstop.messages import layout, records, segments
+from failstop.messages.packing import pack
 from failstop.policy import causes
-from failstop.procs.telemetry.state_files import state_directory
-from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
-from failstop.shm.packing import pack
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -55,15 +55,14 @@ def main(words: dict[str, str]) -> int:
         adjust.write("500")  # of all processes here, the one to do without
     try:
         told, code = save(words), 0
-    except (OSError, segment.AttachError, files.IncidentError) as error:
+    except (OSError, segments.AttachError, files.IncidentError) as error:
         told, code = {"wrong": str(error)[:MOST_SAID]}, 1
     try:
         os.write(int(words["result"]), pack(told))
     except OSError:
-        from failstop.supervisor.events import say
-
         said = told.get("wrong") or (f"incident {told['id']} saved" if told else "nothing to save")
-        say(f"the supervisor is gone; its saver says: {said}")
+        with contextlib.suppress(OSError):
+            os.write(2, f"failstop: the supervisor is gone; its saver says: {said}\n".encode("utf-8", "replace"))
     return code
 
 
@@ -112,7 +111,7 @@ def _wait_for_port(words: dict[str, str], fd: int) -> None:
 
 
 def _is_lost(name: str, fd: int) -> bool:
-    told = memory.entries(layout.PORT_OWNER, "port", *segment.copy(fd, name, layout.PORT_OWNER))
+    told = memory.entries(layout.PORT_OWNER, "port", *segments.copy(fd, name, layout.PORT_OWNER))
     return bool(told) and records.PORT.unpack(told[-1][2])[2] == records.PORT_LOST
 
 

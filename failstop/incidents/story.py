@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
+from typing import Any
 
 from failstop.api import words
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, Sort, Tick, Write, named
-from failstop.shm import layout
+from failstop.messages import layout
 
 CAUSE = "CAUSE"
 QUIET_NS = 100_000_000
@@ -155,11 +156,21 @@ def _silences(incident: Incident) -> Iterator[Line]:
 def _events(incident: Incident) -> Iterator[Line]:
     """Events; and of a run that has ended, the causes that nobody was there to tell of."""
     for event in incident.events:
-        said = event.text.partition("; next: ")[0]
         # Of the stop itself the facts tell.
-        own = event.text.partition(": ")[2].startswith(incident.reason) and event.ns >= incident.cause_ns
+        own = event.fields.get("cause") == incident.cause.kind.name and event.ns >= incident.cause_ns
         routine = own if event.kind == "stop" else event.kind in NO_NEWS
-        yield Line(event.ns, event.kind, f"{'! ' * (event.level in ('error', 'critical'))}{said}", routine=routine)
+        mark = "! " * (event.level in ("error", "critical"))
+        yield Line(event.ns, event.kind, f"{mark}{event.what}", routine=routine)
     for ns, by, cause in incident.stops if incident.left else ():
         if ns > incident.cause_ns:
             yield Line(ns, "cause", f"{cause} (noticed by the {named(by)})")
+
+
+def as_dict(incident: Incident) -> dict[str, Any]:
+    """For programs: the head, the whole story, the machine, and every setting."""
+    lines = [
+        {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
+        for line in tell(incident)
+    ]
+    found = {"id": incident.id, **incident.head, "story": lines}
+    return {**found, "machine": incident.machine, "settings": incident.settings}

@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
+from failstop.files import instance
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stopped import Stopped as Stopped
 from failstop.lab.stopped import judge as judge
-from failstop.shm import instance, layout, segment
+from failstop.messages import layout, segments
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -114,9 +115,15 @@ class Service:
         return os.stat(self._log.name).st_size
 
     def pids(self) -> dict[str, int]:
-        """The pid of each process now."""
-        with Robot(self.name) as robot:
-            return {name: process.pid for name, process in robot.state.processes.items()}
+        """The pid of each process now. Raises TrialError, with the service's words, when it has ended."""
+        try:
+            with Robot(self.name) as robot:
+                return {name: process.pid for name, process in robot.state.processes.items()}
+        except FailstopError:
+            if self.process is None or self.process.poll() is None:
+                raise
+            code, said = self.process.returncode, self.said()[-MOST_SAID:].strip()
+            raise TrialError(f"the service ended with {code}; it said: {said}") from None
 
     def kill(self) -> None:
         """SIGKILL the supervisor and collect it; the rest ends by itself."""
@@ -143,8 +150,8 @@ class Service:
                 self.end()
         finally:
             self._log.close()
-            for run in segment.dead_runs(self.name):
-                segment.unlink_all(run)
+            for run in segments.dead_runs(self.name):
+                segments.unlink_all(run)
             for path in instance.places(self.name):
                 shutil.rmtree(path, ignore_errors=True)
 

@@ -19,11 +19,10 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-import completion
-import man
 import tree
 from tree import BuildError, Entry
 
+from failstop.lab.pages import completion, man
 from failstop.version import VERSION
 
 HERE = Path(__file__).resolve().parent

@@ -6,35 +6,26 @@ are what it says of itself, for people to read; nothing depends on their truth.
 
 from __future__ import annotations
 
+from failstop.messages import layout, records
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import claim, layout, records
+from failstop.shm import claim
 from failstop.shm.cell import LatestReader
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from typing import Any
 
-    from failstop.procs.gate.main import Gate
     from failstop.shm.cell import Entry
 
-NAME_BYTES = 64
-SAID_BYTES = 190
-RECORDS = {
-    "command": records.COMMAND,
-    "request": records.REQUEST,
-    "arm_goal": records.ARM_GOAL,
-    "arm_path": records.ARM_PATH,
-    "speed_limit": records.SPEED_LIMIT,
-    "seen": records.SEEN,
-    "sensed": records.HELD,
-    "interlocks": records.HELD,
-    "attended": records.HELD,
-    "said": records.SAID,
-}
-"""The records of a slot besides its hello; in each the session that wrote it comes first."""
+    News = tuple["Slot", str, tuple[Any, ...]]
+    """A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
+
+OVER = "gone"
+"""News of a session that has left its slot, with True when it said goodbye."""
 ONCE = ("command", "request", "arm_goal")
 """Those that are acted on when they are new."""
 
@@ -59,7 +50,7 @@ class Slot:
         self._greeting: Entry | None = None
         self._greeted: int | None = None
         """The hello that was read last, and whose it is."""
-        self._readers = {name: segment.latest_reader(name) for name in RECORDS}
+        self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
         self._seen = {name: seen(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
@@ -79,18 +70,14 @@ class Slot:
             try:
                 if entry:
                     self._greeted, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
-                    self.name = _bounded(name, NAME_BYTES)
+                    self.name = bounded(name, records.WHO_BYTES)
             except ValueError:
                 return None
         return self._greeted
 
     def parted(self) -> bool:
         """True when the session that holds the slot has said goodbye."""
-        entry = self._left.read()
-        try:
-            return entry is not None and records.LEFT.unpack(entry[2]) == (self.session,)
-        except ValueError:
-            return False
+        return self._believed(records.LEFT, self._left.read()) is not None
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""
@@ -100,7 +87,7 @@ class Slot:
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
         """When that record was written (ns) and its values, when it is whole and of this session."""
-        return self._believed(name, self._readers[name].read())
+        return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
         """The newest record of this name, once."""
@@ -108,81 +95,69 @@ class Slot:
         if entry is None or entry[0] == self._seen[name]:
             return None
         self._seen[name] = entry[0]
-        return self._believed(name, entry)
+        return self._believed(records.OF_SESSION[name], entry)
 
-    def _believed(self, name: str, entry: Entry | None) -> tuple[Any, ...] | None:
+    def _believed(self, shape: records.Shape, entry: Entry | None) -> tuple[Any, ...] | None:
         if entry is None:
             return None
         try:
-            writer, *values = RECORDS[name].unpack(entry[2])
+            writer, *values = shape.unpack(entry[2])
         except ValueError:
             return None
         return (entry[1], *values) if writer == self.session else None
 
-    def new_command(self) -> Command | None:
-        """The command, when it is new."""
-        if found := self.new("command"):
-            t_ns, vx, vy, wz, manual, source = found
-            return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
-        return None
-
-    def attended(self) -> tuple[int, str] | None:
-        """When the operator that this session speaks for was there last, 0: is there no more; who it is. None: it
-        speaks for none."""
-        t_ns, names = self.latest("attended") or (0, [])
-        return (t_ns, _bounded(names[0], NAME_BYTES)) if names else None
+    def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
+        """The values of a command as one of this session."""
+        return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
         """The last words of this session for people: when, what it sees, what is wrong; None: nothing yet."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
-            return t_ns, _bounded(sees, SAID_BYTES), _bounded(wrong, SAID_BYTES)
+            return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
         return None
 
 
-def _bounded(text: str, room: int) -> str:
+def bounded(text: str, room: int) -> str:
     """A client's words for the state and the record `said`, which must hold those of all, whatever they are: what can't
     be printed would take three bytes for one."""
     return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
-    """All slots. `active` is the ones that a session holds."""
+    """All slots. `active` is the ones that a session holds. Each look yields the news in order: act on each before the
+    next is looked for."""
 
-    def __init__(self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, gate: Gate) -> None:
-        """`gate`: it acts on what clients do."""
+    def __init__(
+        self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
+    ) -> None:
+        """`heard`: the records that are looked at, in this order."""
         self._claims_fd = claims_fd
         self._loop = loop
         self._early = early
-        self._gate = gate
+        self._heard = heard
         self._pid_namespace = pid_namespace()
         self.slots = [Slot(index, segment) for index, segment in enumerate(segments)]
         self.active: list[Slot] = []
 
-    def rung(self, hints: bytes, now_ns: int) -> None:
-        """The client bell rang: each byte hints at a slot; anything else hints at all of them."""
+    def hinted(self, hints: bytes) -> list[Slot]:
+        """Slots to look at when the client bell rang: each byte hints at one; anything else hints at all of them."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
-            for index in set(hints):
-                self._look(self.slots[index], now_ns)
-        else:
-            self.look_at_all(now_ns)
+            return [self.slots[index] for index in set(hints)]
+        return self.slots
 
-    def look_at_active(self, now_ns: int) -> None:
-        """Once a tick: news whose ring was lost, and claims that have ended."""
-        for slot in tuple(self.active):
-            self._look(slot, now_ns)
+    def look(self, slots: list[Slot]) -> Iterator[News]:
+        """Look at these: at the active ones once a tick, for news whose ring was lost and for claims that have ended;
+        now and then at all, for new clients whose ring was lost."""
+        for slot in tuple(slots):
+            yield from self._look(slot)
 
-    def look_at_all(self, now_ns: int) -> None:
-        """Now and then: new clients whose ring was lost."""
-        for slot in self.slots:
-            self._look(slot, now_ns)
-
-    def lives_ended(self, ready: dict[int, int], now_ns: int) -> None:
+    def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
         """Drop each client whose lifeline has told of its death, even while the kernel takes its memory down, and even
         if a process that it forked still holds the claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
-                self._leave(slot, now_ns)
+                yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
         """Where neither its pid nor its futex can be watched, the claim alone decides, once a tick."""
@@ -195,37 +170,34 @@ class ClientTable:
         self._loop.watch(slot.life.fd, READ)
         self._early.watch(slot.life, slot.segment)
 
-    def _look(self, slot: Slot, now_ns: int) -> None:
+    def _look(self, slot: Slot) -> Iterator[News]:
         if not claim.held(self._claims_fd, slot.index):
-            self._leave(slot, now_ns)
+            yield from self._leave(slot)
             return
         session = slot.greet()
         if session != slot.session:
-            self._leave(slot, now_ns)
+            yield from self._leave(slot)
             if not session or session == slot.ended:
                 return
             # One that is started again for a death must not be heard before that death is.
             for other in tuple(self.active):
                 if not claim.held(self._claims_fd, other.index) or (other.life and other.life.dead()):
-                    self._leave(other, now_ns)
+                    yield from self._leave(other)
             slot.join(session)
             self.active.append(slot)
             self._watch(slot)
         elif not session:
             return  # a claim alone is nobody yet, whatever else lies in the slot
-        self._gate.client_holds(slot, now_ns)
-        if request := slot.new("request"):
-            asked_ns, number, verb = request
-            self._gate.requests.take(slot, number, verb, asked_ns, now_ns)
-        if command := slot.new_command():
-            self._gate.client_command(command, now_ns)
+        for record in self._heard:
+            if values := slot.new(record) if record in ONCE else slot.latest(record):
+                yield slot, record, values
 
-    def _leave(self, slot: Slot, now_ns: int) -> None:
+    def _leave(self, slot: Slot) -> Iterator[News]:
         if slot.session:
             self.active.remove(slot)
             if slot.life:
                 self._loop.forget(slot.life.fd)
                 slot.life.close()
                 slot.life = None
-            self._gate.client_gone(slot, now_ns)
+            yield slot, OVER, (slot.parted(),)
             slot.ended, slot.session = slot.session, 0

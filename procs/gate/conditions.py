@@ -3,16 +3,16 @@ is told when it was asserted, by the clock of whoever asserts it."""
 
 from __future__ import annotations
 
+from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm.packing import Note
 
 MS = 1_000_000
 AHEAD_NS = 20 * MS
 """A record may be written after the turn that reads it began. What is stamped further ahead comes from a clock that is
 not this machine's, and would stay fresh for as long as it is ahead."""
-NOBODY = "nobody attends: press ATTEND on the page, or run `failstop attend`"
-LEFT = "left"
+NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
+DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
@@ -68,7 +68,7 @@ class Interlocks:
         self._declared = declared
         self._asserted_ns: dict[str, int] = {}
 
-    def hold(self, names: list[str], t_ns: int, now_ns: int) -> None:
+    def confirm(self, names: list[str], t_ns: int, now_ns: int) -> None:
         """A client says that these hold; names that no setting declares mean nothing."""
         for name in names:
             if name in self._declared:
@@ -92,7 +92,7 @@ class Attendance:
         self.on = on
         self._lease_ns = lease_ns
         self._there: dict[int, tuple[int, str]] = {}
-        self._last = ("", LEFT)
+        self._last = ("", DEPARTED)
         """The last operator, and how that one's presence ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
@@ -108,7 +108,7 @@ class Attendance:
     def leave(self, session: int) -> None:
         """That session's operator is there no more, by its own word or by its death."""
         if found := self._there.pop(session, None):
-            self._last = found[1], LEFT
+            self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
         """The operators that are there; others are forgotten."""
@@ -124,7 +124,7 @@ class Attendance:
 
     def unmet(self, now_ns: int) -> str:
         """Why motion may not be enabled; empty when it may."""
-        return NOBODY if self.on and not self.names(now_ns) else ""
+        return NOBODY_ATTENDS if self.on and not self.names(now_ns) else ""
 
     def gone(self, now_ns: int) -> Cause | None:
         """Why motion may not go on."""

@@ -13,17 +13,17 @@ from __future__ import annotations
 
 from math import isfinite
 
+from failstop.messages.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
+from failstop.messages.packing import Note
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import Wheels
 from failstop.policy.reply import Reply
-from failstop.policy.settings import DEATHS, Settings
+from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
-from failstop.procs.gate.sources import PAD, PAD_SESSION, Command, Sources
-from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
-from failstop.shm.packing import Note
-from failstop.shm.records import CAUSE
+from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
 Vector = tuple[float, float, float]
 Speeds = tuple[float, float, float, float]
@@ -31,6 +31,7 @@ Speeds = tuple[float, float, float, float]
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = f"a stop is latched ({CAUSE})"
+WHEELS_ENABLED = "wheels enabled"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 _DISABLE, _LATCH, _STAY = DEATHS
@@ -87,6 +88,10 @@ class GateCore:
             return NO_SCAN
         return ""
 
+    def arm_closed(self) -> str:
+        """Why the arm takes no goal now; empty when it does."""
+        return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled else ""
+
     def due_ns(self, now_ns: int) -> int | None:
         """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing
         moves them."""
@@ -122,8 +127,8 @@ class GateCore:
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
-            reserved = f"the source {PAD!r} is the board's gamepad alone"
-            why = reserved if command.source == PAD else f"no source {command.source!r} in the settings"
+            reserved = f"the source {PAD_SOURCE!r} is the board's gamepad alone"
+            why = reserved if command.source == PAD_SOURCE else f"no source {command.source!r} in the settings"
             text = f"command from {command.who} ignored: {why}"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 

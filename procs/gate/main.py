@@ -6,63 +6,42 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.files import instance, place
+from failstop.messages import layout, records
+from failstop.messages.packing import pack
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
-from failstop.procs.gate.arm.shell import Arm
-from failstop.procs.gate.clients import ClientTable, Slot, seen
+from failstop.procs.gate.arm.shell import TELL_NS, Arm
+from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, seen
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
-from failstop.procs.gate.requests import Requests
-from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
+from failstop.procs.gate.requests import Request, Requests
+from failstop.procs.gate.rings import Frames, GateBox
+from failstop.procs.gate.sources import PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
-from failstop.shm import bell, box, instance, layout, place, records
-from failstop.shm.cell import RingWriter
+from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.packing import pack
 from failstop.shm.words import Barrier
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from failstop.procs.gate.clients import News
 
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 MS = 1_000_000
+NO_ARM = "this robot has no arm: its settings name no joints"
+ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
-
-
-class GateBox:
-    """The gate's part of the black box: one record a tick, of the newest command and of what became of it."""
-
-    def __init__(self, ring: RingWriter) -> None:
-        self._ring = ring
-        self._newest: Command | None = None
-        self._count = 0
-
-    def command(self, command: Command) -> None:
-        """A command came, good or bad."""
-        self._newest = command
-        self._count += 1
-
-    def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
-        """The end of a tick."""
-        command = self._newest
-        flags = box.ENABLED if core.enabled else 0
-        age_us, source, who = box.LONGEST, b"", b""
-        velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
-        if command is not None:
-            age_us = min(max(0, now_ns - command.t_ns) // 1000, box.LONGEST)
-            velocity = tuple(map(box.single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.WHO_BYTES]
-            flags |= (box.MANUAL if command.manual else 0) | (
-                box.DRIVES if core.sources.driving(now_ns) is command else 0
-            )
-        block = box.BLOCK.get(core.blocked(now_ns), 1)
-        numbers = (*velocity, *core.velocity, *core.speeds)
-        count, self._count = min(self._count, 255), 0
-        self._ring.put(box.GATE.pack(epoch & box.LONGEST, block, flags, count, age_us, *numbers, source, who), now_ns)
 
 
 class Gate:
@@ -73,7 +52,7 @@ class Gate:
         now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._next_tick, self._due = self.loop.timer(), self.loop.timer()
+        self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
@@ -86,34 +65,55 @@ class Gate:
         self._published_ns = 0
         self._attach(context)
         self._watch_others(context)
-        self.epoch = self._epoch_word.get()
-        self.raised_ns = 0
+        self.epoch = self._frames.epoch = self._epoch_word.get()
+        self._raised_ns = 0
         """When the epoch was raised last."""
-        self.last = causes.UNKNOWN()
+        self._last = causes.UNKNOWN()
         """The cause of the last stop."""
-        self.requests = Requests(self, context, now_ns)
+        self.core.limit_to(self._limit_word.get() or 100)
+        self.requests = Requests(context, self.core.notes, now_ns)
         self.follow_latch()
-        self.arm = Arm(self, context, self.loop.timer(), now_ns) if settings.servos() else None
+        core, to = self.core, (self._frames, self.requests, self.core.notes)
+        self.arm = Arm(context, *to, now_ns) if settings.servos() else None
+        self._act_on: dict[str, Callable[..., None]] = {
+            "sensed": lambda now_ns, _slot, t_ns, _names: core.scan.deliver(t_ns, now_ns),
+            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.confirm(names, t_ns, now_ns),
+            "attended": self._attend,
+            **({"arm_goal": self._aim_arm} if self.arm else {}),
+            "request": self.take_request,
+            "command": lambda now_ns, slot, *values: self._command(slot.command(*values), now_ns),
+        }
+        """Actions on the records of a client, in the order in which these are looked at."""
+        self._do: dict[int, Callable[[Request, int], Reply | None]] = {
+            records.ENABLE: self._enable,
+            records.DISABLE: self._disable,
+            records.RESET: lambda request, _now_ns: self.requests.ask_reset(request),
+            records.LIMIT: self._limit,
+            **dict.fromkeys(ARM_VERBS, self._ask_arm),
+        }
+        """Actions on requests, by verb; one that returns None is answered later."""
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
-        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
+        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, tuple(self._act_on))
+        self._act_on[OVER] = self._client_gone
 
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
-        self._frames = own.ring_writer("frames")
+        self._frames = Frames(context)
         self._stops = own.ring_writer("stops")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
         self._said_record = own.latest_writer("said")
         self._box = GateBox(own.ring_writer("box"))
-        self._port_owner_bell = context.bell("port_owner_bell")
-        self.supervisor_bell = context.bell("supervisor_bell")
+        self._limit_word = own.word("limit")
+        self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
         """Make the readers of others' records, and watch what wakes it."""
         supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_heart = HeartbeatReader(supervisor)
+        self._ready_word = supervisor.word("ready")
         self._latch = supervisor.latest_reader("latch")
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
@@ -127,38 +127,60 @@ class Gate:
         """Read the supervisor's latch, as a gate that was restarted does too."""
         self._barrier()
         if entry := self._latch.read():
-            since, _, self.raised_ns, cause = records.LATCH.unpack(entry[2])
-            self.last = causes.read(cause)
-            self.core.follow(self.last if since else None, self.epoch)
+            since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
+            self._last = causes.read(cause)
+            self.core.follow(self._last if since else None, self.epoch)
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
-        self.requests.follow_resets(now_ns)
-        self.clients.lives_ended(ready, now_ns)
+        if self.requests.reset_decided():
+            self.follow_latch()
+            self.requests.answer_reset(now_ns)
+        self._follow_clients(self.clients.lives_ended(ready), now_ns)
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
         self._follow_telemetry(now_ns)
-        self._check_attendance(now_ns)
+        if self.core.enabled:
+            self._stop(self.core.attendance.gone(now_ns), now_ns)
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
-            self.clients.look_at_active(now_ns)  # one that repeats its command has not rung for it
+            # A client that repeats its command has not rung for it.
+            self._follow_clients(self.clients.look(self.clients.active), now_ns)
             self._step(now_ns)
         # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
         if self.arm:
-            self.arm.turn(now_ns)
+            self._turn_arm(self.arm, now_ns)
         self._tell()
-        self.publish(now_ns)
+        self._publish(now_ns)
+        self.requests.write()
         self.heartbeat.beat(now_ns, self.epoch)
+
+    def _turn_arm(self, arm: Arm, now_ns: int) -> None:
+        self._stop(arm.hear(self.core.arm_closed(), now_ns), now_ns)
+        if not self.core.enabled:
+            arm.step(now_ns)
+        if request := arm.answer_waiter(now_ns):
+            reply = self.core.enable(self.epoch, self._missing(), now_ns)
+            if reply.done:
+                arm.core.forget()
+            self.requests.settle(request, reply, now_ns)
+        arm.tell(self.core.arm_closed(), now_ns)
+        self._arm_due.set(now_ns + TELL_NS if self.core.enabled else arm.core.due_ns)
+
+    def _follow_clients(self, news: Iterator[News], now_ns: int) -> None:
+        for slot, record, values in news:
+            self._act_on[record](now_ns, slot, *values)
 
     def _client_rang(self, now_ns: int) -> None:
         """News from clients, at once. Who rings without end is heard at the ticks: at real-time priority a flood would
         take a core from everybody below."""
-        self.clients.rung(bell.take(self._client_bell), now_ns)
+        rung = self.clients.hinted(bell.take(self._client_bell))
+        self._follow_clients(self.clients.look(rung), now_ns)
         self._rings += 1
         if self._rings == MOST_RINGS:
             self.loop.forget(self._client_bell)
@@ -175,26 +197,21 @@ class Gate:
         self._next_tick.set(max(self._next_tick.ns + self.period_ns, now_ns + self.period_ns // 2))
         self._ticks += 1
         if self._ticks % LOOK_AT_ALL_EVERY:
-            self.clients.look_at_active(now_ns)
+            self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
-            self.clients.look_at_all(now_ns)
+            self._follow_clients(self.clients.look(self.clients.slots), now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
-            self.send(records.STOP, b"", now_ns)
+            self._frames.stop(now_ns)
         self._check_supervisor(now_ns)
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
-
-    def _check_attendance(self, now_ns: int) -> None:
-        """Motion goes on only while an operator is there, where the settings ask for one."""
-        if self.core.enabled and (gone := self.core.attendance.gone(now_ns)):
-            self.stop(gone, now_ns)
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
-            self.stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
+            self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
         """Pass on clients' remarks on themselves, unjudged."""
@@ -209,23 +226,22 @@ class Gate:
             for note in self.core.notes:
                 self._notes.put(note.pack())
             self.core.notes.clear()
-            self.supervisor_bell.ring()
+            self._supervisor_bell.ring()
 
     def _step(self, now_ns: int) -> None:
         if speeds := self.core.step(now_ns):
             frame = BOARD.motor_speeds(speeds, self._max_rps)
-            self._frames.put(records.FRAME.pack(self.core.epoch, records.MOTION, frame), now_ns)
-            self._port_owner_bell.ring()
+            self._frames.put(records.MOTION, frame, now_ns, self.core.epoch)
 
     def _follow_epoch(self) -> None:
         """Somebody stopped."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
-            self.epoch = epoch
+            self.epoch = self._frames.epoch = epoch
             self.core.stand_still()
             self.follow_latch()
             if self.arm:
-                self.arm.core.stop(IS_LATCHED)
+                self.arm.stop(IS_LATCHED, self.core.latch)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
@@ -233,81 +249,116 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.PAD_COMMAND.unpack(payload)
-            self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
+            self._command(Command(PAD_SESSION, PAD_SOURCE, t_ns, velocity, manual=True, source=PAD_SOURCE), now_ns)
         while request := self._pad_requests.next():
             kind, frame = records.PAD_REQUEST.unpack(request[2])
             if kind == records.PAD_RESET:
-                self.requests.ask_reset((None, 0, 0, now_ns))
+                self.requests.ask_reset(Request(records.RESET, now_ns))
             elif kind == records.PAD_FRAME:
-                self.send(records.OTHER, frame, now_ns)
+                self._frames.put(records.OTHER, frame, now_ns)
 
-    def send(self, kind: int, body: bytes, now_ns: int) -> None:
-        """A frame of the current epoch for the port owner, or STOP."""
-        self._frames.put(records.FRAME.pack(self.epoch, kind, body), now_ns)
-        self._port_owner_bell.ring()
+    # Ends of motion.
 
-    def stop(self, cause: Cause, now_ns: int) -> None:
-        """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
-        if self.core.stop(cause, self.epoch):
-            self._stop_all(IS_LATCHED, now_ns)
+    def _stop(self, cause: Cause | None, now_ns: int) -> None:
+        """Latch a stop, if there is a cause: burst at once, then the news to the supervisor, which raises the epoch."""
+        if cause and self.core.stop(cause, self.epoch):
+            self._stop_all(IS_LATCHED, now_ns, cause)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
-            self.supervisor_bell.ring()
+            self._supervisor_bell.ring()
 
-    def disable(self, now_ns: int) -> Reply:
+    def _stop_all(self, why: str, now_ns: int, cause: Cause | None = None) -> None:
+        self._frames.stop(now_ns)
+        if self.arm:
+            self.arm.stop(why, cause)
+
+    # Requests.
+
+    def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
+        """Decide, act, answer."""
+        request = Request(verb, asked_ns, number, slot.session, slot)
+        enabled = self.core.enabled
+        reply = self.requests.refusal(request, self._raised_ns, self._last)
+        if reply is None:
+            reply = self._do[verb](request, now_ns) if verb in self._do else Reply(False, f"unknown request {verb}")
+        if reply:
+            self.requests.settle(request, reply, now_ns, enabled=enabled)
+
+    def _missing(self) -> str:
+        return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+
+    def _enable(self, request: Request, now_ns: int) -> Reply:
+        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
+        way = None
+        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
+            way = self.arm.enable(request, now_ns)
+        return way or self.core.enable(self.epoch, self._missing(), now_ns)
+
+    def _disable(self, _request: Request, now_ns: int) -> Reply:
         """Forbid motion; what moves is stopped, and nothing latched."""
         reply = self.core.disable()
         self._stop_all(reply.text, now_ns)
         return reply
 
-    def _stop_all(self, why: str, now_ns: int) -> None:
-        self.send(records.STOP, b"", now_ns)
-        if self.arm:
-            self.arm.core.stop(why)
+    def _limit(self, request: Request, _now_ns: int) -> Reply:
+        _, percent = request.about("speed_limit") or (0, 0)
+        reply = self.core.limit_to(percent)
+        self._limit_word.set(self.core.limit)
+        return reply
 
-    def client_command(self, command: Command, now_ns: int) -> None:
+    def _ask_arm(self, request: Request, now_ns: int) -> Reply:
+        if self.arm is None:
+            return Reply(False, NO_ARM)
+        if request.verb == records.ARM_HOLD:
+            return self.arm.hold(request, now_ns)
+        if closed := self.core.arm_closed():
+            return Reply(False, closed, self.core.latch)
+        done = self.arm.move(request, now_ns)
+        if isinstance(done, Reply):
+            return done
+        self._stop(done, now_ns)
+        return Reply(False, IS_LATCHED, done)
+
+    # Other news of clients.
+
+    def _command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""
         self._box.command(command)
         if fault := self.core.take(command, now_ns):
-            self.stop(fault, now_ns)
+            self._stop(fault, now_ns)
         else:
             self._step(now_ns)
 
-    def client_holds(self, slot: Slot, now_ns: int) -> None:
-        """Take a client's assertions: the sensor's deliveries, interlocks."""
-        core = self.core
-        if sensed := slot.latest("sensed"):
-            core.scan.deliver(sensed[0], now_ns)
-        if asserted := slot.latest("interlocks"):
-            core.interlocks.hold(asserted[1], asserted[0], now_ns)
-        if found := slot.attended():
-            proven_ns, who = found
-            if proven_ns:
-                core.attendance.hear(slot.session, who, proven_ns, now_ns)
-            else:
-                core.attendance.leave(slot.session)
-        if self.arm:
-            self.arm.goal(slot, now_ns)
+    def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
+        """An operator that this session speaks for was there then, or with the time 0 is there no more."""
+        if names and t_ns:
+            self.core.attendance.hear(slot.session, bounded(names[0], records.WHO_BYTES), t_ns, now_ns)
+        elif names:
+            self.core.attendance.leave(slot.session)
 
-    def client_gone(self, slot: Slot, now_ns: int) -> None:
+    def _aim_arm(self, now_ns: int, slot: Slot, t_ns: int, mode: int, values: dict[int, float]) -> None:
+        if self.arm:
+            self._stop(self.arm.goal(slot, t_ns, mode, values, self.core.arm_closed(), now_ns), now_ns)
+
+    def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         self.core.attendance.leave(slot.session)
         enabled = self.core.enabled
-        if died := self.core.client_gone(slot.session, now_ns, parted=slot.parted()):
-            self.stop(died, now_ns)
+        if died := self.core.client_gone(slot.session, now_ns, parted=parted):
+            self._stop(died, now_ns)
         elif enabled and not self.core.enabled:
-            self.send(records.STOP, b"", now_ns)
+            self._frames.stop(now_ns)
         else:
             self._step(now_ns)
         if self.arm:
             self.arm.client_gone(slot.session, now_ns)
 
-    def publish(self, now_ns: int) -> None:
+    def _publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS. The sensor's last delivery, which is
         new at every tick, waits for that: whoever reads the state would unpack it at every tick too."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
-        state: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
+        state: dict[str, object] = {"arm": self.arm.state(core.arm_closed(), now_ns)} if self.arm else {}
         if core.attendance.on:
             state["attended"] = core.attendance.names(now_ns)
         if unmet := core.interlocks.unmet(now_ns):

@@ -3,12 +3,13 @@ say of themselves. Pure."""
 
 from __future__ import annotations
 
+from failstop.messages import records
+from failstop.messages.packing import Note
 from failstop.policy.reply import Reply
-from failstop.procs.gate.sources import PAD, Command
-from failstop.shm import records
-from failstop.shm.packing import Note
+from failstop.policy.settings import PAD_SOURCE
+from failstop.procs.gate.sources import Command
 
-Row = tuple[int, int, str, int, str, str]
+SaidRow = tuple[int, int, str, int, str, str]
 """Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""
 
 VERBS = {
@@ -94,7 +95,7 @@ class LeftOff:
         not so the gamepad, which says where its sticks are for as long as it can be heard."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, the wheels are stopped"
-        if driver.manual and driver.source != PAD:
+        if driver.manual and driver.source != PAD_SOURCE:
             return self._note("driver_ended", driver, f"let go: {last}", now_ns)
         text = f"fell silent while it drove: {last}"
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
@@ -116,10 +117,10 @@ class Said:
     """The last words of each session, what it sees and what is wrong: for people, nothing depends on their truth."""
 
     def __init__(self, now_ns: int) -> None:
-        self._rows: dict[int, Row] = {}
+        self._rows: dict[int, SaidRow] = {}
         self._budget = Budget(now_ns)
 
-    def follow(self, rows: list[Row], now_ns: int) -> list[Note] | None:
+    def follow(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
         """The words of all sessions that said something; returns what people are told of, None when nothing has
         changed, not even when it was said."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
@@ -134,7 +135,7 @@ class Said:
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 
-def _words(before: Row | None, row: Row) -> Note | None:
+def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
     _, _, who, _, sees, wrong = row
     if before and before[4:] == row[4:]:
         return None
@@ -144,5 +145,5 @@ def _words(before: Row | None, row: Row) -> Note | None:
     return Note("said", f"{who} says: {sees}", fields)
 
 
-def _gone(row: Row) -> Note:
+def _gone(row: SaidRow) -> Note:
     return Note("said", f"{row[2]} has gone", {"who": row[2], "sees": "", "wrong": ""})

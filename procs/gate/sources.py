@@ -8,13 +8,12 @@ service's own: no client commands as it.
 
 from __future__ import annotations
 
-from failstop.shm import records
+from failstop.messages import records
+from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
-PAD = "gamepad"
 PAD_PRIORITY = 101
 PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""
-DEFAULT = "cmd_vel"
 
 
 class Command:
@@ -30,7 +29,7 @@ class Command:
         velocity: tuple[float, float, float],
         *,
         manual: bool = False,
-        source: str = DEFAULT,
+        source: str = FIRST_SOURCE,
     ) -> None:
         self.session = session
         self.who = who
@@ -45,7 +44,7 @@ class Sources:
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
         """`declared`: name -> (priority, timeout in ns), the highest first."""
-        rows = {PAD: (PAD_PRIORITY, pad_timeout_ns), **declared}
+        rows = {PAD_SOURCE: (PAD_PRIORITY, pad_timeout_ns), **declared}
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
@@ -53,7 +52,7 @@ class Sources:
 
     def allows(self, command: Command) -> bool:
         """True for a client as a source of the settings, and for the pad as itself."""
-        return command.source in self._rank and (command.source == PAD) == (command.session == PAD_SESSION)
+        return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
         """The source's command while it is not older than its timeout."""

@@ -8,13 +8,13 @@ sees a newer epoch than the one it stopped in.
     the frame's epoch is the current one                            DROP: of a dead epoch, wherever it was queued
     the current epoch is newer than its own stop                    DROP
     the frame is younger than the lease                             DROP
-    nobody has asked for a stop meanwhile                           REQUEST: that is the stop
+    nobody has asked for a stop meanwhile                           STOP_ASKED: that is the stop
     the gate is fresh (its lease)                                   the cause
     the supervisor is fresh (its lease)                             the cause
     it is a whole motor frame within the speed                      the cause
-    all hold                                                        WRITE
+    all hold                                                        ADMIT
 
-BURST instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
+STAND_STILL instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
 
 A frame for the servos is written only when these rows hold too:
 
@@ -34,14 +34,14 @@ from __future__ import annotations
 from collections import deque
 
 from failstop.board.interface import BOARD
-from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, MOVE, READS
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_MOVE
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.loop import NEVER
-from failstop.shm import layout
 
 MS = 1_000_000
-WRITE, DROP, BURST, REQUEST = range(4)
+ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 Motion = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
@@ -71,15 +71,16 @@ class Admission:
         *,
         requested: bool,
     ) -> int | Cause:
-        """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
-        beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request waits."""
+        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they
+        have beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request
+        waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
-            return BURST if self.wheels_move and motion[0] == BOARD.stop else DROP
+            return STAND_STILL if self.wheels_move and motion[0] == BOARD.stop else DROP
         if requested:
-            return REQUEST
+            return STOP_ASKED
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
             return lapse
-        return rules.check(motion[0]) or WRITE
+        return rules.check(motion[0]) or ADMIT
 
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop that a motion frame's content is; None: it may go out."""
@@ -136,7 +137,7 @@ class ServoBus:
     def wrote(self, frame: bytes, now_ns: int) -> bool:
         """It was written; True when a servo moves by it."""
         self._free_ns = max(self._free_ns, now_ns) + BOARD.servo_ns(frame)
-        moves = frame[_COMMAND_AT] == MOVE
+        moves = frame[_COMMAND_AT] == SERVO_MOVE
         if moves:
             self._rest_ns = now_ns + LONGEST_MOVE_NS
         return moves

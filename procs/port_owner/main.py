@@ -8,6 +8,7 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -18,7 +19,7 @@ from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
 from failstop.procs.port_owner.schedule import Pings, Repeats
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
-from failstop.shm import bell, layout, records
+from failstop.shm import bell
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
@@ -263,7 +264,7 @@ class PortOwner:
             epoch, kind, body = records.FRAME.unpack(payload)
             if kind == records.MOTION:
                 motion = (body, epoch, frame_ns)
-            elif kind == records.STOP:
+            elif kind == records.WRITE_BURST:
                 motion = None
                 self.bus.waiting.clear()
                 self._gate_stop()
@@ -288,12 +289,12 @@ class PortOwner:
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
             verdict = self._decide(move, now_ns, self.bus)
-            if verdict == admission.WRITE:
+            if verdict == admission.ADMIT:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
                 if now_ns < due_ns < NEVER:
                     break
             self.bus.waiting.popleft()
-            if verdict != admission.WRITE:
+            if verdict != admission.ADMIT:
                 self._obey(verdict, now_ns)
             elif due_ns != NEVER:
                 self._write_arm(move)
@@ -330,9 +331,9 @@ class PortOwner:
 
     def _obey(self, verdict: int | Cause, now_ns: int) -> None:
         """Act on a frame that is not written."""
-        if verdict == admission.BURST:
+        if verdict == admission.STAND_STILL:
             self._burst()
-        elif verdict == admission.REQUEST:
+        elif verdict == admission.STOP_ASKED:
             self._stop_request(now_ns)
         elif not isinstance(verdict, int):
             self.stop(now_ns, verdict)
@@ -340,7 +341,7 @@ class PortOwner:
     def _forward_motion(self, motion: Motion) -> None:
         now_ns = monotonic_ns()
         verdict = self._decide(motion, now_ns, self.admission)
-        if verdict == admission.WRITE:
+        if verdict == admission.ADMIT:
             self._write_motion(motion)
         else:
             self._obey(verdict, now_ns)
@@ -425,7 +426,7 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         due = self.repeats.take(now_ns)
-        if due == schedule.BURST:
+        if due == schedule.REPEAT:
             self.wire.burst()
         elif due == schedule.ZERO:
             self.wire.frame(BOARD.stop)

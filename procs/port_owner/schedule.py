@@ -13,10 +13,10 @@ from __future__ import annotations
 from failstop.procs.loop import NEVER, Timer
 from failstop.procs.peer import BURST_AFTER_NS
 
-BURST = 1
+REPEAT = 1
 ZERO = 2
 ZERO_EVERY_NS = 200_000_000
-GAP_NS = 50_000_000
+PING_GAP_NS = 50_000_000
 """Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
 few milliseconds, is long due."""
 
@@ -43,12 +43,12 @@ class Repeats:
         self._due.set(NEVER)
 
     def take(self, now_ns: int) -> int:
-        """BURST, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
+        """REPEAT, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
         if not self._due.take(now_ns):
             return 0
         if self._bursts:
             self._bursts -= 1
-            return BURST
+            return REPEAT
         self._due.set(now_ns + ZERO_EVERY_NS)
         return ZERO
 
@@ -61,7 +61,7 @@ class Pings:
         many at first follow each other at once."""
         self._count = count
         self._period_ns = period_ns
-        self._sent_ns = now_ns - GAP_NS
+        self._sent_ns = now_ns - PING_GAP_NS
         self._quick = quick
         self._due = due
         self._due.set(now_ns)
@@ -69,7 +69,7 @@ class Pings:
 
     def stopped(self, now_ns: int) -> None:
         """A stop was written: ask whether it was heard."""
-        self._due.set(max(now_ns, self._sent_ns + GAP_NS))
+        self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
     def due(self, now_ns: int) -> bool:
         """True when the ping `index` is to be written now."""
@@ -78,10 +78,10 @@ class Pings:
     def sent(self, now_ns: int) -> None:
         """It was written."""
         self._sent_ns = now_ns
-        self._due.set(now_ns + (GAP_NS if self._quick else self._period_ns))
+        self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
         self.index = (self.index + 1) % self._count
 
     def failed(self, now_ns: int) -> None:
         """The port takes nothing now: try again after the gap."""
-        self._due.set(now_ns + GAP_NS)
+        self._due.set(now_ns + PING_GAP_NS)

@@ -8,7 +8,7 @@ import select
 from failstop.board.interface import BOARD
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
-from failstop.shm import box
+from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
@@ -46,13 +46,13 @@ class Wire(StopPort):
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
-            self._note(box.BURST, BOARD.first_stop, taken)
+            self._note(box.WIRE_BURST, BOARD.first_stop, taken)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         if rest and self._early:
             return False
         whole = super()._put(data, rest=rest)
-        self._note(box.REST if rest else box.BURST, data, len(data) - len(self.unsent))
+        self._note(box.WIRE_REST if rest else box.WIRE_BURST, data, len(data) - len(self.unsent))
         return whole
 
     def burst(self) -> bool:
@@ -77,7 +77,7 @@ class Wire(StopPort):
         """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
         takes milliseconds, so the first burst does not wait for it."""
         self._box = ring
-        self._note(box.BURST, self._stop, len(self._stop) - len(self.unsent))
+        self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
     def _note(self, kind: int, data: bytes, taken: int) -> None:
         if self._box and not self.lost:
@@ -92,7 +92,7 @@ class Wire(StopPort):
             else:
                 taken = self._write(data)
                 self.unsent = b"" if self.lost else data[taken:] if taken else b""
-        self._note(box.FRAME, data, taken)
+        self._note(box.WIRE_FRAME, data, taken)
         return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:

@@ -14,20 +14,21 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.board.stop_port import StopPort
+from failstop.messages import layout, records
 from failstop.procs import starved
 from failstop.procs.context import Context
 from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import BURST_AFTER_NS, Parent, Peer
-from failstop.shm import bell, layout, records
+from failstop.shm import bell
 from failstop.shm.words import Barrier
 
-TICK_NS = 50_000_000
+LONGEST_SLEEP_NS = 50_000_000
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
 HANG_NS = 250_000_000
 """A port owner silent for this long hangs. The supervisor fences it sooner; this is for when it does not."""
-HELD_UP_NS = 200_000_000
+STALLED_NS = 200_000_000
 """A stopper that itself was silent for this long judges nobody by it: the whole service was frozen."""
 
 
@@ -65,7 +66,7 @@ class Stopper:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        if now_ns - self._turned_ns > HELD_UP_NS:
+        if now_ns - self._turned_ns > STALLED_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
         bell.clear_rung(self._bells, ready)
@@ -189,6 +190,6 @@ class Stopper:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     stopper = Stopper(context)
-    context.run(stopper.turn, stopper.loop, TICK_NS)
+    context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)
     stopper.close_port()  # an exit would wait for a port that does not drain
     return 0

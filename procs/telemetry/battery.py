@@ -9,13 +9,13 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 
-UNKNOWN, PLUGGED, UNPLUGGED = range(3)
+UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
 """Indices of records.PLUGGED."""
 
 LOW_READINGS = 5
 """In a row, about one a second: the motors pull the voltage down when they start."""
 
-WINDOW_NS = 8_000_000_000
+JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
 """The firmware averages: a step takes about 3 s to show fully, so the newest readings are no part of the base line."""
 SETTLE_NS = 3_000_000_000
@@ -44,7 +44,7 @@ class Charger:
     """A step of the voltage while nothing loads it. Remembers the last seconds of readings. Measured on the robot:
     plugging in is +249 mV, unplugging -226 mV."""
 
-    def __init__(self, settings: Settings, state: int = UNKNOWN) -> None:
+    def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
         """`state`: what was known before a restart."""
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []
@@ -60,7 +60,7 @@ class Charger:
 
     def take(self, millivolts: int, t_ns: int) -> bool:
         """One reading. True when it changed `state`."""
-        known = [reading for reading in self._readings if t_ns - reading[0] <= WINDOW_NS][-MOST_READINGS:]
+        known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS][-MOST_READINGS:]
         self._readings = [*known, (t_ns, millivolts)]
         base = [mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS]
         since_ns = self._disabled_since_ns
@@ -69,7 +69,7 @@ class Charger:
         step_mv = millivolts - _median(base)
         if abs(step_mv) < self._step_mv:
             return False
-        was, self.state = self.state, PLUGGED if step_mv > 0 else UNPLUGGED
+        was, self.state = self.state, PLUGGED_IN if step_mv > 0 else UNPLUGGED
         return self.state != was
 
 

@@ -14,12 +14,11 @@ Vector = tuple[float, float, float]
 
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
-RATE_VARIANCE = 0.0012**2
-"""(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
 LONGEST_GAP_NS = 500_000_000
 """Between two samples of one stretch. The first one after a longer silence neither moves the bias (its weight would be
 that of all the samples that are missing) nor goes on with a calibration."""
 NO_BIAS = (0.0, 0.0, 0.0)
+LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
 
@@ -69,6 +68,8 @@ class GyroBias:
         self._resting_since_ns: int | None = None
         self.bias_radps: Vector = NO_BIAS
         self.calibrated = False
+        self.stationary = True
+        """False: the calibration was given up, as the robot did not stand still."""
         self.tracking = False
         """Whether the last sample moved the bias."""
 
@@ -132,8 +133,9 @@ class GyroBias:
 
     def _not_stationary(self, why: str) -> str:
         self._samples = None
+        self.stationary = False
         kept = "the bias found before is kept" if self.calibrated else "the bias stays zero until tracking moves it"
-        return f"{NOT_STATIONARY} ({why}): {kept}; next: leave it standing, restart the service"
+        return f"{NOT_STATIONARY} ({why}): {kept}"
 
     def _track(self, rate_radps: Vector, t_ns: int, gap_ns: int) -> None:
         since_ns = self._resting_since_ns

@@ -10,24 +10,25 @@ import msgpack
 
 from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
+from failstop.files.root import state_directory
+from failstop.messages import box, records
+from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
 from failstop.procs.loop import READ, Loop
-from failstop.procs.telemetry import battery, imu, state_files
+from failstop.procs.telemetry import battery, imu
 from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
 from failstop.procs.telemetry.odometry import Odometry
-from failstop.procs.telemetry.pad import PRESSES, Pad, Tones
+from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
-from failstop.shm import box, records
 from failstop.shm.cell import LatestReader
-from failstop.shm.packing import Note, pack
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
-TICK_NS = 50_000_000
+LONGEST_IDLE_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
 BIAS_NS = 80_000_000
@@ -35,10 +36,9 @@ BIAS_NS = 80_000_000
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
-SILENT_NS = 250_000_000
+GATE_SILENT_NS = 250_000_000
 """The gate publishes at least every 100 ms. One that has been silent for this long is past its lease: the port owner
 has stopped the wheels, whatever it said last."""
-REST = (0.0, 0.0, 0.0)
 
 
 class GateState:
@@ -56,7 +56,7 @@ class GateState:
         """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
         self.tucks = False
         """The arm has announced that it goes to its tuck pose."""
-        self.velocity = REST
+        self.velocity = STANDSTILL
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""
@@ -73,9 +73,9 @@ class GateState:
         if entry and entry[0] != self._seq:
             self._seq, self._t_ns = entry[0], entry[1]
             news = self._take(entry[2], entry[1])
-        if now_ns - self._t_ns > SILENT_NS and (self.enabled or self.commanded):
+        if now_ns - self._t_ns > GATE_SILENT_NS and (self.enabled or self.commanded):
             self.enabled = False
-            self.velocity = REST
+            self.velocity = STANDSTILL
             self.since_ns = now_ns
             news = True
         return news
@@ -112,7 +112,7 @@ class Telemetry:
         self._gyro = GyroBias(settings)
         self._odometry = Odometry(settings)
         self._still = StillJudge(settings["still.std_radps"])
-        folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
+        folder = state_directory(context.instance, os.environ, settings.text("battery.directory"))
         self._files = StateFiles(folder)
         self._low_battery = LowBattery(settings)
         self._charger = Charger(settings, self._known_charger_state())
@@ -151,10 +151,10 @@ class Telemetry:
         self._port_record = port_owner.latest_reader("port")
         self._gate = GateState(context.segment("gate").latest_reader("state"))
         self._handlers = {
-            framing.IMU: self._on_imu,
+            framing.IMU_FUNC: self._on_imu,
             framing.SYS: self._on_system,
             framing.GAMEPAD: self._on_pad,
-            framing.KEY: self._on_key,
+            framing.KEY_FUNC: self._on_key,
             framing.PWM_SERVO: self._on_pwm_servo,
         }
         if context.settings.servos():
@@ -176,7 +176,7 @@ class Telemetry:
     def _known_charger_state(self) -> int:
         """The charger's state as the run before this one saw it last."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
-        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNKNOWN
+        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
@@ -194,8 +194,8 @@ class Telemetry:
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
-        for line in self._files.notes():
-            self._note("disk", line)
+        for text, step in self._files.notes():
+            self._note("disk", text, step=step)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
 
     def _follow_gate(self, now_ns: int) -> None:
@@ -244,16 +244,16 @@ class Telemetry:
             self._bias_flags = flags
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
-    def _note(
-        self, kind: str, text: str, fields: dict[str, str | int | float] | None = None, *, level: str = ""
-    ) -> None:
+    def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        self._rings["notes"].put(Note(kind, text, fields or {}, level=level).pack())
+        whole, what = (f"{text}{NEXT}{step}", len(text)) if step else (text, 0)
+        self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
         if text:
-            self._note("gyro", text, level="warning" if text.startswith(imu.NOT_STATIONARY) else "")
+            level, step = ("", "") if self._gyro.stationary else ("warning", imu.LEAVE_STANDING)
+            self._note("gyro", text, level=level, step=step)
 
     def _tell_pad_mode(self) -> None:
         """Whether the sticks move the wheels is what people want to know of a pad."""
@@ -281,7 +281,7 @@ class Telemetry:
             acceleration = self._accelerometer.mps2(ax, ay, az)
             rate_radps = self._gyro.corrected(raw_radps)
             self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
-            self._box.put(box.pack_board(box.IMU, *map(box.single, (*acceleration, *rate_radps))), t_ns)
+            self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, (*acceleration, *rate_radps))), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
             self._publish_still()
@@ -298,7 +298,7 @@ class Telemetry:
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
-            self._box.put(box.pack_board(box.BATTERY, millivolts, self._charger.state), t_ns)
+            self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
@@ -316,7 +316,7 @@ class Telemetry:
                 self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
             self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
-            self._box.put(box.pack_board(box.PAD, *sample, self._pad.mode), t_ns)
+            self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
             if news.cause:
                 self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
@@ -325,7 +325,7 @@ class Telemetry:
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
             self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
-            self._box.put(box.pack_board(box.SERVO, *answer), t_ns)
+            self._box.put(box.pack_board(box.SERVO_KIND, *answer), t_ns)
             self._gate_bell.ring()
 
     def _on_pwm_servo(self, data: bytes, t_ns: int) -> None:
@@ -348,5 +348,5 @@ class Telemetry:
 def run(context: Context) -> int:
     """Run forever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
-    context.run(telemetry.turn, telemetry.loop, TICK_NS)
+    context.run(telemetry.turn, telemetry.loop, LONGEST_IDLE_NS)
     return 0

@@ -8,8 +8,6 @@ from failstop.policy.settings import Settings
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""
-POSE_VARIANCE = 1e3
-"""m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
 
 
 class Odometry:

@@ -14,7 +14,7 @@ from failstop.policy.settings import Settings
 
 Velocity = tuple[float, float, float]
 
-LOCKED, DRIVE, JOINT = range(3)
+LOCKED, DRIVING, JOINT = range(3)
 """Indices of records.PAD_MODES. JOINT is there with an arm alone: the left stick, pushed to a side, chooses the joint,
 and the right one turns it."""
 CHOOSES = 0.7
@@ -34,11 +34,11 @@ PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
 
 OFF_MS = 100
 """Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
-LATCH = buzzer(1000, 400, OFF_MS, 2)
+LATCH_SOUND = buzzer(1000, 400, OFF_MS, 2)
 """Two long low beeps."""
-MODES = (buzzer(1500, 100, OFF_MS, 1), buzzer(2500, 100, OFF_MS, 2), buzzer(2500, 100, OFF_MS, 3))
+MODE_SOUNDS = (buzzer(1500, 100, OFF_MS, 1), buzzer(2500, 100, OFF_MS, 2), buzzer(2500, 100, OFF_MS, 3))
 """By the pad's mode. One short beep: locked; two short high ones: drive; three: joint."""
-TUCK = buzzer(2000, 50, OFF_MS, 4)
+TUCK_SOUND = buzzer(2000, 50, OFF_MS, 4)
 """Four short ones: the arm is about to move by itself."""
 
 
@@ -104,11 +104,11 @@ class Pad:
         if cause:
             self.mode = LOCKED
         self._follow_hold(buttons, t_ns)
-        if self.mode == DRIVE:
+        if self.mode == DRIVING:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
             # Locked by MODE: stand still now, not when the command times out. A cause has stopped by itself.
-            command = STANDSTILL if was == DRIVE and not cause else None
+            command = STANDSTILL if was == DRIVING and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm)
 
@@ -190,7 +190,7 @@ class Tones:
         if not self._on:
             return b""
         if latched and not was_latched:
-            return LATCH
+            return LATCH_SOUND
         if tucks and not tucked:
-            return TUCK
-        return MODES[mode] if mode != was_mode and not latched else b""
+            return TUCK_SOUND
+        return MODE_SOUNDS[mode] if mode != was_mode and not latched else b""

@@ -10,36 +10,20 @@ import os
 from _queue import SimpleQueue
 from errno import ENOSPC
 
-from failstop.shm import durable, root
+from failstop.files import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     Job = tuple[str, Callable[[], None]]
 
-SYSTEM_BASE = "/var/lib/failstop"
-STACK_BYTES = 256 * 1024
+THREAD_STACK_BYTES = 256 * 1024
 """The thread's: all memory is locked as it is touched, and counts against the limit even before."""
 MOST_READ = 4096
 """Bytes of a file that is read: each holds a line."""
-MOST_WAITING = 100
+MOST_JOBS = 100
 """Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
-
-
-def state_directory(instance: str, environ: Mapping[str, str], configured: str = "") -> str:
-    """The directory for an instance's files, which need not be there yet: the configured one, systemd's
-    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state."""
-    if configured:
-        return configured
-    if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
-        return given
-    base = root.at(SYSTEM_BASE)
-    system = os.path.join(base, instance)
-    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
-        return system
-    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
-    return os.path.join(home, "failstop", instance)
 
 
 def append_line(path: str, header: str, line: str) -> None:
@@ -73,7 +57,7 @@ class StateFiles:
     def __init__(self, folder: str) -> None:
         self.folder = folder
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
-        self._notes: SimpleQueue[str] = SimpleQueue()
+        self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
         """The last attempt that failed, and why; the thread's own."""
         self.running = False
@@ -90,7 +74,7 @@ class StateFiles:
         except FileNotFoundError:
             return ""
         except OSError as error:
-            self._notes.put(f"{what} can't be read: {error}")
+            self._notes.put((f"{what} can't be read: {error}", ""))
             return ""
 
     def append(self, what: str, name: str, header: str, line: str) -> None:
@@ -101,8 +85,8 @@ class StateFiles:
         """Replace a file's content soon."""
         self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
-    def notes(self) -> list[str]:
-        """Lines for the journal since the last call."""
+    def notes(self) -> list[tuple[str, str]]:
+        """Lines for the journal since the last call, each with the step to take; empty: none."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
     def close(self) -> None:
@@ -113,13 +97,13 @@ class StateFiles:
     def _put(self, what: str, write: Callable[[], None]) -> None:
         if not self.running:
             try:
-                _thread.stack_size(STACK_BYTES)
+                _thread.stack_size(THREAD_STACK_BYTES)
                 _thread.start_new_thread(self._work, ())
             except RuntimeError as error:
                 self._say(what, f"no thread to write it: {error}")
                 return
             self.running = True
-        if self._jobs.qsize() < MOST_WAITING:
+        if self._jobs.qsize() < MOST_JOBS:
             self._jobs.put((what, write))
 
     def _work(self) -> None:
@@ -132,10 +116,10 @@ class StateFiles:
                 self._say(what, f"{error}")
             else:
                 if self._failing.pop(what, ""):
-                    self._notes.put(f"{what} is written again")
+                    self._notes.put((f"{what} is written again", ""))
         self.running = False
 
     def _say(self, what: str, why: str) -> None:
         if self._failing.get(what) != why:
             self._failing[what] = why
-            self._notes.put(f"{what} can't be written: {why}; next: look at the disk and at {self.folder}")
+            self._notes.put((f"{what} can't be written: {why}", f"look at the disk and at {self.folder}"))

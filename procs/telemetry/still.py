@@ -22,12 +22,11 @@ come to rest. docs/dev/telemetry.md has the delay, and what an IMU of another ra
 
 from __future__ import annotations
 
-WINDOW_NS = 500_000_000
+from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
+
 HOLD_NS = 250_000_000
 GAP_NS = 100_000_000
 """Between two samples of one window; the first one after a longer silence starts again."""
-LEAST_SAMPLES = 20
-"""In a window: fewer say too little about a standard deviation, and nothing is judged (an IMU of less than 40 Hz)."""
 UNITS_PER_RADPS = 10_000_000
 """The sums are of integers, and so exact forever: no sum drifts, and a wild sample leaves nothing behind."""
 

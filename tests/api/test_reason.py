@@ -12,7 +12,8 @@ from failstop.api import reason
 from failstop.api.client import send_stop
 from failstop.api.events import EventLog
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import bell, records
+from failstop.messages import records
+from failstop.shm import bell
 
 
 class Raises:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import failstop
-from tests.support.commands import script
+from failstop.lab.pages import reference
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/python-reference.md"
 
 
 def test_the_page_is_that_of_the_docstrings() -> None:
-    assert PAGE.read_text() == script(ROOT / "packaging/reference.py").page(), "renew it: make docs"
+    assert PAGE.read_text() == reference.page(), "renew it: make docs"
 
 
 def test_every_public_name_is_on_it_and_every_row_says_something() -> None:

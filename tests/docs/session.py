@@ -16,7 +16,7 @@ from types import TracebackType
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.shm import instance
+from failstop.files import instance
 from tests.support.pages import ROOT
 
 COMMAND_S = 60.0

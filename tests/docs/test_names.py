@@ -16,6 +16,7 @@ from failstop.api import snapshot
 from failstop.fleet.settings import BY_KEY as OF_FLEET
 from failstop.policy.causes import BY_NUMBER
 from failstop.policy.settings import BY_KEY
+from tests.support import rooms
 from tests.support.pages import PAGES, ROOT
 
 TROUBLE = ROOT / "docs" / "troubleshooting.md"
@@ -23,7 +24,7 @@ KEYS = {*BY_KEY, *OF_FLEET}
 SECTIONS = {key.partition(".")[0] for key in KEYS} - {"robot"}
 """Of the fleet there is one `robot`, as programs call theirs."""
 FILES = ("md", "py", "toml")
-OF_MESSAGES = ("api", "board", "failstop/config.py", "policy", "procs/rights.py", "shm", "supervisor")
+OF_MESSAGES = ("api", "board", "config", "files", "messages", "policy", "procs/rights", "shm", "supervisor")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -56,8 +57,7 @@ def messages() -> tuple[str, ...]:
 def _messages() -> Iterator[str]:
     yield from (kind.template for kind in BY_NUMBER.values())
     for room in OF_MESSAGES:
-        place = ROOT / "failstop" / room if room == "api" else ROOT / room
-        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+        for path in rooms.modules(room):
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     yield node.value

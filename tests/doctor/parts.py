@@ -12,8 +12,8 @@ from failstop.discovery import BOARD_USB
 from failstop.doctor.look import Look
 from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Node, System
+from failstop.messages.layout import PROCESSES
 from failstop.policy.settings import Settings
-from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
 from tests.support.states import process, state, stop
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.doctor.fleet import UNIT, fleet
 from failstop.doctor.look import OK, WARN
+from failstop.fleet.check import UNIT, check
 
 from .parts import look
 
@@ -28,5 +28,5 @@ DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107
 )
 def test_what_the_publisher_says_of_itself(unit: dict[str, str] | None, level: str, text: str, fix: str) -> None:
     said = None if unit is None else "".join(f"{key}={value}\n" for key, value in unit.items())
-    [found] = fleet(look(says={"systemctl": said}))
+    [found] = check(look(says={"systemctl": said}))
     assert (found.level, found.text, found.fix) == (level, text, fix)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from failstop.api.snapshot import Client
-from failstop.doctor import service
 from failstop.doctor.system import System
+from failstop.ros2.check import check
 from tests.doctor.parts import NOBODY, look, serving
 
 ME = System().owner("/proc/self")
@@ -38,4 +38,4 @@ def test_what_is_seen_of_it(tmp_path: Path, pid: int, environment: str, says: st
     (process / "environ").write_text(environment)
     found = look(service=serving(clients=(Client(0, "ros2", pid, False),)) if pid else NOBODY)
     found.system = System(str(tmp_path))
-    assert [row.text for row in service.bridge(found)] == [says]
+    assert [row.text for row in check(found)] == [says]

@@ -19,7 +19,9 @@ from collections.abc import Callable
 
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, attach, run, send_stop
-from failstop.shm import bell, cell, claim, instance, layout, records, segment
+from failstop.files import instance
+from failstop.messages import layout, records, segments
+from failstop.shm import bell, cell, claim, segment
 from failstop.shm.lifeline import pid_namespace
 
 NOBODY = 65534
@@ -48,7 +50,7 @@ def rest() -> None:
 
 def slot_file(name: str, index: int) -> int:
     """A slot's memory, by the right that the group has."""
-    return os.open(segment.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
+    return os.open(segments.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
 
 
 def drive(name: str, source: str, vx: str) -> None:
@@ -126,7 +128,7 @@ def garble(name: str, index: str) -> None:
     fd = slot_file(name, int(index))
     spec = layout.BY_NAME[f"client.{index}"]
     size = cell.cell_bytes(spec.records["command"].capacity)
-    velocity = spec.offsets["command"] + cell.HEADER_BYTES + 8  # after the session
+    velocity = spec.offsets["command"] + cell.CELL_HEADER_BYTES + 8  # after the session
     begun()
     while True:
         for half in (0, size):

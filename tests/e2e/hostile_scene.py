@@ -13,7 +13,7 @@ from failstop import FailstopError
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.model import Frame
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 30.0

@@ -19,9 +19,12 @@ from failstop import FailstopError
 from failstop.api.client import run
 from failstop.board.burst import BURST
 from failstop.cli.main import main
+from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
+from failstop.messages import layout, segments
 from failstop.procs import rights
-from failstop.shm import cell, instance, layout, segment
+from failstop.shm import cell
+from failstop.shm.segment import HEADER_BYTES
 from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.ptys import Pty
@@ -174,10 +177,10 @@ def test_name_already_running(trial: Trial) -> None:
 def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
-        segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
+        segments.create(segments.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
-        assert run(name)[0] != segment.memory(name, incarnation)
+        assert run(name)[0] != segments.memory(name, incarnation)
         trial.enable()
         trial.drive(0.1)
         assert trial.moving()
@@ -195,8 +198,8 @@ def test_name_already_running_in_another_runtime_directory(trial: Trial) -> None
 
 def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
     memory, _ = simulated.load("failstop.api.client").run(simulated.name)
-    fd = simulated.os.open(segment.path_of(memory, "client.0"), os.O_RDWR)
-    simulated.os.pwrite(fd, bytes(layout.HEADER_BYTES), 0)
+    fd = simulated.os.open(segments.path_of(memory, "client.0"), os.O_RDWR)
+    simulated.os.pwrite(fd, bytes(HEADER_BYTES), 0)
     simulated.enable()
     simulated.drive(0.2)
     assert simulated.moving()
@@ -213,8 +216,8 @@ def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
 
 def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
-        memory = os.open(segment.path_of(run(name)[0], layout.SUPERVISOR), os.O_RDWR)
-        raw = os.pread(memory, layout.HEADER_BYTES, 0)
+        memory = os.open(segments.path_of(run(name)[0], layout.SUPERVISOR), os.O_RDWR)
+        raw = os.pread(memory, HEADER_BYTES, 0)
         entry = cell.check(raw, cell.seed("header", 0))
         assert entry is not None
         other = bytearray(entry[2])

@@ -8,7 +8,7 @@ import pytest
 
 from failstop.lab.commands import demo
 from failstop.lab.trial import Stopped
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.commands import failstop
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.simulated import Simulated
 
 SETTINGS = {"restart.backoff_s": 2.0}

@@ -15,8 +15,10 @@ import pytest
 
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, run
+from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import claim, instance, layout, segment
+from failstop.messages import layout, segments
+from failstop.shm import claim
 from tests.support.simulated import MS, Simulated
 
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
@@ -267,7 +269,7 @@ def test_names_removed_by_the_service_s_own_user(trial: Trial) -> None:
 def test_a_slot_s_name_removed_by_the_service_s_own_user(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
-    os.unlink(segment.path_of(run(trial.name)[0], "client.1"))
+    os.unlink(segments.path_of(run(trial.name)[0], "client.1"))
     later = Client(trial.name, "later")
     assert later.slot == 2, "the slot is passed over"
     later.close()

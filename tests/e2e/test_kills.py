@@ -7,8 +7,8 @@ import random
 import pytest
 
 from failstop.lab.trial import Trial
-from failstop.shm import layout
-from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
+from failstop.messages import layout
+from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from tests.support.simulated import MS, Simulated
 
 KILLS = 3

@@ -14,7 +14,7 @@ import pytest
 from failstop import FailstopError, NoService, Robot
 from failstop.api.events import EventLog
 from failstop.lab.trial import Trial, TrialError, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.amounts import amount
 
 POLL_S = 0.02

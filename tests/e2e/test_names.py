@@ -8,12 +8,12 @@ import re
 import time
 
 from failstop.lab.trial import Trial, judge, wait_for
-from failstop.shm import segment
+from failstop.messages import segments
 from tests.support.simulated import Simulated
 
 
 def test_a_client_slot_that_is_gone_costs_that_slot_alone(simulated: Simulated) -> None:
-    simulated.os.unlink(segment.path_of(simulated.load("failstop.api.client").run(simulated.name)[0], "client.5"))
+    simulated.os.unlink(segments.path_of(simulated.load("failstop.api.client").run(simulated.name)[0], "client.5"))
     simulated.wait_for("the word on it", lambda: "client.5 was removed" in simulated.said)
     simulated.enable()
     pid = simulated.pids()["gate"]

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.simulated import MS, Simulated
 
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return

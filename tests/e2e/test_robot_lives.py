@@ -16,7 +16,9 @@ from failstop import FailstopError, Robot
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import cell, layout, segment
+from failstop.messages import layout, segments
+from failstop.shm import cell
+from failstop.shm.segment import HEADER_BYTES
 from tests.support.simulated import MS, Simulated
 
 CALLS: dict[str, Callable[[Any], object]] = {
@@ -47,12 +49,12 @@ def stopped(state: Any, *reasons: str) -> None:
 def other_layout(simulated: Simulated, which: str) -> None:
     """Change the head of a segment to that of another version."""
     memory, _ = simulated.load("failstop.api.client").run(simulated.name)
-    fd = simulated.os.open(segment.path_of(memory, which), os.O_RDWR)
-    entry = cell.check(simulated.os.pread(fd, layout.HEADER_BYTES, 0), SEED)
+    fd = simulated.os.open(segments.path_of(memory, which), os.O_RDWR)
+    entry = cell.check(simulated.os.pread(fd, HEADER_BYTES, 0), SEED)
     assert entry
     head = bytearray(entry[2])
     head[8] ^= 0xFF
-    data = cell.build(1, 0, bytes(head), SEED, layout.HEADER_BYTES - cell.HEADER_BYTES)
+    data = cell.build(1, 0, bytes(head), SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES)
     simulated.os.pwrite(fd, data, 0)
 
 
@@ -73,7 +75,7 @@ def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Si
 
 
 def test_without_its_shared_memory_a_service_can_be_stopped(simulated: Simulated) -> None:
-    path = segment.path_of(simulated.load("failstop.api.client").run(simulated.name)[0], layout.SUPERVISOR)
+    path = segments.path_of(simulated.load("failstop.api.client").run(simulated.name)[0], layout.SUPERVISOR)
     simulated.os.rename(path, path + "-away")
     robot = simulated.failstop.Robot()
     simulated.board.events()
@@ -193,7 +195,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         trial.board.wait_wheels(moving=True, timeout_s=2.0)
         index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
-        path = segment.path_of(run_of(trial.name)[0], f"client.{index}")
+        path = segments.path_of(run_of(trial.name)[0], f"client.{index}")
         spec = layout.BY_NAME[f"client.{index}"]
         with open(path, "rb") as file:
             data = file.read()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.shm import box, layout
+from failstop.messages import box, layout
 from tests.support.simulated import MS, Simulated
 
 SETTINGS = {"limits.vx_mps": 0.35, "sources.teleop.priority": 10}
@@ -29,7 +29,7 @@ def test_every_imu_sample_comes_once_and_in_order(simulated: Simulated) -> None:
     ring = attach(simulated.name, layout.TELEMETRY).ring_reader("box")
     simulated.robot.samples()  # the first call begins
     times = [sample.t_ns for sample in read_until(simulated, simulated.robot, "Imu", 100)]
-    written = [entry[1] for entry in iter(ring.next, None) if box.unpack_board(entry[2])[0] == box.IMU]
+    written = [entry[1] for entry in iter(ring.next, None) if box.unpack_board(entry[2])[0] == box.IMU_KIND]
     assert times == sorted(times)
     assert len(times) == len(set(times)) == 100
     assert any(written[start : start + len(times)] == times for start in range(len(written)))

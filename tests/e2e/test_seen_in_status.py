@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from failstop.lab.stopped import judge
+from failstop.messages import layout
 from failstop.policy import causes
-from failstop.shm import layout
 from tests.support.simulated import FORWARD, MS, Simulated
 
 WORKERS = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]

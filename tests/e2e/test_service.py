@@ -12,7 +12,7 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.lab.trial import Trial, judge, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.simulated import MS, Simulated
 
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return

@@ -21,10 +21,10 @@ import pytest
 from failstop.api.client import run
 from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
+from failstop.files import instance, root
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial
 from failstop.procs.rights import DESCRIPTORS, STACK_BYTES
-from failstop.shm import instance, root
 from tests.support.children import NOBODY, Child, needs_root
 from tests.support.commands import FAILSTOP
 from tests.support.waiting import until

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from failstop import NoService, Robot, instances
+from failstop.files import instance
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
-from failstop.shm import instance
 from tests.support.commands import FAILSTOP, failstop
 
 

@@ -14,9 +14,9 @@ import pytest
 
 from failstop.lab.faults.starve import Starved
 from failstop.lab.trial import Trial, wait_for, write_settings
+from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.policy.processes import BY_NAME
-from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
-from failstop.supervisor import grant
+from failstop.supervisor import status
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated
 
@@ -107,7 +107,7 @@ def running(name: str) -> Iterator[Trial]:
 
 @pytest.mark.alone
 def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Trial) -> None:
-    assert running.robot.state.lease_s == grant.LEASE_WITHOUT_S
+    assert running.robot.state.lease_s == status.LEASE_WITHOUT_S
     price = "200 ms instead of 60 to 100"
     wait_for("the lease to be told", lambda: price in running.service.said())
     assert price in " ".join(failstop("status", "--name", running.name).stdout.split())
@@ -123,16 +123,16 @@ def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Tria
     cause = running.robot.state.cause
     assert cause is not None
     assert cause.arguments[0] == GATE
-    assert float(cause.arguments[1]) >= 1e3 * grant.LEASE_WITHOUT_S
+    assert float(cause.arguments[1]) >= 1e3 * status.LEASE_WITHOUT_S
     wait_for("the wheels to stand", lambda: not running.moving())
 
 
 @pytest.mark.alone
 def test_a_service_without_rights_has_the_lease_that_its_settings_give(name: str, tmp_path: Path) -> None:
     config = tmp_path / "short.toml"
-    write_settings(str(config), {grant.LEASE: grant.LEASE_S})
+    write_settings(str(config), {status.LEASE: status.LEASE_S})
     with ordinary(Trial(name, ("--config", str(config)))) as running:
-        assert running.robot.state.lease_s == grant.LEASE_S
+        assert running.robot.state.lease_s == status.LEASE_S
         wait_for("the price to be told", lambda: "some have no cause" in running.service.said())
 
 

@@ -9,7 +9,7 @@ import struct
 import pytest
 
 from failstop.lab.trial import Trial
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.simulated import Simulated
 
 TIOCGEXCL = 0x80045440

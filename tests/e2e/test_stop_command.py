@@ -22,11 +22,11 @@ from failstop.board.interface import BOARD
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
+from failstop.files import instance, root
 from failstop.lab.machine.files import Directory
 from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import Robot
-from failstop.shm import instance, root
 from tests.support.commands import FAILSTOP, failstop
 
 
@@ -90,7 +90,7 @@ class Tool:
     def last_run(self, device: str, *servos: int, name: str = "failstop") -> None:
         """A service that somebody has started by hand, and that has died, was on this port."""
         load = self.lab.loader.load
-        found = load("failstop.shm.instance")
+        found = load("failstop.files.instance")
         found.remember(load("failstop.instances").make_runtime_dir(name), found.Last(device, "failstop run", servos))
 
     def run(self, *words: str) -> tuple[int, str, str]:

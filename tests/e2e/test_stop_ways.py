@@ -20,7 +20,9 @@ import pytest
 from failstop.api import client
 from failstop.board.burst import BURST
 from failstop.lab.trial import Trial, judge, wait_for
-from failstop.shm import cell, layout, segment
+from failstop.messages import layout, segments
+from failstop.shm import cell
+from failstop.shm.segment import HEADER_BYTES
 from tests.support.commands import FAILSTOP, failstop
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, whom an exclusive port does not keep out")
@@ -55,8 +57,8 @@ def another_layout(name: str) -> Iterator[None]:
     run, _ = client.run(name)
     try:
         for process in layout.PROCESSES:
-            memory = os.open(segment.path_of(run, process), os.O_RDWR)
-            raw = os.pread(memory, layout.HEADER_BYTES, 0)
+            memory = os.open(segments.path_of(run, process), os.O_RDWR)
+            raw = os.pread(memory, HEADER_BYTES, 0)
             before.append((memory, raw))
             entry = cell.check(raw, cell.seed("header", 0))
             assert entry is not None

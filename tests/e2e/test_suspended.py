@@ -9,8 +9,8 @@ import time
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
-from failstop.shm.layout import SUPERVISOR
 from tests.support.commands import failstop
 
 DATED_S = 0.5

@@ -12,7 +12,7 @@ from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.arm_table import BY_NAME, HANG, KILL, ROWS, ArmFault
 from failstop.lab.faults.fault import NEW_RUN
 from failstop.lab.faults.table import BY_NAME as OTHERS
-from failstop.shm.layout import PROCESSES
+from failstop.messages.layout import PROCESSES
 from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-posing", "arm-usb-drop"}

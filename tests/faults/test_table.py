@@ -13,8 +13,8 @@ from failstop.lab.faults.campaign import inject_one
 from failstop.lab.faults.fault import CONTINUE, CRASH, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
 from failstop.lab.faults.scene import Scene
 from failstop.lab.faults.table import BY_NAME, TABLE
+from failstop.messages.layout import PROCESSES, SUPERVISOR
 from failstop.policy import causes
-from failstop.shm.layout import PROCESSES, SUPERVISOR
 
 DESIGN = {
     "gate dies or hangs": ("kill-gate", "hang-gate", "spin-gate", "hang-gate-continued"),
@@ -47,7 +47,7 @@ DESIGN = {
 }
 """What the design says must be noticed, and the rows for it."""
 NO_FAULT = {
-    *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
+    *(causes.BAD_FRAME, causes.DEFECT, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
     causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py, tests/e2e)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
@@ -98,7 +98,7 @@ def test_a_row_is_in_order(fault: Fault) -> None:
         assert all(type(value) is of for value, (_, of) in zip(first, kind.parameters, strict=False))
         assert len(first) <= len(kind.parameters)
         assert "process" not in dict(kind.parameters) or set(first) <= set(PROCESSES)
-        assert kind.cleared_by == causes.RESET, "what nothing but a new start clears is latched by no row"
+        assert kind.cleared_by == causes.A_RESET, "what nothing but a new start clears is latched by no row"
     if fault.cleared in (NEW_RUN, ITSELF):
         assert not fault.latched, "a latch does not clear by itself, nor outlive the run"
     if fault.bar_ms is None:

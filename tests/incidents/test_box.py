@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.interface import BOARD
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.main import GateBox
+from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
-from failstop.shm import box, layout
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 from tests.support.incident_parts import KeptRing, Recorder, at, drive_and_die
 
@@ -75,7 +75,7 @@ any_float = st.floats(width=64)
 @given(velocity=st.tuples(any_float, any_float, any_float), who=st.text(max_size=80), source=st.text(max_size=20))
 def test_no_command_is_too_strange_to_be_recorded(velocity: tuple[float, float, float], who: str, source: str) -> None:
     made = Recorder()
-    writer, reader = ring(box.GATE.most, 8)
+    writer, reader = ring(box.TICK.most, 8)
     gate = GateBox(writer)
     gate.command(Command(1, who, at(0), velocity, source=source))
     gate.tick(at(5), made.core, 2**70)
@@ -103,7 +103,7 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
     class Watched(KeptRing):
         def put(self, payload: bytes, t_ns: int | None = None) -> int:
-            seen.append(os.read(reads, 4096) if payload[0] == box.BURST else b"")
+            seen.append(os.read(reads, 4096) if payload[0] == box.WIRE_BURST else b"")
             return super().put(payload, 0)
 
     seen: list[bytes] = []
@@ -114,19 +114,19 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
     wire.burst()
     assert seen == [BOARD.burst, BOARD.burst], "the bytes were out before the record was made"
     for _, _, payload in kept.entries:
-        assert box.WIRE.unpack(payload) == (box.BURST, len(BOARD.burst), len(BOARD.burst), b"")
+        assert box.WIRE.unpack(payload) == (box.WIRE_BURST, len(BOARD.burst), len(BOARD.burst), b"")
     assert len(kept.entries) == 2, "the one before the ring was there, too"
     for fd in (reads, writes):
         os.close(fd)
 
 
 def test_the_longest_payloads_fit_their_rings() -> None:
-    assert len(box.pack_wire(box.FRAME, bytes(300), 300)) <= box.WIRE.most
-    assert len(box.pack_board(box.IMU, *(1.0,) * 6)) <= box.BOARD_BYTES
-    assert len(box.pack_board(box.PAD, 0xFFFF, 255, -128, 127, 0, 0, 1)) <= box.BOARD_BYTES
+    assert len(box.pack_wire(box.WIRE_FRAME, bytes(300), 300)) <= box.WIRE.most
+    assert len(box.pack_board(box.IMU_KIND, *(1.0,) * 6)) <= box.BOARD_BYTES
+    assert len(box.pack_board(box.PAD_KIND, 0xFFFF, 255, -128, 127, 0, 0, 1)) <= box.BOARD_BYTES
     assert len(box.pack_beats([2**40] * len(layout.PROCESSES), [0] * len(layout.PROCESSES))) <= box.OF_BEATS.most
     packed = box.pack_beats([2**40, -1, 0, 1, 2], [5, 6, 7, 8, 9])
-    assert box.unpack_beats(packed) == ((box.LONGEST, 5), (0, 6), (0, 7), (1, 8), (2, 9))
+    assert box.unpack_beats(packed) == ((box.MOST_U32, 5), (0, 6), (0, 7), (1, 8), (2, 9))
 
 
 def test_all_rings_together_stay_within_two_and_a_half_megabytes() -> None:
@@ -163,7 +163,7 @@ def told(gate: GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict
 
 def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> None:
     core = Recorder().core
-    writer, reader = ring(box.GATE.most, 8)
+    writer, reader = ring(box.TICK.most, 8)
     gate = GateBox(writer)
     none = told(gate, reader, core, at(0))
     assert (none["command"], none["age_us"], none["source"], none["who"]) == ((0, 0, 0), None, "", "")
@@ -182,28 +182,28 @@ def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> Non
 
 def test_a_decision_of_another_version_is_shown_by_its_number() -> None:
     made = Recorder()
-    writer, reader = ring(box.GATE.most, 8)
+    writer, reader = ring(box.TICK.most, 8)
     GateBox(writer).tick(at(0), made.core, 7)
     entry = reader.next()
     assert entry is not None
-    for number in (len(box.BLOCKS), 200):
+    for number in (len(box.DECISIONS), 200):
         assert box.unpack_gate(entry[2][:4] + bytes([number]) + entry[2][5:])["block"] == f"unknown {number}"
 
 
 def test_of_what_was_written_a_frame_s_first_bytes_are_kept() -> None:
     data = bytes(range(100))
-    assert box.WIRE.unpack(box.pack_wire(box.FRAME, data, 7)) == (box.FRAME, 100, 7, data[: box.WIRE_HEAD])
-    assert box.WIRE.unpack(box.pack_wire(box.REST, data, 0)) == (box.REST, 100, 0, b"")
-    assert box.WIRE.unpack(box.pack_wire(box.REST, bytes(70_000), 70_000)) == (box.REST, 65_535, 65_535, b"")
+    assert box.WIRE.unpack(box.pack_wire(box.WIRE_FRAME, data, 7)) == (box.WIRE_FRAME, 100, 7, data[: box.WIRE_HEAD])
+    assert box.WIRE.unpack(box.pack_wire(box.WIRE_REST, data, 0)) == (box.WIRE_REST, 100, 0, b"")
+    assert box.WIRE.unpack(box.pack_wire(box.WIRE_REST, bytes(70_000), 70_000)) == (box.WIRE_REST, 65_535, 65_535, b"")
 
 
 def test_what_the_board_sent_comes_back_as_what_it_was() -> None:
-    imu = box.pack_board(box.IMU, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    assert box.unpack_board(imu) == (box.IMU, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
-    assert box.unpack_board(box.pack_board(box.BATTERY, 12_345, 2)) == (box.BATTERY, (12_345, 2))
-    pad = box.pack_board(box.PAD, 0xFFFF, 255, -128, 127, 0, 1, 1)
-    assert box.unpack_board(pad) == (box.PAD, (0xFFFF, 255, -128, 127, 0, 1, 1))
-    for wrong in (imu[:-1], imu + b"x", bytes([box.PAD]) + imu[1:]):
+    imu = box.pack_board(box.IMU_KIND, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert box.unpack_board(imu) == (box.IMU_KIND, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    assert box.unpack_board(box.pack_board(box.BATTERY_KIND, 12_345, 2)) == (box.BATTERY_KIND, (12_345, 2))
+    pad = box.pack_board(box.PAD_KIND, 0xFFFF, 255, -128, 127, 0, 1, 1)
+    assert box.unpack_board(pad) == (box.PAD_KIND, (0xFFFF, 255, -128, 127, 0, 1, 1))
+    for wrong in (imu[:-1], imu + b"x", bytes([box.PAD_KIND]) + imu[1:]):
         with pytest.raises(ValueError, match="payload of"):
             box.unpack_board(wrong)
 
@@ -221,12 +221,12 @@ def test_what_the_arm_is_to_do_fits_its_ring(mode: str, who: str, aims: list[tup
     entry = reader.next()
     assert entry
     assert box.unpack_arm(entry[2])[0] == mode
-    assert box.unpack_arm(entry[2])[2] == dict(aims[: box.MOST_JOINTS])
+    assert box.unpack_arm(entry[2])[2] == dict(aims[: records.MOST_JOINTS])
     assert who.startswith(box.unpack_arm(entry[2])[1].rstrip("\ufffd"))
 
 
 def test_a_name_that_is_too_long_or_no_utf_8_fills_the_rest_of_the_record_of_the_arm() -> None:
-    aims = [(servo, 500.0) for servo in range(1, box.MOST_JOINTS + 1)]
+    aims = [(servo, 500.0) for servo in range(1, records.MOST_JOINTS + 1)]
     packed = box.pack_arm("jog", "\udcff" + "\u00e9" * 80, aims)
     assert len(packed) == box.ARM_BYTES
     assert box.unpack_arm(packed) == ("jog", "?" + "\u00e9" * 18 + "\ufffd", dict(aims))
@@ -245,6 +245,6 @@ def test_what_is_none_of_it_is_refused(payload: bytes) -> None:
 
 @pytest.mark.parametrize("value", [None, 0, 500, -3, 12_000])
 def test_a_servo_s_answer(value: int | None) -> None:
-    packed = box.pack_board(box.SERVO, 10, 5, value)
+    packed = box.pack_board(box.SERVO_KIND, 10, 5, value)
     assert len(packed) <= box.BOARD_BYTES
-    assert box.unpack_board(packed) == (box.SERVO, (10, 5, value))
+    assert box.unpack_board(packed) == (box.SERVO_KIND, (10, 5, value))

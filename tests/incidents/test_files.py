@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.incidents import export, files, plot, report, story
+from failstop.cli.screen import incident as screen
+from failstop.incidents import export, files, plot, story
 from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
 from failstop.lab.machine.kernel import Machine, Thread
@@ -105,11 +106,11 @@ def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> No
     assert (found.ticks, found.writes, found.imu, found.beats, found.stops, found.undecoded) == ([], [], [], [], [], 0)
     assert [event.kind for event in found.events] == ["enabled", "stop", "died"]
     for whole in (False, True):
-        text = printed(report.text(found, 200, found.head["t"], whole=whole))
+        text = printed(screen.text(found, 200, found.head["t"], whole=whole))
         assert re.search(r"^  why +the mast fell$", text, re.M)
         assert "Of failstop 0.1.0, which laid its records out otherwise" in text
         assert "gate (pid 102) was killed by SIGKILL" in text
-    assert report.as_dict(found)["reason"] == "the mast fell"
+    assert story.as_dict(found)["reason"] == "the mast fell"
     for save in (lambda name: plot.save(found, name, 5.0), lambda name: export.save(found, name)):
         with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise: use that"):
             save(str(tmp_path / "x.png"))

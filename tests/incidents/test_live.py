@@ -20,7 +20,7 @@ from failstop.cli.main import main
 from failstop.incidents import files, story
 from failstop.incidents.incident import Incident, Sort
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 
 pytestmark = pytest.mark.slow
 _numbers = itertools.count()

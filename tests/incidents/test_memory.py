@@ -15,9 +15,10 @@ import pytest
 from failstop.board.interface import BOARD
 from failstop.incidents import memory
 from failstop.incidents.memory import told_stop
+from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.shm import box, layout, records, segment
+from failstop.shm import segment
 from failstop.shm.cell import cell_bytes
 
 _numbers = itertools.count()
@@ -31,15 +32,15 @@ HANGS = causes.HANGS(layout.SUPERVISOR, 60)
 def name() -> Iterator[str]:
     instance = f"copy{os.getpid()}x{next(_numbers)}"
     for process in layout.PROCESSES:
-        segment.create(instance, process, RUN).close()
+        segments.create(instance, process, RUN).close()
     yield instance
-    segment.unlink_all(instance)
+    segments.unlink_all(instance)
 
 
 @contextmanager
 def opened(name: str) -> Iterator[dict[str, int]]:
     """The descriptors of a run's segments, for the length of a block."""
-    fds = segment.open_all(name)
+    fds = segments.open_all(name)
     yield fds
     for fd in fds.values():
         os.close(fd)
@@ -54,7 +55,7 @@ def copied(name: str) -> dict[str, dict[str, Any]]:
 
 
 def owned(name: str, process: str) -> segment.Segment:
-    return segment.attach(name, process, RUN, write=True)
+    return segments.attach(name, process, RUN, write=True)
 
 
 def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
@@ -79,7 +80,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(10):
         writer.put(b"%d" % number, number)
-    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE.most)
+    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.TICK.most)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
     ring = copied(name)[layout.GATE]["rings"]["box"]
@@ -89,16 +90,16 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
 def test_segments_that_were_unlinked_can_still_be_copied(name: str) -> None:
     owned(name, layout.SUPERVISOR).word("epoch").set(77)
     with opened(name) as fds:
-        segment.unlink_all(name)
-        run, data = segment.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
+        segments.unlink_all(name)
+        run, data = segments.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
     assert run == RUN
     assert memory.segment(layout.SUPERVISOR, run, data)["words"]["epoch"] == 77
 
 
 def test_a_truncated_segment_is_refused_with_a_reason(name: str) -> None:
     os.truncate(f"/dev/shm/failstop.{name}.gate", 4096)
-    with opened(name) as fds, pytest.raises(segment.AttachError, match="wrong size"):
-        segment.copy(fds[layout.GATE], name, layout.GATE)
+    with opened(name) as fds, pytest.raises(segments.AttachError, match="wrong size"):
+        segments.copy(fds[layout.GATE], name, layout.GATE)
 
 
 def test_a_pipe_in_a_segments_place_holds_nobody_up(name: str) -> None:
@@ -118,7 +119,7 @@ def test_another_users_file_is_not_a_run_of_ours(name: str) -> None:
 
 
 def test_nothing_there_is_nothing_found() -> None:
-    assert segment.open_all("nobody-is-here") == {}
+    assert segments.open_all("nobody-is-here") == {}
 
 
 def dead_run(name: str, beats: dict[str, int], epoch: int = 3) -> None:
@@ -134,8 +135,8 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     stops.put(records.STOPPED.pack(2, 5, 6, causes.PIPED("answered long ago").pack()))
     stops.put(records.STOPPED.pack(3, 1_000_500_000, 1_000_600_000, SUPERVISOR_DIED.pack()))
     stops.put(records.STOPPED.pack(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
-    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
-    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
+    wire.put(box.pack_wire(box.WIRE_BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
+    wire.put(box.pack_wire(box.WIRE_BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
     found = copied(name)
     assert memory.left_cause(found) == (1_000_500_000, 3, SUPERVISOR_DIED)
     stop = memory.left_stop(found, 1_000_500_000)
@@ -203,7 +204,7 @@ UNKNOWN = "answer of the board: not known"
 
 
 def proof(stop: dict[str, Any] | None) -> str:
-    return ", ".join(memory.proofs({"t": 100.0, "saved": 102.2, "stop": stop}))
+    return memory.proven({"t": 100.0, "saved": 102.2, "stop": stop})
 
 
 NAMED = {"reason": str(LOST), "cause": "device_lost"}

@@ -13,9 +13,9 @@ from failstop.board.servos import bus_servo_move
 from failstop.incidents import export, plot, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import SILENT, Incident
+from failstop.messages import box, layout
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.shm import box, layout
 from tests.support.incident_parts import UNIX_NS, Recorder, at, drive_and_die
 
 

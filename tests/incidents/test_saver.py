@@ -19,10 +19,10 @@ from failstop.board.interface import BOARD
 from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
 from failstop.lab.trial import wait_for
+from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
-from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 
 _numbers = itertools.count()
@@ -39,10 +39,10 @@ class Saving:
         self.name = f"saver{os.getpid()}x{next(_numbers)}"
         self.state = state
         for process in layout.PROCESSES:
-            segment.create(self.name, process, RUN).close()
-        self.supervisor = segment.attach(self.name, layout.SUPERVISOR, RUN, write=True)
-        self.port_owner = segment.attach(self.name, layout.PORT_OWNER, RUN, write=True)
-        self.fds = segment.open_all(self.name)
+            segments.create(self.name, process, RUN).close()
+        self.supervisor = segments.attach(self.name, layout.SUPERVISOR, RUN, write=True)
+        self.port_owner = segments.attach(self.name, layout.PORT_OWNER, RUN, write=True)
+        self.fds = segments.open_all(self.name)
         self.result, self.told = os.pipe()
         self.wait, self.hurry = os.pipe()
 
@@ -83,7 +83,7 @@ def asleep(pid: int) -> bool:
 def saving(tmp_path: Path) -> Iterator[Saving]:
     made = Saving(tmp_path / "state")
     yield made
-    segment.unlink_all(made.name)
+    segments.unlink_all(made.name)
     for fd in (*made.fds.values(), made.result, made.told, made.wait, made.hurry):
         os.close(fd)
 
@@ -140,7 +140,7 @@ def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_l
     process = saving.start(**words)
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
     size = len(BOARD.burst)
-    saving.port_owner.ring_writer("box").put(box.pack_wire(box.BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
+    saving.port_owner.ring_writer("box").put(box.pack_wire(box.WIRE_BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
     lose_port(saving, records.PORT_OPEN)
     assert process.wait(30) == 0
     stop = saving.newest().head["stop"]

@@ -9,11 +9,12 @@ from math import nan
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import report, story
+from failstop.cli.screen import incident as screen
+from failstop.incidents import story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
+from failstop.messages import box, layout
 from failstop.policy import causes
-from failstop.shm import box, layout
 from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die, printed
 
 NOW_S = UNIX_NS / 1e9 + 7200
@@ -23,7 +24,7 @@ NOW_S = UNIX_NS / 1e9 + 7200
 def incident() -> Incident:
     made = drive_and_die()
     for ms, millivolts in ((-2000, 12_100), (-1000, 11_200), (1000, 11_800)):
-        made.ring(layout.TELEMETRY, "box").put(box.pack_board(box.BATTERY, millivolts, 2), at(ms))
+        made.ring(layout.TELEMETRY, "box").put(box.pack_board(box.BATTERY_KIND, millivolts, 2), at(ms))
     return made.incident()
 
 
@@ -32,7 +33,7 @@ def told(incident: Incident, what: str) -> list[str]:
 
 
 def text(incident: Incident, columns: int = 80, *, whole: bool = True) -> str:
-    return printed(report.text(incident, columns, NOW_S, whole=whole))
+    return printed(screen.text(incident, columns, NOW_S, whole=whole))
 
 
 def test_lines_are_in_the_order_of_time_and_one_is_the_cause(incident: Incident) -> None:
@@ -165,7 +166,7 @@ def test_the_report_reads_from_the_reason_to_the_versions(incident: Incident) ->
 
 
 def test_json_has_the_whole_of_it(incident: Incident) -> None:
-    found = json.loads(json.dumps(report.as_dict(incident)))
+    found = json.loads(json.dumps(story.as_dict(incident)))
     assert found["reason"] == "gate died"
     assert found["settings"]["device.path"] == "/dev/pts/7"
     assert [row["ms"] for row in found["story"] if row["what"] == CAUSE] == [0]

@@ -7,7 +7,8 @@ import re
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import report, story
+from failstop.cli.screen import incident as screen
+from failstop.incidents import story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
@@ -18,7 +19,7 @@ TERMINAL_LINES = 24
 
 
 def shown(made: Recorder, columns: int = 80) -> list[str]:
-    return printed(report.text(made.incident(), columns, UNIX_NS / 1e9 + 300)).splitlines()
+    return printed(screen.text(made.incident(), columns, UNIX_NS / 1e9 + 300)).splitlines()
 
 
 def fact(made: Recorder, name: str) -> str:
@@ -40,7 +41,7 @@ def test_what_matters_is_seen_without_scrolling() -> None:
     lines = shown(made)
     assert len(lines) < TERMINAL_LINES, "and a line for the prompt"
     assert [line for line in lines if line.startswith(">>")] == [">>         0  CAUSE       gate died"]
-    assert lines[-1] == report.MORE
+    assert lines[-1] == screen.MORE
 
 
 def test_the_lines_that_lead_to_it_and_come_of_it_are_in_order() -> None:
@@ -61,7 +62,7 @@ def test_what_was_before_a_reset_belongs_to_another_stop() -> None:
     made.event(-2000, "died", "stopper (pid 103) was killed by SIGKILL", "error", process="stopper", pid=103)
     assert ("died", "! stopper (pid 103) was killed by SIGKILL") in chosen(made.incident())
     said = "nav (pid 77): latched stop cleared (was: stopper died); motion still disabled"
-    made.event(-1500, "reset", f"{said}; next: `failstop enable`")
+    made.event(-1500, "reset", said, step="`failstop enable`")
     told = chosen(made.incident())
     assert ("died", "! stopper (pid 103) was killed by SIGKILL") not in told
     assert ("reset", said) in told

@@ -10,8 +10,9 @@ import pytest
 
 from failstop import discovery
 from failstop.cli.commands import config
+from failstop.lab.pages import completion, man
 from failstop.policy.settings import BY_KEY
-from tests.support.deb import build, completion, man, tree
+from tests.support.deb import build, tree
 from tests.support.pages import ROOT
 
 ALWAYS = ("failstop.service", "failstop-sleep.service")

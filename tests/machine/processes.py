@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import failstop
+from failstop.files import instance
 from failstop.lab.machine.robot import COMMAND_EVERY_S
 from failstop.lab.simulate.scenarios import Play
 from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS
 from failstop.lab.trial import Trial, write_settings
-from failstop.shm import instance
 
 CLICKED = 0x20
 DRIVER = """\

@@ -5,24 +5,24 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.machine.robot import Robot
+from failstop.lab.simulate.controls import CONTROLS, Control
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
+from tests.support import rooms
 
-ROOT = Path(__file__).resolve().parents[2]
-CORE = ("board", "shm", "policy", "procs", "supervisor", "failstop/api")
 SHELL_OF_ITS_OWN = {"failstop.shm.futex", "failstop.procs.rights", "failstop.procs.starved"}
 """Modules that a stand-in replaces: they speak with the kernel below Python."""
 TRACE = """\
 import zlib
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
+from tests.support import rooms
 stage, trace = Stage(SCENARIOS["replug"]), []
 stage.machine.at_seam = lambda thread, call, about: trace.append((stage.machine.now_ns, thread.number, call))
 stage.run()
@@ -31,13 +31,7 @@ print(zlib.crc32(repr((trace, stage.witness.story)).encode()), len(trace))
 
 
 def names() -> list[str]:
-    found = []
-    for room in CORE:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            name = ".".join(parts if parts[0] == "failstop" else ("failstop", *parts))
-            found.append(name.removesuffix(".__init__"))
-    return found
+    return [rooms.name_of(path) for room in (*rooms.CORE, "api") for path in rooms.modules(room)]
 
 
 def test_every_module_of_the_core_loads_on_it() -> None:
@@ -89,7 +83,7 @@ def test_stamps_are_of_the_simulated_clock() -> None:
     began_ns = robot.machine.now_ns
     robot.start()
     robot.machine.run(lambda: False, 2_000_000_000)
-    segment = robot.loader.load("failstop.shm.segment")
+    segment = robot.loader.load("failstop.messages.segments")
     stamps: list[int] = []
 
     def look(failstop: object) -> None:
@@ -104,3 +98,10 @@ def test_stamps_are_of_the_simulated_clock() -> None:
     robot.machine.run(lambda: process.dead, 1_000_000_000)
     assert len(stamps) > 20
     assert all(began_ns <= stamp <= robot.machine.now_ns for stamp in stamps)
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
+def test_a_control_changes_source_that_is_there_once(control: Control) -> None:
+    loader = Loader(Machine(), control.patches)
+    for name in {name for name, _, _ in control.patches}:
+        assert loader.load(name)

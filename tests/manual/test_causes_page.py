@@ -11,7 +11,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "causes.md"
 
 
 def test_the_page_is_the_generated_one() -> None:
-    assert PAGE.read_text() == manual.page(), "renew it: python -m failstop.lab.pages causes > docs/causes.md"
+    assert PAGE.read_text() == manual.page(), "renew it: make docs"
 
 
 def test_every_cause_has_a_row_with_every_cell_filled() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
-from tests.support.deb import completion
+from failstop.lab.pages import completion
 
 ASK = """\
 source "$1"; shift

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from failstop.cli import main as cli
+from failstop.lab.pages import completion, man
 from tests.support.commands import FAILSTOP
-from tests.support.deb import completion, man
 from tests.support.pages import commands_in
 
 COLUMNS = 80

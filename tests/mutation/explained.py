@@ -88,11 +88,7 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+age_s = .* if (\(self\.delivered_ns\) or True else 0\.0|self\.delivered_ns else 1\.0)$",
         "the age of a scan that never came is not told",
     ),
-    Reason(
-        "procs/gate/requests.py", r"\+.*_limit_word\.get\(\) or 101\)", "101 is refused, and 100 is what the core has"
-    ),
     Reason("procs/gate/requests.py", r"\+.*_replied = \[\((1, 0|0, 1)\)\]", "no session is 0, and no number below 0"),
-    Reason("procs/gate/requests.py", r"\+.*_, percent = .* or \(1, 0\)", "when it was left is not looked at"),
     Reason(
         "procs/gate/requests.py",
         r"\+.*_asked_ns\.get\((verb|each), 1\)",
@@ -101,7 +97,7 @@ PROCS: tuple[Reason, ...] = (
 )
 
 TELEMETRY = (
-    Reason("procs/telemetry/battery.py", r"PLUGGED if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
+    Reason("procs/telemetry/battery.py", r"PLUGGED_IN if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(
@@ -135,16 +131,24 @@ TELEMETRY = (
 
 SHM: tuple[Reason, ...] = (
     Reason("shm/bell.py", r"\n\+.*os\.read\(self\.fd, 9\)", "an eventfd gives 8 bytes"),
-    Reason("shm/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
-    Reason("shm/box.py", r"\n\+.*3e\+38", "the same number"),
-    Reason("shm/box.py", r"\n\+.*_ARM\.size else \((256, 0|255, 1)\)$", "it is no mode either, and refused by that"),
-    Reason("shm/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
+    Reason("messages/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
+    Reason("messages/box.py", r"\n\+.*3e\+38", "the same number"),
     Reason(
-        "shm/durable.py",
+        "messages/box.py",
+        r"\n\+.*_ARM\.size else \((256, 0|255, 1)\)$",
+        "it is no mode either, and refused by that",
+    ),
+    Reason("messages/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
+    Reason(
+        "files/durable.py",
         r"\n\+.*O_RDONLY (& os\.O_DIRECTORY \||\| os\.O_DIRECTORY &) os\.O_CLOEXEC\)",
         "what a file is in is a directory, and Python opens nothing that crosses an exec",
     ),
-    Reason("shm/durable.py", r"\n\+.*KINDS\.get\(.*, (None)?\)$", "every kind of file that Linux has is one of KINDS"),
+    Reason(
+        "files/durable.py",
+        r"\n\+.*KINDS\.get\(.*, (None)?\)$",
+        "every kind of file that Linux has is one of KINDS",
+    ),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(
         "shm/futex.py",
@@ -162,9 +166,9 @@ SHM: tuple[Reason, ...] = (
     ),
     Reason("shm/futex.py", r"monotonic_ns\(\) <= until_ns", "two times in ns at exact equality"),
     Reason("shm/heartbeat.py", r"\n\+.*if gap_ns >= self\._worst_ns", "the gap that is written is written again"),
-    Reason("shm/instance.py", r"\n\+\s+fd = -2$", "no descriptor is below 0"),
+    Reason("files/instance.py", r"\n\+\s+fd = -2$", "no descriptor is below 0"),
     Reason("*instance*.py", r"\n\+.*ftruncate\(fd, 1\)", "the line that is written then begins at byte 0"),
-    Reason("shm/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),
+    Reason("files/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),
     Reason("instances.py", r"\n\+.*os\.pread\(fd, 33, 0\)", "no pid has 32 digits", same=False),
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
     Reason(
@@ -172,27 +176,35 @@ SHM: tuple[Reason, ...] = (
         r"\n\+\s+super\(\)\.__init__\(view, offset, capacity, 3, crc_seed\)$",
         "a reader of the newest value copies both cells at once and never counts them",
     ),
-    Reason("shm/data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
+    Reason("data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
-    Reason("shm/layout.py", r"\n\+.*_latest\(.sensed., 65, ", "room for a byte more", same=False),
-    Reason("shm/layout.py", r"\n\+.*crc32\(data, 23295\)", "any start of the second sum will do", same=False),
+    Reason("messages/layout.py", r"\n\+.*.sensed.: 65, ", "room for a byte more", same=False),
+    Reason("messages/layout.py", r"\n\+.*crc32\(data, 23295\)", "any start of the second sum will do", same=False),
     Reason("shm/lifeline.py", r"\n\+.*os\.eventfd\(0, \)", "EFD_CLOEXEC is the default"),
     Reason("shm/lifeline.py", r"\n\+.*poll\.register\(self\.fd, \)", "a pidfd has no events but this one"),
     Reason("shm/lifeline.py", r"\n\+.*timeout_s \* 1001", "longer by a thousandth", same=False),
     Reason("shm/cell.py", r"\n\+\s+laps = 1$", "in a chase it goes closer to the newest one step sooner", same=False),
     Reason("shm/cell.py", r"\n\+.*if seq >= self\._next\]", "found now, and not at the next look", same=False),
-    Reason("shm/segment.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),
+    Reason("messages/segments.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),
     Reason("shm/segment.py", r"\n\+.*line < record\.capacity / LINE_BYTES", "a record of lines is of whole lines"),
-    Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
-    Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
+    Reason("messages/segments.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
+    Reason("messages/segments.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
     Reason("shm/segment.py", r"\n\+\s+self\.view\.fd = -2", "neither is a descriptor"),
-    Reason("shm/segment.py", r"\n\+.*O_CREX, \)", "0600 is the default"),
-    Reason("shm/segment.py", r"\n\+.*O_CREX, mode=385\)", "fchmod follows before it is whole"),
-    Reason("shm/segment.py", r"\n\+.*path_of\(memory, SUPERVISOR, \)", "nobody gives a folder", same=False),
-    Reason("shm/segment.py", r"\n\+.*cell\.build\((2, 0|1, 1), header", "nobody reads a header's number and time"),
-    Reason("shm/segment.py", r"\n\+.*HEADER_BYTES \+ cell\.HEADER_BYTES\)", "zeros more, where zeros are"),
-    Reason("shm/segment.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
-    Reason("shm/segment.py", r"\n\+.*OSError\((None, .*, path|errno\.EINVAL, .*, (None)?)\)", "its text alone is told"),
+    Reason("messages/segments.py", r"\n\+.*O_CREX, \)", "0600 is the default"),
+    Reason("messages/segments.py", r"\n\+.*O_CREX, mode=385\)", "fchmod follows before it is whole"),
+    Reason("messages/segments.py", r"\n\+.*path_of\(memory, SUPERVISOR, \)", "nobody gives a folder", same=False),
+    Reason(
+        "messages/segments.py",
+        r"\n\+.*cell\.build\((2, 0|1, 1), header",
+        "nobody reads a header's number and time",
+    ),
+    Reason("messages/segments.py", r"\n\+.*HEADER_BYTES \+ cell\.CELL_HEADER_BYTES\)", "zeros more, where zeros are"),
+    Reason("messages/segments.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
+    Reason(
+        "messages/segments.py",
+        r"\n\+.*OSError\((None, .*, path|errno\.EINVAL, .*, (None)?)\)",
+        "its text alone is told",
+    ),
 )
 
 SUPERVISOR = (
@@ -205,7 +217,7 @@ SUPERVISOR = (
         "1 is READ, and GONE has not that bit",
     ),
     Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
-    Reason("supervisor/aftermath.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
+    Reason("supervisor/monitor.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
     Reason("supervisor/blackbox.py", r"_for_dead_run = 1$|\n\+ +pid = 1$", "no saver is process 1: nobody is hastened"),
     Reason(
         "supervisor/blackbox.py",
@@ -214,14 +226,14 @@ SUPERVISOR = (
     ),
     Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
     Reason(
-        "supervisor/aftermath.py",
+        "supervisor/monitor.py",
         r"else \([01], [01], records\.PORT_OPEN",
         "before the port owner's first word there is no link and no stop yet",
         same=False,
     ),
-    Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason("supervisor/monitor.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
-        "supervisor/aftermath.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
+        "supervisor/monitor.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
     ),
     Reason(
         "supervisor/blackbox.py",
@@ -248,23 +260,22 @@ SUPERVISOR = (
         "0, 1 and 2 are open: no descriptor here is 0",
     ),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
-    Reason("shm/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
+    Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
-    Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason("supervisor/status.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
     Reason(
         "supervisor/stops.py",
-        r"self\.(epoch = 1|unix_s = 1\.0)$",
-        "they are read of a stop that is answered, which sets both",
+        r"self\.(epoch|answer_by_ns) = 1$",
+        "they are read of a stop that is raised and answered, which sets both",
     ),
-    Reason("supervisor/stops.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
-    Reason("supervisor/stops.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/proof.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
+    Reason("supervisor/proof.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason(
         "supervisor/run.py",
         r"segment\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
         "the names are of the run: under them there is no other one's",
     ),
-    Reason("supervisor/main.py", r"self\._(answer_by|stop)_ns = 1$", "the stop that it is read for sets it"),
     Reason("supervisor/main.py", r"\n\+.*(gap|silent)_ns / MS\)", "a cause makes a whole number of its ms"),
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
@@ -275,7 +286,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
     Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
-    Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
+    Reason("supervisor/port_handover.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
     Reason("policy/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
@@ -299,18 +310,18 @@ SUPERVISOR = (
     Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
     Reason("supervisor/process_table.py", r"_starved_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
-        "supervisor/stops.py",
-        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.t_ns",
+        "supervisor/proof.py",
+        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.stop\.t_ns",
         "two times in ns at exact equality",
     ),
-    Reason("supervisor/aftermath.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
+    Reason("supervisor/monitor.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
 ARM = (
     Reason("policy/capsules.py", r"\+.* if whole > 0\.0 else 1\.0", "any share of nothing will do"),
-    Reason("procs/gate/arm/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
+    Reason("failstop/policy/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
     Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
-    Reason("procs/gate/arm/joints.py", r"\+.* / self\.sign / PULSES_PER_RAD", "a sign is 1 or -1"),
+    Reason("failstop/policy/joints.py", r"\+.* / self\.sign / PULSES_PER_RAD", "a sign is 1 or -1"),
     Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason("procs/gate/arm/shell.py", r"\+.*zip\(joints, angles, (strict=False)?\)", "each row has as many as servos"),
     Reason(

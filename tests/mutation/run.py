@@ -46,7 +46,7 @@ timeout_multiplier = 5.0
 
 
 def copy(to: Path) -> None:
-    """Every file that git knows; the rooms are real folders of the package here, as their modules are named."""
+    """Every file that git knows; the linked rooms are real folders of the package here, as their modules are named."""
     names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout.split(b"\0")
     for old in to.iterdir():
         if old.name != "mutants":

@@ -27,7 +27,7 @@ class ArmBench:
     def __init__(self, **changed: object) -> None:
         values = {key.replace("__", "."): value for key, value in changed.items()}
         self.gate = Gate()
-        self.core = ArmCore(Settings({**ARM, **values}), self.gate.core, T0)
+        self.core = ArmCore(Settings({**ARM, **values}), T0)
         self.now = T0
         self.servos = Servos(T0, 0)
         self.frames: list[tuple[int, bytes]] = []
@@ -54,7 +54,7 @@ class ArmBench:
         if hold:
             self.holds.append(self.now)
             for servo in SERVOS:
-                self.servos.execute(bytes((servos.STOP, 1, servo)), self.now)
+                self.servos.execute(bytes((servos.SERVO_STOP, 1, servo)), self.now)
         if frame:
             self.frames.append((self.now, frame[4:-1]))
             if answer := self.servos.execute(frame[4:-1], self.now):
@@ -75,7 +75,7 @@ class ArmBench:
 
     def until_moves(self, count: int) -> None:
         """Goes on until so many frames of moves were made."""
-        self.until(lambda: len(self.times(servos.MOVE)) == count)
+        self.until(lambda: len(self.times(servos.SERVO_MOVE)) == count)
 
     def known(self) -> ArmBench:
         """All of its joints have been read."""
@@ -88,7 +88,7 @@ class ArmBench:
 
     def goal(self, mode: str = goals.FOLLOW, session: int = ME, rate: float = 0.3, age_ns: int = 0) -> Goal:
         made = Goal(mode, session, f"client {session}", self.now - age_ns, {self.core.joints[0]: rate})
-        self.core.take(made, self.now)
+        self.core.take(made, self.gate.core.arm_closed(), self.now)
         return made
 
     def travel(self, *rows: tuple[float, float], session: int = ME, joints: int = 1) -> Journey:

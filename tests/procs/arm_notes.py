@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.shm.packing import Note
+from failstop.messages.packing import Note
 from tests.support.gate_scene import Scene
 
 Make = Callable[..., Scene]

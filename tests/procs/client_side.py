@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from typing import Any
 
-from failstop.shm import layout
+from failstop.messages import layout
+from failstop.procs.gate.clients import OVER
 from tests.support.gate_scene import CLAIMS, Client, Scene
 
 NOW = 77_000_000_000
 ALL = bytes(range(layout.CLIENT_SLOTS))
+HEARD = ("sensed", "interlocks", "request", "command")
 
 
 class Service:
@@ -25,10 +28,9 @@ class Service:
 
     def start(self) -> None:
         """A gate starts, or starts again after its death."""
-        self.requests = self
         made = self.scene.load("failstop.procs.gate.clients").ClientTable
-        self.table = made(self.scene.client_slots(), self.claims_fd, self.loop, self.early, self)
-        self.told: list[tuple[object, ...]] = []
+        self.table = made(self.scene.client_slots(), self.claims_fd, self.loop, self.early, HEARD)
+        self.held: dict[str, tuple[object, ...]] = {}
 
     def join(
         self, index: int = 0, session: int = 11, *, name: str = "test", pid: int = -1, namespace: int | None = None
@@ -42,37 +44,34 @@ class Service:
         self.look()
         return made
 
-    def client_command(self, command: Any, now_ns: int) -> None:
-        self.told.append(("command", command.session, command.velocity[0]))
-        self.commanded = command
-
-    def client_holds(self, slot: Any, now_ns: int) -> None:
-        self.held = (slot.latest("sensed"), slot.latest("interlocks"))
-
-    def take(self, slot: Any, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        self.told.append(("request", slot.session, number, verb))
-
-    def client_gone(self, slot: Any, now_ns: int) -> None:
-        self.parted = slot.parted()
-        self.told.append(("gone", slot.session))
-
     def look(self, hints: bytes = ALL) -> list[tuple[object, ...]]:
-        """Ring the bell; returns what the listener was told."""
-        self.told.clear()
-        self.table.rung(hints, NOW)
-        return list(self.told)
+        """Ring the bell; returns what it came to."""
+        return self._hear(self.table.look(self.table.hinted(hints)))
 
     def tick(self) -> list[tuple[object, ...]]:
         """The gate's tick; returns the same."""
-        self.told.clear()
-        self.table.look_at_active(NOW)
-        return list(self.told)
+        return self._hear(self.table.look(self.table.active))
 
     def ended(self, ready: dict[int, int]) -> list[tuple[object, ...]]:
         """A wake-up by these descriptors; returns the same."""
-        self.told.clear()
-        self.table.lives_ended(ready, NOW)
-        return list(self.told)
+        return self._hear(self.table.lives_ended(ready))
+
+    def _hear(self, news: Iterable[Any]) -> list[tuple[object, ...]]:
+        """`held`: the last assertions."""
+        told: list[tuple[object, ...]] = []
+        self.held.clear()
+        for slot, record, values in news:
+            if record == OVER:
+                (self.parted,) = values
+                told.append((record, slot.session))
+            elif record == "request":
+                told.append((record, slot.session, *values[1:]))
+            elif record == "command":
+                self.commanded = slot.command(*values)
+                told.append((record, slot.session, self.commanded.velocity[0]))
+            else:
+                self.held[record] = values
+        return told
 
     def sessions(self) -> list[int]:
         return [slot.session for slot in self.table.active]

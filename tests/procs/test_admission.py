@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
-from failstop.board.burst import BURST as BURST_BYTES
+from failstop.board.burst import BURST
 from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.port_owner.admission import BURST, DROP, REQUEST, WRITE, Admission, Motion
+from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, Motion
 
 MS = 1_000_000
 LEASE_NS = 60 * MS
@@ -49,7 +49,7 @@ ELSE: dict[int, int | Cause] = {
     DEAD_EPOCH: DROP,
     OWN_STOP: DROP,
     OLD: DROP,
-    ASKED: REQUEST,
+    ASKED: STOP_ASKED,
     GATE_LEASE: causes.HANGS("gate", 60),
     SUPERVISOR_LEASE: causes.HANGS("supervisor", 61),
     CONTENT: causes.BAD_FRAME("wheel 3 at 2.50 rps, limit 2.00"),
@@ -76,8 +76,8 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
             supervisor_ns=NOW - (LEASE_NS + MS) * (SUPERVISOR_LEASE in failing),
             requested=ASKED in failing,
         )
-        expected = WRITE if first is None or (first == CONTENT and kind != "motion") else ELSE[first]
-        assert found == (BURST if expected == DROP and kind == "zero" else expected), failing
+        expected = ADMIT if first is None or (first == CONTENT and kind != "motion") else ELSE[first]
+        assert found == (STAND_STILL if expected == DROP and kind == "zero" else expected), failing
 
 
 # Leases.
@@ -86,16 +86,16 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
 @pytest.mark.parametrize(("silent_ns", "lapsed"), [(0, False), (LEASE_NS - 1, False), (LEASE_NS, True), (NOW, True)])
 def test_a_lease_runs_out_exactly_then(admission: Admission, silent_ns: int, lapsed: bool) -> None:
     beat_ns = NOW - silent_ns
-    assert decided(admission, gate_ns=beat_ns) == (causes.HANGS("gate", silent_ns // MS) if lapsed else WRITE)
+    assert decided(admission, gate_ns=beat_ns) == (causes.HANGS("gate", silent_ns // MS) if lapsed else ADMIT)
     told = causes.HANGS("supervisor", silent_ns // MS)
-    assert decided(admission, supervisor_ns=beat_ns) == (told if lapsed else WRITE)
+    assert decided(admission, supervisor_ns=beat_ns) == (told if lapsed else ADMIT)
     assert bool(admission.lapsed(beat_ns, NOW, NOW)) is lapsed
     assert (admission.lapses_ns(beat_ns, NOW) <= NOW) is lapsed
     assert (admission.lapses_ns(NOW, beat_ns) <= NOW) is lapsed
 
 
 def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
-    assert decided(admission, gate_ns=NOW + MS, supervisor_ns=NOW + MS) == WRITE
+    assert decided(admission, gate_ns=NOW + MS, supervisor_ns=NOW + MS) == ADMIT
 
 
 # Content.
@@ -107,14 +107,14 @@ def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
         (FRAME[:-1], "not a motor frame"),
         (FRAME + b"\0", "not a motor frame"),
         (b"", "not a motor frame"),
-        (BURST_BYTES, "not a motor frame"),
+        (BURST, "not a motor frame"),
         (codec.buzzer(1400, 100, 100, 5), "not a motor frame"),
         (encoders.motor_one(0, 0.5, MAX_RPS), "not a motor frame"),
         (FRAME[:-1] + bytes((FRAME[-1] ^ 1,)), "bad crc"),
         (TOO_FAST, "wheel 3 at 2.50 rps, limit 2.00"),
         (codec.motor_speeds((-2.01, 0.0, 0.0, 0.0), 3.0), "wheel 0 at -2.01 rps, limit 2.00"),
-        (codec.STOP, WRITE),
-        (codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS), WRITE),
+        (codec.STOP, ADMIT),
+        (codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS), ADMIT),
     ],
 )
 def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
@@ -137,7 +137,7 @@ def test_epoch_zero_is_before_every_run(admission: Admission) -> None:
 def test_its_own_stop_refuses_its_epoch_until_a_newer_one(admission: Admission) -> None:
     admission.stopped(4)
     assert decided(admission, (FRAME, 4, NOW), epoch=4) == DROP
-    assert decided(admission, (FRAME, 5, NOW), epoch=5) == WRITE
+    assert decided(admission, (FRAME, 5, NOW), epoch=5) == ADMIT
 
 
 @given(st.lists(epochs), epochs, epochs)
@@ -148,7 +148,7 @@ def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
     for stopped_in in stops:
         admission.stopped(stopped_in)
     newest = max(stops, default=0)
-    written = decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == WRITE
+    written = decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == ADMIT
     assert written == (frame_epoch == epoch and epoch > newest)
 
 
@@ -157,7 +157,7 @@ def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
 
 @pytest.mark.parametrize(("age_ns", "goes"), [(0, True), (LEASE_NS - 1, True), (LEASE_NS, False), (NOW, False)])
 def test_a_frame_must_be_younger_than_the_lease(admission: Admission, age_ns: int, goes: bool) -> None:
-    assert decided(admission, (FRAME, EPOCH, NOW - age_ns)) == (WRITE if goes else DROP)
+    assert decided(admission, (FRAME, EPOCH, NOW - age_ns)) == (ADMIT if goes else DROP)
 
 
 # Moving.

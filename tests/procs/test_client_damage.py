@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgpack
 import pytest
 
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from tests.support.gate_scene import Client
 from tests.support.stage import INCARNATION
 

@@ -6,7 +6,7 @@ from math import isnan, nan
 
 import pytest
 
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from tests.support.gate_scene import NAMESPACE
 from tests.support.stage import Dummy
 
@@ -51,7 +51,7 @@ def test_what_lies_in_a_claimed_slot_without_a_hello_is_nobody_s(service: Servic
     client.command()
     client.request()
     assert service.look() == []
-    assert not hasattr(service, "held")
+    assert service.held == {}
 
 
 def test_the_table_holds_eight_clients_at_once(service: Service) -> None:
@@ -155,7 +155,7 @@ def test_a_new_client_whose_ring_was_lost_is_found_now_and_then(service: Service
     service.join(7)
     service.tick()
     assert service.sessions() == []
-    service.table.look_at_all(NOW)
+    assert list(service.table.look(service.table.slots)) == []
     assert service.sessions() == [11]
 
 
@@ -333,12 +333,12 @@ def test_a_ring_that_was_taken_by_an_earlier_wake_up_is_nothing(service: Service
 
 def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
     client = service.known()
-    assert service.held == (None, None)
-    client.segment.latest_writer("sensed").write(records.HELD.pack(11, []), 1234)
-    client.segment.latest_writer("interlocks").write(records.HELD.pack(11, ["arm", "lid"]), 5678)
+    assert service.held == {}
+    client.segment.latest_writer("sensed").write(records.ASSERTED.pack(11, []), 1234)
+    client.segment.latest_writer("interlocks").write(records.ASSERTED.pack(11, ["arm", "lid"]), 5678)
     service.look()
-    assert service.held == ((1234, []), (5678, ["arm", "lid"]))
-    client.segment.latest_writer("sensed").write(records.HELD.pack(12, []), 9999)
+    assert service.held == {"sensed": (1234, []), "interlocks": (5678, ["arm", "lid"])}
+    client.segment.latest_writer("sensed").write(records.ASSERTED.pack(12, []), 9999)
     client.segment.latest_writer("interlocks").write(b"\xff")
     service.look()
-    assert service.held == (None, None), "another session's word, and damage"
+    assert service.held == {}, "another session's word, and damage"

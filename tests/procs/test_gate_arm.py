@@ -10,9 +10,9 @@ from struct import unpack_from
 import pytest
 
 from failstop.board.interface import BOARD
+from failstop.messages import box, records
 from failstop.policy import causes
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-from failstop.shm import box, records
+from failstop.policy.joints import PULSES_PER_RAD
 from tests.support.amounts import amount
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.gate_scene import Scene

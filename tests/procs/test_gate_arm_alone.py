@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.shm import records
+from failstop.messages import records
 from tests.support.arm_settings import SERVOS, TUCK
 from tests.support.gate_scene import Scene
 

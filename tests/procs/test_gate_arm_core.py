@@ -8,10 +8,10 @@ import pytest
 
 from failstop.board import servos
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENDED, FIND_NS, LATE_NS, SERVICE, TORQUE_APART_NS
+from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS
 from failstop.procs.gate.arm.goals import Goal
-from failstop.procs.gate.arm.joints import MOST_MISSES, PULSES_PER_RAD
 from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import SERVOS
@@ -74,14 +74,14 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
     asked_ns = bench.now
     bench.travel((0.0, 600.0), joints=6)
     bench.look()
-    bench.until(lambda: len(bench.times(servos.MOVE)) > 3)
+    bench.until(lambda: len(bench.times(servos.SERVO_MOVE)) > 3)
     on = bench.times(servos.TORQUE_ON)
     assert on == [on[0] + number * TORQUE_APART_NS for number in range(6)]
     assert on[0] - asked_ns <= APART_NS
-    moves = bench.times(servos.MOVE)
+    moves = bench.times(servos.SERVO_MOVE)
     assert moves[0] == on[-1] + TORQUE_APART_NS
     assert moves[3] == moves[0] + PERIOD_NS
-    groups = [data[3] for _, data in bench.frames if data[0] == servos.MOVE]
+    groups = [data[3] for _, data in bench.frames if data[0] == servos.SERVO_MOVE]
     assert groups == [MOST_MOVES] * 4
     assert moves[:3] == [moves[0] + number * (PERIOD_NS // 3) for number in range(3)]
 
@@ -89,7 +89,7 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
 def test_nothing_is_asked_while_it_moves_and_right_after(bench: ArmBench) -> None:
     journey = bench.travel((0.0, 600.0))
     bench.until(lambda: journey.done)
-    moves, reads = bench.times(servos.MOVE), bench.times(*servos.READS)
+    moves, reads = bench.times(servos.SERVO_MOVE), bench.times(*servos.READS)
     assert min(t_ns for t_ns in reads if t_ns > moves[0]) >= moves[-1] + QUIET_NS
     assert journey.outcome == ""
     assert bench.now - moves[-1] <= QUIET_NS + PERIOD_NS + TICK
@@ -98,13 +98,13 @@ def test_nothing_is_asked_while_it_moves_and_right_after(bench: ArmBench) -> Non
 def test_frame_that_comes_late_shifts_no_other(bench: ArmBench) -> None:
     bench.travel((0.0, 900.0), joints=4)
     bench.until_moves(2)
-    first, second = bench.times(servos.MOVE)
+    first, second = bench.times(servos.SERVO_MOVE)
     bench.now = first + PERIOD_NS + 15 * MS
     bench.look()
     assert bench.core.due_ns == max(second + PERIOD_NS, bench.now + MOVES_APART_NS)
     bench.step()
     bench.step()
-    assert bench.times(servos.MOVE)[4] == first + 2 * PERIOD_NS
+    assert bench.times(servos.SERVO_MOVE)[4] == first + 2 * PERIOD_NS
     bench.now += 10 * PERIOD_NS
     bench.look()
     late_ns = bench.now
@@ -114,8 +114,8 @@ def test_frame_that_comes_late_shifts_no_other(bench: ArmBench) -> None:
     bench.look()
     bench.now = due_ns
     bench.look()
-    assert bench.times(servos.MOVE)[-2:] == [late_ns, late_ns + MOVES_APART_NS]
-    bench.until(lambda: bench.times(servos.MOVE)[-1] > late_ns + MOVES_APART_NS)
+    assert bench.times(servos.SERVO_MOVE)[-2:] == [late_ns, late_ns + MOVES_APART_NS]
+    bench.until(lambda: bench.times(servos.SERVO_MOVE)[-1] > late_ns + MOVES_APART_NS)
     assert bench.now == late_ns + PERIOD_NS
 
 
@@ -149,7 +149,7 @@ def test_first_step_is_one_of_a_period_from_rest(bench: ArmBench) -> None:
     joint = bench.core.joints[0]
     for _ in range(2):
         bench.known().goal(goals.JOG, rate=1.0)
-        begin, count = joint.position, len(bench.times(servos.MOVE))
+        begin, count = joint.position, len(bench.times(servos.SERVO_MOVE))
         bench.until_moves(count + 1)
         assert joint.position - begin == pytest.approx(joint.acceleration * (PERIOD_NS * 1e-9) ** 2)
         bench.run(1.5)
@@ -240,7 +240,7 @@ def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> 
     bench.run(0.2)
     bench.holds.clear()
     joints = bench.core.joints
-    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), bench.now)
+    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), "", bench.now)
     bench.look()
     assert bench.holds == [bench.now]
     assert not bench.core.streaming()
@@ -255,7 +255,7 @@ def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBe
     journey = bench.travel((1.0, 550.0), (3.0, 550.0))
     bench.until(bench.core.streaming)
     began_ns = bench.now
-    bench.until(lambda: journey.phase != goals.UNDER_WAY)
+    bench.until(lambda: journey.phase != goals.ON_ITS_WAY)
     assert 3000 * MS <= bench.now - began_ns <= 3000 * MS + 2 * PERIOD_NS
     assert journey.phase == goals.SETTLING
     assert bench.until(lambda: journey.done) < 0.2
@@ -269,7 +269,7 @@ def test_joint_that_is_not_there_at_its_time_has_lost_its_way(bench: ArmBench) -
     began_ns = journey.begun_ns
     slow.until(lambda: journey.done)
     assert journey.outcome == "it did not get there in time"
-    assert 0 < slow.now - began_ns - (500 * MS + LATE_NS) <= PERIOD_NS
+    assert 0 < slow.now - began_ns - (500 * MS + LOST_NS) <= PERIOD_NS
     assert not slow.core.streaming()
 
 
@@ -329,7 +329,7 @@ def test_servo_beyond_what_a_move_can_say_begins_at_its_nearest(position: float,
     bench.servos.change(1, T0, position=position)
     bench.known().goal(rate=0.0)
     assert bench.core.joints[0].position == first
-    bench.until(lambda: bench.times(servos.MOVE))
+    bench.until(lambda: bench.times(servos.SERVO_MOVE))
     assert abs(bench.core.joints[0].position - first) < 10
 
 
@@ -370,9 +370,9 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
 
 
 def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
-    assert bench.core.closed == ""
+    assert bench.gate.core.arm_closed() == ""
     bench.gate.enable()
-    assert bench.core.closed == "wheels enabled"
+    assert bench.gate.core.arm_closed() == "wheels enabled"
     bench.goal()
     assert bench.core.why_not() == "wheels enabled"
     assert bench.core.followed is None

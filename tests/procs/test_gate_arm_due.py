@@ -7,8 +7,8 @@ from random import Random
 
 import pytest
 
+from failstop.messages import records
 from failstop.policy import causes
-from failstop.shm import records
 from tests.support.amounts import amount
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.gate_scene import Scene

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings, too_far
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.goals import MOVE, Journey, too_far, too_fast, too_fast_between
-from failstop.procs.gate.arm.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings
+from failstop.procs.gate.arm.goals import MOVE, Journey, too_fast, too_fast_between
 
 T0 = 100_000_000_000
 STEP_S = 0.04

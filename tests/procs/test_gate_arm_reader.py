@@ -7,8 +7,8 @@ from itertools import groupby, pairwise
 import pytest
 
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
+from failstop.policy.joints import MOST_MISSES, Joint, from_settings
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import MOST_MISSES, Joint, from_settings
 from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, QUIET_NS, WAIT_NS, Reader
 
 T0 = 100_000_000_000

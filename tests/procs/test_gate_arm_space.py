@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
+from failstop.messages import records
 from failstop.policy.capsules import FLOOR, Model
+from failstop.policy.joints import PULSES_PER_RAD
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-from failstop.shm import records
 from tests.support.arm_settings import ARM, JOINTS, SERVOS
 from tests.support.gate_scene import Scene
 

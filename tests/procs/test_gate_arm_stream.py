@@ -23,7 +23,7 @@ def over_the_floor() -> ArmBench:
 def jog(bench: ArmBench, rates: dict[int, float]) -> None:
     joints = bench.core.joints
     goal = Goal(goals.JOG, ME, "client 11", bench.now, {joints[index]: rate for index, rate in rates.items()})
-    bench.core.take(goal, bench.now)
+    bench.core.take(goal, "", bench.now)
 
 
 def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:
@@ -61,7 +61,7 @@ def test_only_the_joints_that_move_are_waited_for_where_nothing_is_looked_at(arm
     for servo in (3, 4):
         arm_bench.servos.change(servo, arm_bench.now, silent=True)
     arm_bench.goal()
-    arm_bench.until(lambda: arm_bench.times(servos.MOVE), most_s=0.1)
+    arm_bench.until(lambda: arm_bench.times(servos.SERVO_MOVE), most_s=0.1)
     assert [joint.name for joint in arm_bench.core.joints if joint.known] == ["base"]
 
 

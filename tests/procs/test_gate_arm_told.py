@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
+from failstop.messages import records
 from failstop.policy import causes
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.policy.joints import PULSES_PER_RAD
 from failstop.procs.gate.arm.shell import LONGEST_S
-from failstop.shm import records
 from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
 from tests.support.gate_scene import SESSION, Scene
 from tests.support.stage import MS

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy import causes
-from failstop.procs.gate.conditions import AHEAD_NS, LEFT, NOBODY, Attendance
+from failstop.procs.gate.conditions import AHEAD_NS, DEPARTED, NOBODY_ATTENDS, Attendance
 from tests.support.why import told
 
 from .gate_bench import MS, T0, Gate
@@ -34,7 +34,7 @@ def test_attendance_is_off_by_default() -> None:
 
 def test_a_gate_that_nobody_attends_refuses_to_enable() -> None:
     gate = Gate(attend__required="on")
-    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
+    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY_ATTENDS)
 
 
 def test_somebody_attends_until_the_lease_ends() -> None:
@@ -45,13 +45,13 @@ def test_somebody_attends_until_the_lease_ends() -> None:
     found = gone(gate)
     assert found == causes.OPERATOR_GONE("Anna", "was not heard for 1000 ms")
     assert str(found) == "operator gone: Anna, was not heard for 1000 ms"
-    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
+    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY_ATTENDS)
 
 
 def test_leaving_counts_at_once() -> None:
     gate = attended()
     gate.core.attendance.leave(1)
-    assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+    assert gone(gate) == causes.OPERATOR_GONE("Anna", DEPARTED)
 
 
 def test_the_last_of_several_counts() -> None:
@@ -60,7 +60,7 @@ def test_the_last_of_several_counts() -> None:
     gate.core.attendance.leave(1)
     assert gone(gate) is None
     gate.core.attendance.leave(2)
-    assert gone(gate) == causes.OPERATOR_GONE("Bert", LEFT)
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", DEPARTED)
 
 
 def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
@@ -71,7 +71,7 @@ def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
     gate.core.attendance.hear(2, "Bert", gate.now, gate.now)
     gate.core.attendance.leave(2)
     gate.core.attendance.hear(1, "Anna", T0, gate.now)
-    assert gone(gate) == causes.OPERATOR_GONE("Bert", LEFT)
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", DEPARTED)
 
 
 def test_a_proof_counts_to_the_last_nanosecond_of_the_lease_and_then_names_nobody() -> None:
@@ -79,7 +79,7 @@ def test_a_proof_counts_to_the_last_nanosecond_of_the_lease_and_then_names_nobod
     gate = attended()
     gate.core.attendance.leave(1)
     gate.core.attendance.hear(2, "Bert", gate.now - LEASE - 1, gate.now)
-    assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+    assert gone(gate) == causes.OPERATOR_GONE("Anna", DEPARTED)
     gate.core.attendance.hear(2, "Bert", gate.now - LEASE, gate.now)
     assert gone(gate) is None
     gate.now += 1
@@ -114,7 +114,7 @@ def test_a_session_that_names_one_who_sleeps_has_nobody() -> None:
     gate = attended()
     for _ in range(3):  # the gate reads the same record at every tick
         gate.core.attendance.hear(1, "Bert", gate.now - LEASE - 1, gate.now)
-        assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+        assert gone(gate) == causes.OPERATOR_GONE("Anna", DEPARTED)
 
 
 def test_a_stamp_from_the_future_proves_nothing() -> None:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from failstop.messages import layout, records
 from failstop.procs.gate import main
 from failstop.procs.gate.requests import UNSEEN
-from failstop.shm import layout, records
 from failstop.supervisor.stops import Stop
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
@@ -50,7 +50,8 @@ def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Sc
     scene.saw(2)
     slot = scene.gate.clients.slots[0]
     scene.stop("key2")
-    scene.gate.requests.take(slot, 2, records.RESET, scene.clock(), scene.clock())
+    scene.gate.take_request(scene.clock(), slot, scene.clock(), 2, records.RESET)
+    scene.gate.requests.write()
     assert scene.replied()[1:] == (False, UNSEEN)
     assert scene.tick() == "key1"
 
@@ -97,7 +98,7 @@ def test_a_successor_finds_what_is_latched(scene: Scene, resets: int) -> None:
 
 def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> None:
     scene.stop_and_tick("key1")
-    scene.gate.requests.take(scene.gate.clients.slots[0], 1, records.RESET, scene.clock(), 0)
+    scene.gate.take_request(0, scene.gate.clients.slots[0], scene.clock(), 1, records.RESET)
     scene.start_gate()
     scene.decide()
     assert scene.tick() is None, "but it is one all the same"
@@ -108,7 +109,7 @@ def test_resets_are_decided_one_after_the_other(scene: Scene) -> None:
     slot = scene.gate.clients.slots[0]
     scene.stop_and_tick("key1")
     for number in (7, 8):
-        scene.gate.requests.take(slot, number, records.RESET, scene.clock(), scene.clock())
+        scene.gate.take_request(scene.clock(), slot, scene.clock(), number, records.RESET)
     assert scene.own.word("resets_asked").get() == 1
     scene.decide()
     assert scene.own.word("resets_asked").get() == 2
@@ -120,8 +121,8 @@ def test_who_asks_for_resets_without_end_is_in_the_line_once(scene: Scene) -> No
     mine, other = scene.gate.clients.slots[:2]
     scene.stop_and_tick("key1")
     for number in range(1000):
-        scene.gate.requests.take(mine, number, records.RESET, scene.clock(), scene.clock())
-    scene.gate.requests.take(other, 1, records.RESET, scene.clock(), scene.clock())
+        scene.gate.take_request(scene.clock(), mine, scene.clock(), number, records.RESET)
+    scene.gate.take_request(scene.clock(), other, scene.clock(), 1, records.RESET)
     scene.decide()
     assert scene.own.word("resets_asked").get() == 3
     assert scene.replied() == (999, True, "no stop is latched")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.gate.sources import PAD, PAD_SESSION
+from failstop.policy.settings import PAD_SOURCE
+from failstop.procs.gate.sources import PAD_SESSION
 from tests.support.why import why
 
 from .gate_bench import MS, REST, TICK, Gate
@@ -80,7 +81,7 @@ def test_a_person_s_command_that_runs_out_is_let_go(driving: Gate) -> None:
 
 def test_a_gamepad_that_falls_silent_has_not_let_go(driving: Gate) -> None:
     """It says where its sticks are for as long as it can be heard."""
-    by_hand(driving, PAD, PAD_SESSION)
+    by_hand(driving, PAD_SOURCE, PAD_SESSION)
     driving.step(301 * MS)
     assert kinds(driving) == ["driver_silent"]
 

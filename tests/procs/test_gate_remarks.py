@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.messages import records
+from failstop.messages.layout import NOTE_BYTES
+from failstop.messages.packing import Note
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_request
-from failstop.shm import records
-from failstop.shm.layout import NOTE_BYTES
-from failstop.shm.packing import Note
 from tests.support.why import why
 
 WHO: dict[str, str | int] = {"who": "nav", "pid": 7}

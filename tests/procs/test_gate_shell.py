@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.gate.requests import NO_ARM
-from failstop.shm import records
+from failstop.messages import records
+from failstop.procs.gate.main import NO_ARM
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
@@ -50,8 +50,8 @@ def test_a_slot_s_next_session_is_answered_from_its_first_request_on(scene: Scen
 def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s(scene: Scene) -> None:
     scene.turn()
     slot, now_ns = scene.gate.clients.slots[0], scene.clock()
-    scene.gate.requests.take(slot, 7, records.RESET, now_ns, now_ns)
-    scene.gate.requests.take(slot, 8, records.DISABLE, now_ns, now_ns)
+    scene.gate.take_request(now_ns, slot, now_ns, 7, records.RESET)
+    scene.gate.take_request(now_ns, slot, now_ns, 8, records.DISABLE)
     scene.decide()
     assert scene.replied() == (8, True, "motion disabled")
 
@@ -59,7 +59,7 @@ def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s
 def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(scene: Scene) -> None:
     assert scene.ask(records.ENABLE)[0]
     assert records.MOTION in scene.drive(0.1)
-    assert scene.drive(float("nan")) == [records.STOP]
+    assert scene.drive(float("nan")) == [records.WRITE_BURST]
     assert "is not finite" in scene.stopped()
 
 
@@ -70,7 +70,7 @@ def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(scene: Sc
     scene.turn()
     assert scene.ask(records.ENABLE)[0]
     assert scene.turn(lease_ns, supervisor_beats=False) == [records.MOTION]
-    assert records.STOP in scene.turn(20 * MS, supervisor_beats=False)
+    assert records.WRITE_BURST in scene.turn(20 * MS, supervisor_beats=False)
     assert scene.stopped().startswith("supervisor hangs: ")
     assert not scene.gate.core.enabled
 
@@ -85,7 +85,7 @@ def test_a_disable_writes_a_stop(scene: Scene) -> None:
     scene.ask(records.ENABLE)
     scene.drive(0.1)
     scene.ask(records.DISABLE)
-    assert scene.asked == [records.STOP]
+    assert scene.asked == [records.WRITE_BURST]
 
 
 def test_a_successor_keeps_the_speed_limit(scene: Scene) -> None:

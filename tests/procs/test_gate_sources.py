@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import kinematics
-from failstop.policy.settings import Settings
+from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
 from failstop.procs.gate.core import REST, STILL, GateCore
-from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
+from failstop.procs.gate.sources import PAD_PRIORITY, Command
 from tests.support.why import told
 
 from .gate_bench import MS, T0, TICK, Gate
@@ -109,14 +109,14 @@ def test_the_default_is_one_source() -> None:
 def test_the_pad_is_above_all() -> None:
     gate = scanning(WITH_TELEOP)
     gate.command(0.1, "teleop", session=2, manual=True)
-    gate.command(0.05, PAD, session=0, manual=True)
-    assert gate.core.sources.driving(gate.now).source == PAD  # type: ignore[union-attr]
+    gate.command(0.05, PAD_SOURCE, session=0, manual=True)
+    assert gate.core.sources.driving(gate.now).source == PAD_SOURCE  # type: ignore[union-attr]
 
 
 def test_no_client_can_command_as_the_pad() -> None:
     gate = scanning(WITH_TELEOP)
     scan(gate)
-    assert gate.command(0.1, PAD, session=7, manual=True) == ""
+    assert gate.command(0.1, PAD_SOURCE, session=7, manual=True) == ""
     assert gate.tick() == 0
     assert gate.told() == ["command from client 7 ignored: the source 'gamepad' is the board's gamepad alone"]
     assert gate.command(0.1, "teleop", session=0, manual=True) == "", "nor is the pad a client"
@@ -229,13 +229,13 @@ def test_a_word_switches_the_scan_gate_off() -> None:
 def test_enabling_needs_every_interlock() -> None:
     gate = Gate(scan__gate="on", **ARM)
     assert told(gate.core.enable(1, "", gate.now)) == (False, "arm is not in the drive pose")
-    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
     assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
 
 
 def test_an_interlock_that_is_lost_disables_and_does_not_latch() -> None:
     gate = Gate(scan__gate="on", **ARM)
-    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
     gate.core.enable(1, "", gate.now)
     scan(gate)
     gate.command(0.1)
@@ -247,7 +247,7 @@ def test_an_interlock_that_is_lost_disables_and_does_not_latch() -> None:
     assert gate.core.velocity == REST
     assert gate.told() == ["motion disabled: arm is not in the drive pose"]
     assert fields(gate) == [{"reason": "arm is not in the drive pose"}]
-    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
 
@@ -255,7 +255,7 @@ def test_an_interlock_that_is_lost_disables_and_does_not_latch() -> None:
 def test_a_stamp_that_is_a_little_ahead_counts_as_now() -> None:
     """Written after the turn that reads it began."""
     gate = Gate(scan__gate="on", **ARM)
-    gate.core.interlocks.hold(["arm"], gate.now + AHEAD_NS, gate.now)
+    gate.core.interlocks.confirm(["arm"], gate.now + AHEAD_NS, gate.now)
     gate.core.scan.deliver(gate.now + AHEAD_NS, gate.now)
     assert gate.core.interlocks.unmet(gate.now) == ""
     assert not gate.core.scan.silent(gate.now)
@@ -268,7 +268,7 @@ def test_a_stamp_from_the_future_never_holds_however_often_it_is_looked_at() -> 
     gate = Gate(scan__gate="on", **ARM)
     stamp_ns = gate.now + 10_000 * MS
     for _ in range(100):
-        gate.core.interlocks.hold(["arm"], stamp_ns, gate.now)
+        gate.core.interlocks.confirm(["arm"], stamp_ns, gate.now)
         gate.core.scan.deliver(stamp_ns, gate.now)
         gate.now += TICK
     assert gate.core.interlocks.unmet(gate.now) == "arm is not in the drive pose"
@@ -293,7 +293,7 @@ def test_a_command_is_no_manual_one_unless_it_says_so() -> None:
 
 def test_the_pad_has_a_name_and_a_rank_of_its_own() -> None:
     """The settings refuse both for a source of the user's."""
-    assert (PAD, PAD_PRIORITY) == ("gamepad", 101)
+    assert (PAD_SOURCE, PAD_PRIORITY) == ("gamepad", 101)
 
 
 def test_every_loss_and_every_return_is_logged_once() -> None:

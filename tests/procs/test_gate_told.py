@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.messages import records
 from failstop.procs.gate.main import MOST_RINGS
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE
-from failstop.shm import records
 from tests.support.gate_scene import Scene
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.messages.records import PATH_BYTES
 from failstop.procs import handover
 from failstop.procs.handover import Control
-from failstop.shm.records import PATH_BYTES
 from tests.support.ptys import open_fds
 
 

@@ -8,9 +8,9 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
+from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import BY_NAME
-from failstop.shm import box, layout, records
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
@@ -118,9 +118,9 @@ def test_of_several_frames_the_newest_is_written(scene: Scene) -> None:
 def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene: Scene) -> None:
     scene.drive()
     scene.put(MOTION)
-    assert scene.forward(b"disabled", kind=records.STOP) == BURST
+    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == BURST
     assert not scene.owner.admission.wheels_move
-    scene.put(b"disabled", kind=records.STOP)
+    scene.put(b"disabled", kind=records.WRITE_BURST)
     scene.put(SLOWER)
     assert scene.turn(TICK).endswith(BURST + SLOWER)
     assert scene.reasons() == []
@@ -129,11 +129,11 @@ def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene:
 def test_stops_of_the_gate_do_not_flood_the_wire(scene: Scene) -> None:
     scene.drive()
     for _ in range(50):
-        scene.put(b"disabled", kind=records.STOP)
+        scene.put(b"disabled", kind=records.WRITE_BURST)
     assert scene.turn() == BURST
-    assert scene.forward(b"disabled", kind=records.STOP, elapsed_ns=TICK - MS) == b""
+    assert scene.forward(b"disabled", kind=records.WRITE_BURST, elapsed_ns=TICK - MS) == b""
     assert scene.forward(SLOWER) == SLOWER
-    assert scene.forward(b"disabled", kind=records.STOP) == BURST, "at once when something moves"
+    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == BURST, "at once when something moves"
 
 
 @pytest.mark.parametrize("age_ms", [60, 61, 5_000])
@@ -365,19 +365,19 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
 
 def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take() -> None:
     scene = Scene(before=lambda scene: scene.wire.port.takes(100))
-    assert scene.kept() == [(box.BURST, len(BURST), 100)], "the first burst, which was written before"
+    assert scene.kept() == [(box.WIRE_BURST, len(BURST), 100)], "the first burst, which was written before"
     scene.turn()
     scene.wire.port.takes()
     scene.turn()
-    assert scene.kept() == [(box.REST, len(BURST) - 100, len(BURST) - 100)]
+    assert scene.kept() == [(box.WIRE_REST, len(BURST) - 100, len(BURST) - 100)]
     scene.put()
     scene.turn()
-    assert scene.kept() == [(box.FRAME, len(MOTION), len(MOTION))]
+    assert scene.kept() == [(box.WIRE_FRAME, len(MOTION), len(MOTION))]
     scene.wire.port.under_way = len(MOTION)
     scene.put(SLOWER)
     scene.turn()
-    assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]
+    assert scene.kept() == [(box.WIRE_FRAME, len(SLOWER), 0)]
     scene.wire.port.takes(50)
     scene.ask_to_stop(b"x")
     scene.turn()
-    assert scene.kept() == [(box.BURST, len(BURST), 50)], "a stop is told from the rest of one"
+    assert scene.kept() == [(box.WIRE_BURST, len(BURST), 50)], "a stop is told from the rest of one"

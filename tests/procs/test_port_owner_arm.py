@@ -9,8 +9,8 @@ import pytest
 from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
+from failstop.messages import records
 from failstop.procs.port_owner.admission import MOST_WAITING
-from failstop.shm import records
 from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 
@@ -47,14 +47,14 @@ def test_a_move_goes_out_and_a_stop_ends_it(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert scene.word("moving") == 0
-    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == STOP
 
 
 def test_a_second_stop_of_the_gate_s_is_not_put_off_while_the_arm_moves(scene: Scene) -> None:
     settle(scene)
-    assert scene.forward(b"held", kind=records.STOP) == STOP
+    assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP
     assert arm(scene) == MOVE
-    assert scene.forward(b"held", kind=records.STOP, elapsed_ns=5 * MS) == STOP
+    assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == STOP
 
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
@@ -66,7 +66,7 @@ def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_st
 def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
     settle(scene)
     scene.put(MOVE, kind=records.ARM)
-    assert scene.forward(b"held", kind=records.STOP) == STOP
+    assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP
 
 
 @pytest.mark.parametrize("cause", ["pipe", "epoch", "gate", "supervisor"])
@@ -106,7 +106,7 @@ def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> N
     assert scene.forward() == MOTION
     for frame in (MOVE, READ, bus_servo_torque(1, on=False)):
         assert arm(scene, frame) == b""
-    assert scene.forward(b"disabled", kind=records.STOP) == STOP
+    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == STOP
     assert arm(scene) == MOVE
 
 
@@ -133,7 +133,7 @@ def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: 
     scene.put(TWO, kind=records.ARM)
     assert scene.forward(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0) == TWO
     if end == "stop":
-        scene.put(b"held", kind=records.STOP)
+        scene.put(b"held", kind=records.WRITE_BURST)
     elif end == "pipe":
         scene.ask_to_stop(b"now\n")
     elif end == "epoch":

@@ -6,9 +6,9 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.procs.loop import READ
 from failstop.procs.port_owner import main
-from failstop.shm import layout, records
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 

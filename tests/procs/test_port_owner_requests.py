@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.messages import layout
 from failstop.policy import causes
-from failstop.shm import layout
 from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.messages import records
 from failstop.procs.gate.remarks import MOST_AT_ONCE, Said
-from failstop.shm import records
 
 from .client_side import Service
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.port_owner.schedule import BURST, GAP_NS, QUICK, ZERO, Pings, Repeats
-from failstop.shm import layout
+from failstop.procs.port_owner.schedule import PING_GAP_NS, QUICK, REPEAT, ZERO, Pings, Repeats
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
@@ -46,15 +46,15 @@ def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.sent(T0)
     pings.stopped(T0 + MS)
-    assert not pings.due(T0 + GAP_NS - 1)
-    assert pings.due(T0 + GAP_NS)
+    assert not pings.due(T0 + PING_GAP_NS - 1)
+    assert pings.due(T0 + PING_GAP_NS)
 
 
 def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
-    assert not pings.due(T0 + GAP_NS - 1)
-    assert pings.due(T0 + GAP_NS)
+    assert not pings.due(T0 + PING_GAP_NS - 1)
+    assert pings.due(T0 + PING_GAP_NS)
     assert pings.index == 0
 
 
@@ -81,7 +81,7 @@ def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> 
         found.append(now_ns - T0)
         pings.sent(now_ns)
         now_ns = due.ns
-    assert found == [0, GAP_NS, 2 * GAP_NS, 2 * GAP_NS + PERIOD, 2 * GAP_NS + 2 * PERIOD]
+    assert found == [0, PING_GAP_NS, 2 * PING_GAP_NS, 2 * PING_GAP_NS + PERIOD, 2 * PING_GAP_NS + 2 * PERIOD]
 
 
 def settled(scene: Scene) -> int:
@@ -116,7 +116,7 @@ def test_the_port_owner_asks_after_each_stop(scene: Scene) -> None:
 
 def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scene: Scene) -> None:
     scene.turn()
-    scene.turn(GAP_NS - 5 * MS)
+    scene.turn(PING_GAP_NS - 5 * MS)
     scene.raise_epoch(2)
     scene.turn()
     assert scene.next_ns() == scene.clock() + 5 * MS
@@ -147,7 +147,7 @@ def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene) -> None
     assert scene.asked == asked
     assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words
     scene.wire.port.under_way = 0
-    scene.turn(GAP_NS)
+    scene.turn(PING_GAP_NS)
     assert len(scene.asked) == len(asked) + 1, "and it is asked again soon"
 
 
@@ -203,7 +203,14 @@ def repeats() -> Schedule:
 
 
 def test_bursts_and_then_zero_frames_follow_a_stop(repeats: Schedule) -> None:
-    assert written(repeats, 0, 850) == [(20, BURST), (100, BURST), (200, ZERO), (400, ZERO), (600, ZERO), (800, ZERO)]
+    assert written(repeats, 0, 850) == [
+        (20, REPEAT),
+        (100, REPEAT),
+        (200, ZERO),
+        (400, ZERO),
+        (600, ZERO),
+        (800, ZERO),
+    ]
 
 
 def test_before_any_stop_zero_frames_go_out() -> None:
@@ -212,18 +219,18 @@ def test_before_any_stop_zero_frames_go_out() -> None:
 
 def test_a_repeat_is_due_exactly_at_its_time_and_once(repeats: Schedule) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
-    assert repeats.take(BEGIN + 20 * MS) == BURST
+    assert repeats.take(BEGIN + 20 * MS) == REPEAT
     assert repeats.take(BEGIN + 20 * MS) == 0
 
 
 def test_a_new_stop_begins_the_schedule_anew(repeats: Schedule) -> None:
-    assert written(repeats, 0, 60) == [(20, BURST)]
+    assert written(repeats, 0, 60) == [(20, REPEAT)]
     repeats.restart(BEGIN + 60 * MS)
-    assert written(repeats, 60, 300) == [(80, BURST), (160, BURST), (260, ZERO)]
+    assert written(repeats, 60, 300) == [(80, REPEAT), (160, REPEAT), (260, ZERO)]
 
 
 def test_motion_ends_the_repeats(repeats: Schedule) -> None:
-    assert written(repeats, 0, 30) == [(20, BURST)]
+    assert written(repeats, 0, 30) == [(20, REPEAT)]
     repeats.motion()
     assert written(repeats, 30, 2_000) == []
     assert repeats.next.ns == NEVER
@@ -233,12 +240,12 @@ def test_no_repeat_cuts_into_motion_even_when_it_was_overdue(repeats: Schedule) 
     repeats.motion()
     assert repeats.take(BEGIN + 5_000 * MS) == 0
     repeats.restart(BEGIN + 5_000 * MS)
-    assert written(repeats, 5_000, 5_250) == [(5_020, BURST), (5_100, BURST), (5_200, ZERO)]
+    assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, ZERO)]
 
 
 def test_overdue_bursts_are_each_written(repeats: Schedule) -> None:
     late = BEGIN + 1_000 * MS
-    assert [repeats.take(late) for _ in range(4)] == [BURST, BURST, ZERO, 0]
+    assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, ZERO, 0]
 
 
 def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
@@ -248,4 +255,4 @@ def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
         assert repeats.next.ns > now_ns, "a wake-up that is over already would spin"
         now_ns = repeats.next.ns
         found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
-    assert found == [(20, BURST), (100, BURST), (200, ZERO), (400, ZERO), (600, ZERO)]
+    assert found == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]

@@ -13,8 +13,8 @@ import pytest
 
 from failstop.lab.faults.crowd import Helper, spin_for_ever
 from failstop.lab.faults.starve import SHARP, Starved
+from failstop.messages import layout, segments
 from failstop.procs import starved
-from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.segment import Segment
@@ -52,9 +52,9 @@ def test_the_verdict_follows_the_state_and_the_time_run(state: str, ran_ms: floa
 @pytest.fixture
 def own() -> Iterator[Segment]:
     name = f"v{os.getpid()}"
-    segment.create(name, layout.TELEMETRY, 7).close()
-    yield segment.attach(name, layout.TELEMETRY, 7, write=True)
-    segment.unlink_all(name)
+    segments.create(name, layout.TELEMETRY, 7).close()
+    yield segments.attach(name, layout.TELEMETRY, 7, write=True)
+    segments.unlink_all(name)
 
 
 @pytest.fixture

@@ -6,10 +6,11 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
-from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
-from failstop.shm import heartbeat, layout, records
+from failstop.procs.stopper.main import HANG_NS, STALLED_NS
+from failstop.shm import heartbeat
 from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene
 
@@ -182,7 +183,7 @@ def test_a_stopper_that_was_frozen_with_the_rest_fences_nobody(scene: Scene) -> 
 
 
 def test_one_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None:
-    assert scene.turn(HELD_UP_NS, alive=False) == b""
+    assert scene.turn(STALLED_NS, alive=False) == b""
     assert scene.written(50, alive=False) == [(50, BURST)]
 
 

@@ -12,7 +12,7 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab.machine.port import Port
-from failstop.shm import box
+from failstop.messages import box
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 
@@ -110,7 +110,7 @@ def test_an_early_stop_for_a_port_that_has_gone_is_not_in_the_black_box_as_writt
     wire.adopt(machine.open(machine.wire))
     kept.clear()
     wire.heed()
-    assert kept == [box.pack_wire(box.BURST, BOARD.first_stop, 0)]
+    assert kept == [box.pack_wire(box.WIRE_BURST, BOARD.first_stop, 0)]
 
 
 # A full port.

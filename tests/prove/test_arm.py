@@ -19,8 +19,8 @@ from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
 from failstop.lab.prove.watch import Move, moves
 from failstop.lab.sim.client import SimBoard
+from failstop.policy.joints import PULSES_PER_RAD, from_settings
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, from_settings
 from tests.support.arm_settings import ARM
 from tests.support.commands import failstop
 

@@ -28,7 +28,7 @@ from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.supervisor import grant
+from failstop.supervisor import status
 from tests.prove.judged import MS, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
@@ -277,12 +277,12 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, ve
 
 
 def test_bars_of_a_lease_are_those_of_the_lease_in_force() -> None:
-    longer = {path.name for path in (*PATHS, *ARM_PATHS) if path.leased(grant.LEASE_WITHOUT_S) != path}
+    longer = {path.name for path in (*PATHS, *ARM_PATHS) if path.leased(status.LEASE_WITHOUT_S) != path}
     struck = {"hang-gate", "hang-supervisor", "hang-port_owner"}
     assert longer == struck | {"arm-hang-supervisor", "arm-hang-port_owner"}
     for name in struck:
-        before, after = BY_PATH[name], BY_PATH[name].leased(grant.LEASE_WITHOUT_S)
-        assert after.reaction_ms == 1e3 * grant.LEASE_WITHOUT_S + processes.SLACK_MS
+        before, after = BY_PATH[name], BY_PATH[name].leased(status.LEASE_WITHOUT_S)
+        assert after.reaction_ms == 1e3 * status.LEASE_WITHOUT_S + processes.SLACK_MS
         for velocity in BY_VELOCITY.values():
             later_s = (after.reaction_ms - before.reaction_ms) / 1e3
             assert after.rest_bar_s(velocity) - before.rest_bar_s(velocity) == pytest.approx(later_s)

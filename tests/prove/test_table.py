@@ -10,7 +10,7 @@ from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Result
 from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, PATHS, QUICK_NAMES, VELOCITIES, plan
-from failstop.shm.layout import PROCESSES
+from failstop.messages.layout import PROCESSES
 from tests.prove.noise import SIMULATED, gyro
 
 

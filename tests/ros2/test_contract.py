@@ -8,11 +8,11 @@ import pytest
 
 from failstop.api.errors import NoService, Refused
 from failstop.lab.trial import wait_for
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
-from failstop.shm.records import CAUSE
 from tests.ros2.scene import NODE, BridgeTrial
 from tests.support import states
 

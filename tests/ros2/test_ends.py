@@ -12,7 +12,7 @@ import pytest
 
 from failstop import Robot
 from failstop.lab.trial import wait_for
-from failstop.shm.layout import CLIENT_SLOTS
+from failstop.messages.layout import CLIENT_SLOTS
 from tests.ros2.scene import BOOL, FORWARD, NODE, TWIST, Bridge, BridgeTrial, Node, Ros, new_name
 from tests.support.commands import failstop
 

@@ -1,4 +1,4 @@
-"""The ROS packages of the folder ros2/packages against the code that they are around."""
+"""The ROS packages of the folder failstop/ros2/packages against the code that they are around."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from failstop.ros2 import contract, report
 from failstop.version import VERSION
 from tests.support import states
 
-PACKAGES = Path(__file__).resolve().parents[2] / "ros2" / "packages"
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ROOT / "failstop" / "ros2" / "packages"
 
 
 @pytest.mark.parametrize("name", ["failstop_ros2", "failstop_msgs"])
@@ -41,12 +42,12 @@ def test_every_message_package_that_is_used_is_depended_on() -> None:
 
 def test_what_colcon_leaves_is_read_by_no_tool() -> None:
     """ruff leaves out what git ignores; mypy has a pattern of its own."""
-    ignored = (PACKAGES.parents[1] / ".gitignore").read_text().splitlines()
-    assert {"build/", "/ros2/**/install/", "/ros2/**/log/"} <= set(ignored)
-    excluded = re.findall(r'^exclude = \[.*"(ros2/[^"]+)"', (PACKAGES.parents[1] / "pyproject.toml").read_text(), re.M)
-    for folder in ("ros2", "ros2/packages"):
+    ignored = (ROOT / ".gitignore").read_text().splitlines()
+    assert {"build/", "/failstop/ros2/**/install/", "/failstop/ros2/**/log/"} <= set(ignored)
+    excluded = re.findall(r'^exclude = \[.*"(ros2/[^"]+)"', (ROOT / "pyproject.toml").read_text(), re.M)
+    for folder in ("failstop/ros2", "failstop/ros2/packages"):
         for name in ("build", "install", "log"):
-            assert re.match(excluded[0], f"{folder}/{name}/failstop_ros2/bridge.py")
+            assert re.search(excluded[0], f"{folder}/{name}/failstop_ros2/bridge.py")
 
 
 def test_the_message_has_the_fields_that_are_filled() -> None:

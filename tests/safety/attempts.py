@@ -23,8 +23,10 @@ from failstop import FailstopError, Robot, instances
 from failstop.api.client import run, send_stop
 from failstop.api.events import EventLog
 from failstop.board.port import PortError, open_port
+from failstop.files import instance
 from failstop.lab.trial import Trial, TrialError
-from failstop.shm import claim, instance, layout, segment
+from failstop.messages import layout, segments
+from failstop.shm import claim
 from tests.safety.table import MEMBER, SERVICE, STRANGER
 from tests.support.children import NOBODY, Child
 
@@ -67,7 +69,7 @@ class Attempt:
             become(user or self.user, self.group)
             try:
                 return work()
-            except (FailstopError, OSError, segment.AttachError, instance.InstanceError, PortError):
+            except (FailstopError, OSError, segments.AttachError, instance.InstanceError, PortError):
                 return False
 
         with Child(does) as child:
@@ -157,7 +159,7 @@ def drive(attempt: Attempt) -> bool:
 def pose(attempt: Attempt) -> bool:
     _enabled(attempt.trial.robot)
     slot = attempt.trial.robot.state.clients[0].slot
-    return attempt.opens(segment.path_of(attempt.memory, f"client.{slot}"), os.O_RDWR)
+    return attempt.opens(segments.path_of(attempt.memory, f"client.{slot}"), os.O_RDWR)
 
 
 def take_slot(attempt: Attempt) -> bool:
@@ -173,12 +175,12 @@ def overhear(attempt: Attempt) -> bool:
 
 
 def write_memory(attempt: Attempt) -> bool:
-    paths = [segment.path_of(attempt.memory, of) for of in (*layout.PROCESSES, "lifelines")]
+    paths = [segments.path_of(attempt.memory, of) for of in (*layout.PROCESSES, "lifelines")]
     return any(attempt.opens(path, os.O_RDWR) for path in paths)
 
 
 def replace(attempt: Attempt) -> bool:
-    paths = [segment.path_of(attempt.memory, layout.GATE), segment.path_of(attempt.memory, "client.7")]
+    paths = [segments.path_of(attempt.memory, layout.GATE), segments.path_of(attempt.memory, "client.7")]
     paths += [at(attempt.directory) for at in (instance.stop_path, instance.bell_path, instance.lock_path)]
 
     def rename() -> list[str]:
@@ -236,9 +238,9 @@ def take_names(attempt: Attempt) -> bool:
 
 def look_alive(attempt: Attempt) -> bool:
     """By a lock on its memory; the strongest that this user may take."""
-    memory = segment.memory(f"{attempt.name}-dead", 7)
-    segment.create(memory, layout.SUPERVISOR, 7).close()
-    path = segment.path_of(memory, layout.SUPERVISOR)
+    memory = segments.memory(f"{attempt.name}-dead", 7)
+    segments.create(memory, layout.SUPERVISOR, 7).close()
+    path = segments.path_of(memory, layout.SUPERVISOR)
 
     def lock(send: Callable[[object], None], wait: Callable[[], None]) -> None:
         become(attempt.user, attempt.group)
@@ -252,19 +254,19 @@ def look_alive(attempt: Attempt) -> bool:
     try:
         with Child(lock) as child:
             assert child.receive() == "locked"
-            return segment.living(memory)
+            return segments.living(memory)
     finally:
-        segment.unlink_all(memory)
+        segments.unlink_all(memory)
 
 
 def pass_off_memory(attempt: Attempt) -> bool:
     """Under the right name, as after a removal."""
-    memory = segment.memory(f"{attempt.name}-other", 7)
-    path = segment.path_of(memory, layout.GATE)
+    memory = segments.memory(f"{attempt.name}-other", 7)
+    path = segments.path_of(memory, layout.GATE)
     try:
-        attempt.does(lambda: segment.create(memory, layout.GATE, 7).close())
-        segment.attach(memory, layout.GATE, 7, owner=os.stat(attempt.directory).st_uid)
-    except segment.AttachError as error:
+        attempt.does(lambda: segments.create(memory, layout.GATE, 7).close())
+        segments.attach(memory, layout.GATE, 7, owner=os.stat(attempt.directory).st_uid)
+    except segments.AttachError as error:
         told = str(error)
     else:
         return True

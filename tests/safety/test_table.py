@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import instance
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Attempt
 from tests.safety.table import TABLE, USERS, Row

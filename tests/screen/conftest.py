@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from failstop.files import root
 from failstop.lab.trial import Trial
-from failstop.shm import root
 
 
 @pytest.fixture(scope="module")

@@ -128,7 +128,8 @@ def test_events_say_what_happened(trial: Trial) -> None:
     assert {row["kind"] for row in found} == {"stop"}
     assert found[-1]["fields"]["reason"].startswith("stop request: for the record")
     assert start_s - 1 < found[-1]["t"] < time.time() + 1
-    assert set(found[-1]) == {"seq", "t", "ns", "kind", "level", "text", "fields"}
+    assert set(found[-1]) == {"seq", "t", "ns", "kind", "level", "text", "fields", "next"}
+    assert found[-1]["next"].startswith("`failstop reset")
     assert said(trial, "events", "--since", "0s") == ""
     assert failstop("events", "--kind", "nonsense", "--name", trial.name).returncode == 1
     assert failstop("events", "--since", "nonsense", "--name", trial.name).returncode == 1

@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.cli import style
-from failstop.supervisor.events import say
-from failstop.supervisor.fold import LEAST_COLUMNS, fitted, fold
+from failstop.supervisor.events import LEAST_COLUMNS, fitted, fold, say
 from tests.support.commands import FAILSTOP
 
 LINE = (

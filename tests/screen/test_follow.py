@@ -15,10 +15,11 @@ import pytest
 from failstop import instances
 from failstop.api import host
 from failstop.api.errors import NoService
-from failstop.cli.screen import follow
-from failstop.cli.screen.follow import CHECK_S, Follower
+from failstop.api.follow import CHECK_S, Follower
+from failstop.files import instance
+from failstop.incidents import left
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import instance, layout
+from failstop.messages import layout
 from tests.support.commands import failstop
 
 SECONDS = 20
@@ -39,13 +40,13 @@ def said(text: str) -> str:
 
 
 def test_a_killed_supervisor(trial: Trial) -> None:
-    assert follow.left(trial.name) is None, "it runs"
+    assert left.left(trial.name) is None, "it runs"
     trial.enable()
     trial.drive(0.3)
     pid = trial.service.pids()["supervisor"]
     trial.leave()
     trial.service.kill()
-    wait_for("its stop", lambda: (found := follow.left(trial.name)) is not None and "wrote" in found[0].proof)
+    wait_for("its stop", lambda: (found := left.left(trial.name)) is not None and "wrote" in found[0].proof)
     wait_for("its end", lambda: run(trial, "status").returncode == 3)
     start = f"`failstop run --name {trial.name} --device {trial.board.link}`"
     status, why, events = (run(trial, word) for word in ("status", "why", "events"))
@@ -66,14 +67,14 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     status, why = run(trial, "status"), run(trial, "why")
     assert "the run before this one: supervisor died (`failstop incident show " in said(status.stdout)
     assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
-    assert follow.left(trial.name) is None
+    assert left.left(trial.name) is None
 
 
 def test_with_a_unit_it_is_systemd_that_starts_it(installed: Callable[[str], None]) -> None:
     error = NoService("none")
-    assert follow.refusal("nobody-here", error) is error
+    assert left.refusal("nobody-here", error) is error
     installed("failstop@.service")
-    told = str(follow.refusal("nobody-here", error))
+    told = str(left.refusal("nobody-here", error))
     assert "start it with `sudo systemctl start failstop@nobody-here`" in told
     assert "`journalctl -u failstop@nobody-here -e`" in told
 
@@ -112,7 +113,7 @@ def test_what_starts_it_is_what_started_it_the_last_time(installed: Callable[[st
 def test_where_nothing_is_left(trial: Trial) -> None:
     trial.leave()
     assert trial.service.end() == 0
-    assert follow.left(trial.name) is None
+    assert left.left(trial.name) is None
     for word in ("status", "why"):
         done = run(trial, word)
         assert (done.returncode, done.stdout) == (3, "")

@@ -12,13 +12,13 @@ import pytest
 from failstop.api import verdict
 from failstop.api.errors import FailstopError
 from failstop.api.events import Event
+from failstop.api.follow import Vibration
 from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
 from failstop.cli.commands import arm as arm_command
 from failstop.cli.commands import events
 from failstop.cli.commands.status import Live, spark
 from failstop.cli.screen import summary
-from failstop.cli.screen.follow import Vibration
 from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
 from failstop.supervisor.kinds import KINDS
@@ -26,7 +26,7 @@ from tests.support.states import NOW_S, arm, driving, latched, process, state, s
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
-DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", age_s=1e6)}
+DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", killed=True, age_s=1e6)}
 STATES = {
     "disabled": state(),
     "driving": driving(),
@@ -98,7 +98,7 @@ def test_proofs_that_are_missing_are_seen() -> None:
 
 
 def test_restarts_and_missing_rights_are_remarked() -> None:
-    again = process(restarts=2, last_exit="killed by SIGKILL", realtime=False, memory_locked=False)
+    again = process(restarts=2, last_exit="killed by SIGKILL", killed=True, realtime=False, memory_locked=False)
     said = shown(summary.lines(state(processes={"gate": again}), NOW_S, 120))
     assert "gate was restarted 2 times; it was killed by SIGKILL" in said
     assert "without real-time rights" in said
@@ -232,7 +232,8 @@ def test_the_last_events_fill_the_rows_that_are_free() -> None:
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     """That is at the top of the screen; at the end of a row it would be cut."""
-    event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
+    step = "`failstop reset`"
+    event = Event(1, NOW_S, 1, "stop", "warning", f"STOP latched: gate died; next: {step}", {}, step)
     rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")
 

@@ -15,8 +15,8 @@ from failstop.cli import style
 from failstop.cli.commands.teleop import Pilot
 from failstop.cli.screen.keys import ENDS_S, SPACE
 from failstop.cli.style import FAIL, WARN
+from failstop.policy.joints import from_settings
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import from_settings
 from tests.support.states import arm, driving, latched, process, state
 
 ENABLED = driving(sources=(), body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")

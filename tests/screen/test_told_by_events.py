@@ -38,17 +38,17 @@ def why(state_: object, events: list[Event]) -> str:
 
 
 def test_a_process_that_was_fenced_hung() -> None:
-    dead = state(processes={"gate": process(restarts=1, last_exit="killed by SIGKILL")})
+    dead = state(processes={"gate": process(restarts=1, last_exit="killed by SIGKILL", killed=True)})
     fenced = [told("fenced", FENCED), told("died", DIED)]
     said = "gate was restarted once; it hung, and was killed by the supervisor"
     assert said in shown(dead, fenced)
-    down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL")})
+    down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL", killed=True)})
     assert "it hung, and was killed by the supervisor" in " ".join(shown(down, fenced).split())
     assert "it hung, and was killed by the supervisor" in why(down, fenced)
 
 
 def test_a_death_after_that_one_is_a_death() -> None:
-    dead = state(processes={"gate": process(restarts=2, last_exit="killed by SIGKILL")})
+    dead = state(processes={"gate": process(restarts=2, last_exit="killed by SIGKILL", killed=True)})
     events = [told("fenced", FENCED), told("died", DIED), told("died", {**DIED, "pid": 4712})]
     assert "2 times; it was killed by SIGKILL" in shown(dead, events)
     assert "2 times; it was killed by SIGKILL" in shown(dead, [told("died", DIED)])

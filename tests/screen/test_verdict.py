@@ -9,11 +9,11 @@ import pytest
 from failstop.api import steps, verdict
 from failstop.api.snapshot import Block, Device
 from failstop.api.steps import Purpose
+from failstop.messages import blocks
 from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
-from failstop.shm import blocks
 from tests.support.states import driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 

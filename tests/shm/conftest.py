@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.shm import segment
+from failstop.messages import segments
 from failstop.shm.segment import Segment
 
 from . import simulated
@@ -23,13 +23,13 @@ def name() -> Iterator[str]:
     """An instance name of this test alone; its segments are gone afterwards."""
     unique = f"t{os.getpid()}x{next(_numbers)}"
     yield unique
-    segment.unlink_all(unique)
+    segments.unlink_all(unique)
 
 
 @pytest.fixture
 def lines(name: str) -> Segment:
     """The lines of every block, as one of the service's processes sees them."""
-    segment.create(name, "lifelines", RUN).close()
+    segments.create(name, "lifelines", RUN).close()
     return lifelines(name)
 
 

@@ -8,7 +8,7 @@ import select
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from failstop.shm import segment
+from failstop.messages import segments
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.shm.segment import Segment
@@ -38,7 +38,7 @@ def alive() -> Iterator[tuple[Child, Lifeline]]:
 
 
 def lifelines(instance: str) -> Segment:
-    return segment.attach(instance, "lifelines", RUN, write=True)
+    return segments.attach(instance, "lifelines", RUN, write=True)
 
 
 def holding(instance: str, block: int) -> Child:

@@ -17,7 +17,8 @@ import signal
 import sys
 import time
 
-from failstop.shm import cell, segment
+from failstop.messages import segments
+from failstop.shm import cell
 from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from failstop.shm.words import Word
 
@@ -32,15 +33,15 @@ DELAY_NS = 300_000
 
 def check_without_crc(raw: bytes, crc_seed: int) -> Entry | None:
     """cell.check as it is, but for the CRC."""
-    if len(raw) < cell.HEADER_BYTES:
+    if len(raw) < cell.CELL_HEADER_BYTES:
         return None
     length = int.from_bytes(raw[4:8], "little")
     seq = int.from_bytes(raw[8:16], "little")
     t_ns = int.from_bytes(raw[16:24], "little")
-    end = cell.HEADER_BYTES + length
+    end = cell.CELL_HEADER_BYTES + length
     if seq == 0 or end > len(raw):
         return None
-    return seq, t_ns, raw[cell.HEADER_BYTES : end]
+    return seq, t_ns, raw[cell.CELL_HEADER_BYTES : end]
 
 
 class Separate:
@@ -54,8 +55,8 @@ class Separate:
 
     def __setitem__(self, where: slice, data: bytes) -> None:
         at = where.start
-        self._view[at + 4 : at + cell.HEADER_BYTES] = data[4 : cell.HEADER_BYTES]
-        self._view[at + cell.HEADER_BYTES : where.stop] = data[cell.HEADER_BYTES :]
+        self._view[at + 4 : at + cell.CELL_HEADER_BYTES] = data[4 : cell.CELL_HEADER_BYTES]
+        self._view[at + cell.CELL_HEADER_BYTES : where.stop] = data[cell.CELL_HEADER_BYTES :]
         self._view[at : at + 4] = data[:4]
 
 
@@ -81,9 +82,9 @@ class Case:
     def _segment(self, of: str, record: str) -> None:
         """A record of the real layout, in a segment of its own instance."""
         self.instance = f"k{os.getpid()}"
-        segment.create(self.instance, of, 12345).close()
-        writes = segment.attach(self.instance, of, 12345, write=True)
-        reads = segment.attach(self.instance, of, 12345)
+        segments.create(self.instance, of, 12345).close()
+        writes = segments.attach(self.instance, of, 12345, write=True)
+        reads = segments.attach(self.instance, of, 12345)
         self.writes, self.reads = writes.view, reads.view
         declared = writes.spec.records[record]
         self.capacity, self.cells, self.at = declared.capacity, declared.cells, writes.spec.offsets[record]
@@ -256,7 +257,7 @@ def run(kind: str, where: str, size: int, kills: int, random_seed: int, control:
             left_torn += bool(case.left_torn())
     finally:
         if case.instance:
-            segment.unlink_all(case.instance)
+            segments.unlink_all(case.instance)
     return {
         "kills": kills,
         "written": newest,

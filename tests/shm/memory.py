@@ -81,4 +81,4 @@ def exit_after(limit_s: float) -> Callable[[], None]:
     return check
 
 
-assert cell.HEADER_BYTES == 24
+assert cell.CELL_HEADER_BYTES == 24

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from typing import NamedTuple
 
-ROOMS = ("shm", "board", "policy", "supervisor", "procs", "failstop")
+ROOMS = ("shm", "supervisor", "procs", "failstop")
 
 FORBIDDEN = frozenset(
     {"pack_into", "memmove", "memset", "from_buffer", "from_address", "write_byte", "string_at", "copyto", "putmask"}

@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import cell, segment
-from failstop.shm.layout import BY_NAME, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
-from failstop.shm.segment import AttachError, Segment
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
+from failstop.messages.segments import AttachError
+from failstop.shm import cell
+from failstop.shm.segment import Segment
 from failstop.version import VERSION
 
 RUN = 0xABCDEF0123456789
@@ -21,7 +23,7 @@ PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
 
 
 def path_of(instance: str, of: str) -> str:
-    return segment.path_of(instance, of)
+    return segments.path_of(instance, of)
 
 
 def content(path: str) -> bytes:
@@ -31,7 +33,7 @@ def content(path: str) -> bytes:
 
 def create_all(instance: str, run: int = RUN) -> None:
     for of in NAMES:
-        segment.create(instance, of, run).close()
+        segments.create(instance, of, run).close()
 
 
 def refusal(attempt: Callable[[], object]) -> tuple[str, str]:
@@ -46,7 +48,7 @@ def write_header(
     instance: str,
     of: str,
     *,
-    magic: bytes = segment.MAGIC,
+    magic: bytes = segments.MAGIC,
     layout: int = LAYOUT_HASH,
     size: int | None = None,
     run: int = RUN,
@@ -62,4 +64,4 @@ def write_header(
 
 
 def attach_any(name: str, of: str, run: int = RUN) -> Segment:
-    return segment.attach(name, of, run, write=of.startswith("client."))
+    return segments.attach(name, of, run, write=of.startswith("client."))

@@ -15,7 +15,9 @@ from failstop.lab.machine.users import ProcessFolder
 
 MODULES = (
     "instances",
-    *(f"shm.{each}" for each in ("bell", "claim", "durable", "instance", "lifeline", "place", "segment")),
+    "messages.segments",
+    *(f"files.{each}" for each in ("durable", "instance", "place")),
+    *(f"shm.{each}" for each in ("bell", "claim", "lifeline")),
 )
 S = 1_000_000_000
 

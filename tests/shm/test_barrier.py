@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 
 def test_a_barrier_releases_before_it_acquires(on: SimpleNamespace) -> None:
-    """The other way around orders nothing: model/arm/barrier-control-reversed.litmus."""
+    """The other way around orders nothing: model/aarch64/barrier-control-reversed.litmus."""
     done = []
 
     class Lock:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages.layout import SEGMENTS
 from failstop.shm import cell
-from failstop.shm.layout import SEGMENTS
 
 SEED = cell.seed("gate.state", 0x0123456789ABCDEF)
 
@@ -56,7 +56,7 @@ def only_pure(old: bytes, new: bytes, word: int) -> tuple[int, int]:
         accepted += 1
         assert entry in allowed
         # Accepted only when all that the CRC covers is of one image; behind it anything may lie.
-        stop = cell.HEADER_BYTES + len(entry[2])
+        stop = cell.CELL_HEADER_BYTES + len(entry[2])
         assert mix[:stop] in (old[:stop], new[:stop])
     return checked, accepted
 
@@ -93,7 +93,7 @@ STEPS = {
 def test_every_mix_of_8_byte_words(size: int, pair: str, step: str) -> None:
     before, after = PAIRS_OF_PAYLOADS[pair]
     seq, t_ns, seq_after, t_after_ns = STEPS[step]
-    room = size - cell.HEADER_BYTES
+    room = size - cell.CELL_HEADER_BYTES
     old, new = image(seq, t_ns, before(room)), image(seq_after, t_after_ns, after(room))
     checked, accepted = only_pure(old, new, 8)
     assert checked == 2 ** (size // 8)

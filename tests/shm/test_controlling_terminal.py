@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from failstop.shm import durable
+from failstop.files import durable
 from tests.support.children import call
 
 

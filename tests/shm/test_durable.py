@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
+from failstop.files import durable
 from failstop.lab.machine.files import Fifo, Null
-from failstop.shm import durable
 
 from .simulated import content, open_fds, put
 

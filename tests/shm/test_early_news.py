@@ -90,12 +90,12 @@ def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_sta
 
 def attached(on: SimpleNamespace) -> Any:
     """The lines of every block."""
-    return on.segment.attach("run", "lifelines", 9, write=True)
+    return on.segments.attach("run", "lifelines", 9, write=True)
 
 
 def lines_of(on: SimpleNamespace) -> Any:
     """New ones."""
-    on.segment.create("run", "lifelines", 9)
+    on.segments.create("run", "lifelines", 9)
     return attached(on)
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.shm import futex, segment
+from failstop.messages import segments
+from failstop.shm import futex
 from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
@@ -76,7 +77,7 @@ def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(lines:
 def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_it(name: str, lines: Segment) -> None:
     def mapped() -> list[str]:
         maps = Path("/proc/self/maps").read_text().splitlines()
-        return [line.split()[1] for line in maps if line.endswith(segment.path_of(name, "lifelines"))]
+        return [line.split()[1] for line in maps if line.endswith(segments.path_of(name, "lifelines"))]
 
     watching, holding = lines.futex("held"), lines.futex("held", write=True)
     assert sorted(mapped()) == ["r--s", "rw-s"]
@@ -87,7 +88,7 @@ def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_
 
 
 def test_what_can_not_be_mapped_is_an_error(name: str, lines: Segment) -> None:
-    with open(segment.path_of(name, "lifelines"), "rb") as file:
+    with open(segments.path_of(name, "lifelines"), "rb") as file:
         Futex(file.fileno(), 0, write=False).close()
         with pytest.raises(PermissionError, match="a futex can't be mapped"):
             Futex(file.fileno(), 0, write=True)
@@ -113,7 +114,7 @@ def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, lines: Se
             value = int.from_bytes(os.pread(lines.fileno(), 4, at), "little") | OWNER_DIED
             os.pwrite(lines.fileno(), value.to_bytes(4, "little"), at)
         elif not looks:
-            os.truncate(segment.path_of(name, "lifelines"), 0)
+            os.truncate(segments.path_of(name, "lifelines"), 0)
         looks.append(True)
         return True
 
@@ -126,7 +127,7 @@ def test_a_truncated_file_is_nobody_s_death(name: str, lines: Segment) -> None:
     """And no SIGBUS: a client may cut its own slot."""
     word = lines.futex("held", 40)
     with holding(name, 20):
-        os.truncate(segment.path_of(name, "lifelines"), 0)
+        os.truncate(segments.path_of(name, "lifelines"), 0)
         assert word.wait_for_death() is False
         assert not word.held()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.messages import segments
 from failstop.shm import heartbeat, segment
 from failstop.shm.heartbeat import RUNNING, STARTING, STOPPING, Heartbeat, HeartbeatReader
 from failstop.shm.words import Word
@@ -10,8 +11,8 @@ RUN = 3
 
 
 def both(name: str) -> tuple[segment.Segment, HeartbeatReader]:
-    segment.create(name, "gate", RUN).close()
-    return segment.attach(name, "gate", RUN, write=True), HeartbeatReader(segment.attach(name, "gate", RUN))
+    segments.create(name, "gate", RUN).close()
+    return segments.attach(name, "gate", RUN, write=True), HeartbeatReader(segments.attach(name, "gate", RUN))
 
 
 def test_before_the_first_beat_nobody_runs(name: str) -> None:

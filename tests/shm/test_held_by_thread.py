@@ -127,8 +127,8 @@ def test_that_thread_dies_first_where_the_process_may_have_it_so(on: SimpleNames
             if not may:
                 raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
 
-    on.segment.create("run", "lifelines", 9)
-    held = on.segment.attach("run", "lifelines", 9, write=True)
+    on.segments.create("run", "lifelines", 9)
+    held = on.segments.attach("run", "lifelines", 9, write=True)
     on.machine.at_seam = seam
     one = on.load("failstop.api.held").HeldByThread(held.futex("held", 25, write=True))
     assert asked == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 1)]

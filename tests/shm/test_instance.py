@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop import instances
+from failstop.files import instance, root
+from failstop.files.instance import InstanceError
 from failstop.lab.machine.kernel import Process
-from failstop.shm import instance, root
-from failstop.shm.instance import InstanceError
 
 from .simulated import content, kill, living, mode, open_fds, put, refusing, user
 

@@ -144,7 +144,7 @@ def test_a_length_that_leads_into_the_other_cell_is_no_value_even_with_a_right_c
 
 def test_a_death_at_any_byte_of_a_write_leaves_the_value_before_to_a_successor() -> None:
     capacity = 40
-    size = cell.HEADER_BYTES + capacity
+    size = cell.CELL_HEADER_BYTES + capacity
     for cut in range(size + 1):
         memory = Cut(AT + 2 * cell_bytes(capacity))
         writer, reader = pair(memory, capacity)

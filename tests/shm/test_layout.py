@@ -11,9 +11,11 @@ from types import ModuleType
 
 import pytest
 
-from failstop.shm import cell, layout
+from failstop.messages import layout
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm import cell, segment
 from failstop.shm.cell import cell_bytes
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm.segment import HEADER_BYTES, Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
 SOURCE = Path(layout.__file__).read_text()
@@ -31,12 +33,12 @@ def variant(pattern: str, replacement: str) -> ModuleType:
     return module
 
 
-def places(spec: layout.SegmentSpec) -> list[tuple[int, int, str]]:
+def places(spec: SegmentSpec) -> list[tuple[int, int, str]]:
     return [(spec.offsets[name], spec.offsets[name] + record.size(), name) for name, record in spec.records.items()]
 
 
 @pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
-def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: layout.SegmentSpec) -> None:
+def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: SegmentSpec) -> None:
     taken = sorted(places(spec))
     assert taken[0][0] >= HEADER_BYTES
     for (_, end, one), (start, _, other) in pairwise(taken):
@@ -47,7 +49,7 @@ def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: layout.SegmentSp
 
 
 @pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
-def test_every_segment_has_a_writer_and_every_record_a_reader(spec: layout.SegmentSpec) -> None:
+def test_every_segment_has_a_writer_and_every_record_a_reader(spec: SegmentSpec) -> None:
     assert spec.writer.strip()
     assert spec.records
     known = {*PROCESSES, "clients", "everyone", "its successor", "the client of that slot"}
@@ -71,7 +73,7 @@ def test_no_record_is_declared_twice() -> None:
 
 def test_one_segment_for_each_process_and_client_slot() -> None:
     assert [spec.name for spec in SEGMENTS if spec.mode == layout.PUBLIC] == list(PROCESSES)
-    assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS] == [
+    assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS_WRITE] == [
         f"client.{i}" for i in range(CLIENT_SLOTS)
     ]
     for process in PROCESSES:
@@ -101,9 +103,14 @@ def test_every_process_has_a_whole_heartbeat() -> None:
 
 @pytest.mark.parametrize("capacity", [0, 1, 39, 40, 41, 104, 105, 2048])
 def test_a_cell_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
-    assert cell_bytes(capacity) >= cell.HEADER_BYTES + capacity
-    assert cell_bytes(capacity) - cell.HEADER_BYTES - capacity < LINE_BYTES
+    assert cell_bytes(capacity) >= cell.CELL_HEADER_BYTES + capacity
+    assert cell_bytes(capacity) - cell.CELL_HEADER_BYTES - capacity < LINE_BYTES
     assert cell_bytes(capacity) % LINE_BYTES == 0
+
+
+def test_the_hash_tells_of_another_header(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment, "HEADER_BYTES", 192)
+    assert variant(r'"""The layout', '"""the layout').LAYOUT_HASH != LAYOUT_HASH
 
 
 def test_the_hash_is_reproducible() -> None:
@@ -122,10 +129,9 @@ def test_the_hash_is_reproducible() -> None:
         (r"LAYOUT_VERSION = \d+", "LAYOUT_VERSION = 99"),
         (r"CLIENT_SLOTS = 8", "CLIENT_SLOTS = 7"),
         (r"PUBLIC = 0o644", "PUBLIC = 0o640"),
-        (r"HEADER_BYTES = 128", "HEADER_BYTES = 192"),
         (r'_word\("epoch"', '_word("epoch_"'),
         (r'_word\("beat_loops"[^\n]*', ""),
-        (r'_latest\("attended", 96', '_latest("attended", 97'),
+        (r'"attended": 96', '"attended": 97'),
         (r'_latest\("imu", records.IMU', '_latest("imu", records.ODOMETRY'),
         (r'_ring\("frames", records.FRAME, 64', '_ring("frames", records.FRAME, 63'),
         (r'_ring\("frames", records.FRAME', '_ring("frames", 268'),
@@ -155,12 +161,12 @@ def test_all_variants_of_one_number_have_their_own_hash() -> None:
 @pytest.mark.parametrize("pages", [1, 2, 5000])
 @pytest.mark.parametrize(("beyond", "more"), [(0, 0), (1, 1)])
 def test_a_segment_is_of_whole_pages_and_of_no_more_than_it_needs(pages: int, beyond: int, more: int) -> None:
-    record = layout.Record("futexes", "all", "", pages * 4096 - HEADER_BYTES + beyond)
-    assert layout.SegmentSpec("any", "", 0o600, (record,)).size == (pages + more) * 4096
+    record = Record("futexes", "all", "", pages * 4096 - HEADER_BYTES + beyond)
+    assert SegmentSpec("any", "", 0o600, (record,)).size == (pages + more) * 4096
 
 
 def test_importing_the_layout_loads_nothing_heavy() -> None:
     """Processes on the stop path import it first thing."""
-    assert "failstop.shm.layout" in sys.modules
+    assert "failstop.messages.layout" in sys.modules
     heavy = "dataclasses|typing|enum|re|inspect|pathlib|logging|argparse|json|subprocess|collections.abc"
     assert not re.search(rf"^(import|from) ({heavy})\b", SOURCE, re.MULTILINE)

@@ -8,7 +8,7 @@ import sys
 PROGRAM = """
 import resource
 import msgpack
-from failstop.shm.packing import Note
+from failstop.messages.packing import Note
 note = Note("disk", "x" * 200, {"process": "telemetry", "reason": "y" * 100})
 with open("/proc/self/statm") as file:
     pages = int(file.read().split()[0])

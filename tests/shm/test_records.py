@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
+from failstop.messages.packing import pack
+from failstop.messages.records import Shape
 from failstop.policy import causes
 from failstop.policy.settings import LONGEST_NAME, MOST_OF_A_FAMILY
-from failstop.shm import records
-from failstop.shm.cell import HEADER_BYTES, build
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
-from failstop.shm.packing import pack
-from failstop.shm.records import Shape
+from failstop.shm.cell import CELL_HEADER_BYTES, build
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)
@@ -59,7 +59,10 @@ ROUND_TRIPS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...]]] = {
     "request": (records.REQUEST, (U64, U64, U8)),
     "imu": (records.IMU, (SPEED,) * 6),
     "bias": (records.BIAS, (SPEED, SPEED, SPEED, st.booleans(), st.booleans())),
-    "held": (records.HELD, (U64, st.lists(st.sampled_from(["bumper", "front left", "e-stop of the arm"]), max_size=8))),
+    "asserted": (
+        records.ASSERTED,
+        (U64, st.lists(st.sampled_from(["bumper", "front left", "e-stop of the arm"]), max_size=8)),
+    ),
     "battery": (records.BATTERY, (U32, st.just(2))),
     "pad": (records.PAD, (st.integers(0, 65535), U8, I8, I8, I8, I8, st.just(1))),
     "servo": (records.SERVO, (U8, U8, st.none() | st.integers(-(2**15), 2**16))),
@@ -140,7 +143,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         lambda text: records.REPLY.pack(TOP, TOP, True, text, causes.PIPED(text).pack()),
         each("gate/reply.{}"),
     ),
-    "held": (lambda _: records.HELD.pack(TOP, ["x" * records.HELD_BYTES]), each("client.{}/interlocks")),
+    "asserted": (lambda _: records.ASSERTED.pack(TOP, ["x" * records.HELD_BYTES]), each("client.{}/interlocks")),
     "command": (
         lambda _: records.COMMAND.pack(TOP, *TOPS, True, "x" * records.SOURCE_BYTES),
         each("client.{}/command"),
@@ -167,7 +170,7 @@ def test_the_biggest_payload_fits_every_record_it_is_put_in(kind: str) -> None:
     for place in where:
         room = capacity(place)
         for text in LONG:
-            assert len(build(1, 1, pack(text), 0, room)) <= HEADER_BYTES + room
+            assert len(build(1, 1, pack(text), 0, room)) <= CELL_HEADER_BYTES + room
 
 
 @pytest.mark.parametrize("text", [*LONG, "x" * (records.HELD_BYTES + 1), "\u20ac" * 67])
@@ -175,12 +178,12 @@ def test_names_that_something_depends_on_are_refused_and_not_cut(text: str) -> N
     with pytest.raises(ValueError, match="is longer than 16 bytes"):
         records.COMMAND.pack(1, 0.0, 0.0, 0.0, False, text)
     with pytest.raises(ValueError, match="is longer than 200 bytes"):
-        records.HELD.pack(1, [text[:5], text])
+        records.ASSERTED.pack(1, [text[:5], text])
 
 
 def test_every_name_that_the_settings_allow_fits() -> None:
     longest = [f"{number}".rjust(LONGEST_NAME, "x") for number in range(MOST_OF_A_FAMILY)]
-    assert records.HELD.unpack(records.HELD.pack(1, longest))[1] == longest
+    assert records.ASSERTED.unpack(records.ASSERTED.pack(1, longest))[1] == longest
     for name in longest:
         assert records.COMMAND.unpack(records.COMMAND.pack(1, 0.0, 0.0, 0.0, True, name))[-1] == name
     rules = {"sources": longest, "interlocks": longest, "lease_ns": TOP}
@@ -273,7 +276,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "request": (records.REQUEST, 17),
     "seen": (records.SEEN, 16),
     "command": (records.COMMAND, 49),
-    "held": (records.HELD, 8),
+    "asserted": (records.ASSERTED, 8),
     "said": (records.SAID, 8),
     "imu": (records.IMU, 48),
     "battery": (records.BATTERY, 5),
@@ -318,7 +321,7 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
             shape.unpack(payload)
 
 
-@pytest.mark.parametrize("kind", ["port", "hello", "held", "said"])
+@pytest.mark.parametrize("kind", ["port", "hello", "asserted", "said"])
 def test_a_text_that_is_no_utf_8_is_shown_as_far_as_it_goes(kind: str) -> None:
     shape, least = LEAST[kind]
     assert "\ufffd" in str(shape.unpack(bytes(least) + b"\xff"))

@@ -8,9 +8,9 @@ import random
 
 import pytest
 
-from failstop.shm import records
-from failstop.shm.layout import SEGMENTS
-from failstop.shm.segment import AttachError
+from failstop.messages import records
+from failstop.messages.layout import SEGMENTS
+from failstop.messages.segments import AttachError
 from tests.support.amounts import amount
 
 from .segments import NAMES, path_of

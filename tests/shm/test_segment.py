@@ -13,9 +13,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.shm import segment
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, PROCESSES
-from failstop.shm.segment import Segment
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
+from failstop.shm.segment import HEADER_BYTES, Segment
 from tests.support.children import NOBODY, Child
 
 from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
@@ -24,10 +24,10 @@ from .simulated import content, kill, living, open_fds, put, refusing, user
 
 @pytest.mark.parametrize("of", SERVICE + PRIVATE_NAMES)
 def test_attach_finds_what_was_created(name: str, of: str) -> None:
-    made = segment.create(name, of, RUN)
+    made = segments.create(name, of, RUN)
     assert made.incarnation == RUN
     for expected in (RUN, None):
-        found = segment.attach(name, of, expected)
+        found = segments.attach(name, of, expected)
         assert found.incarnation == RUN
         assert found.spec is BY_NAME[of]
         assert (found.mapped is None) is (of in PRIVATE_NAMES)
@@ -40,7 +40,7 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
 def test_a_new_segment_is_empty(name: str) -> None:
     create_all(name)
     for of in SERVICE:
-        seen = segment.attach(name, of)
+        seen = segments.attach(name, of)
         for record in seen.spec.records.values():
             if record.kind == "word":
                 assert seen.word(record.name).get() == 0
@@ -58,7 +58,7 @@ def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
     on.own.umask = mask
     with user(on, 0, own):
         for of in NAMES:
-            on.segment.create("r", of, RUN, *([gid] if gid >= 0 else []))
+            on.segments.create("r", of, RUN, *([gid] if gid >= 0 else []))
     for of in NAMES:
         found = on.os.stat(path_of("r", of))
         assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
@@ -67,37 +67,37 @@ def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
 
 def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
     for of in NAMES:
-        on.segment.create("r", of, RUN)
+        on.segments.create("r", of, RUN)
     with user(on, NOBODY):
         for of in NAMES:
             for write in (False, True):
                 if of in SERVICE and not write:
-                    on.segment.attach("r", of, RUN, owner=0)
+                    on.segments.attach("r", of, RUN, owner=0)
                     continue
-                with pytest.raises(on.segment.AttachError, match="join the group `failstop`") as refused:
-                    on.segment.attach("r", of, RUN, write=write, owner=0)
+                with pytest.raises(on.segments.AttachError, match="join the group `failstop`") as refused:
+                    on.segments.attach("r", of, RUN, write=write, owner=0)
                 assert refused.value.kind == "permission"
-        with pytest.raises(on.segment.AttachError, match="join the group `failstop`"):
-            on.segment.read_client_slot("r", 0, RUN)
+        with pytest.raises(on.segments.AttachError, match="join the group `failstop`"):
+            on.segments.read_client_slot("r", 0, RUN)
     assert len(SERVICE) == 5
 
 
 def test_a_member_of_the_group_has_a_client_slot_and_no_more(on: SimpleNamespace) -> None:
     for of in NAMES:
-        on.segment.create("r", of, RUN, client_gid=NOBODY)
+        on.segments.create("r", of, RUN, client_gid=NOBODY)
     with user(on, NOBODY):
-        own = on.segment.attach("r", "client.0", RUN, owner=0, write=True)
+        own = on.segments.attach("r", "client.0", RUN, owner=0, write=True)
         assert own.latest_writer("hello").write(b"hello", 1) == 1
-        with pytest.raises(on.segment.AttachError) as refused:
-            on.segment.attach("r", "gate", RUN, write=True, owner=0)
+        with pytest.raises(on.segments.AttachError) as refused:
+            on.segments.attach("r", "gate", RUN, write=True, owner=0)
         assert refused.value.kind == "permission"
-    assert on.segment.read_client_slot("r", 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
+    assert on.segments.read_client_slot("r", 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
 
 
 @pytest.mark.parametrize("of", SERVICE)
 def test_a_reader_s_mapping_can_not_be_written(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
-    seen = segment.attach(name, of, RUN)
+    segments.create(name, of, RUN).close()
+    seen = segments.attach(name, of, RUN)
     before = Path(path_of(name, of)).read_bytes()
     for record in seen.spec.records.values():
         attempt: Callable[[], object] = {
@@ -119,8 +119,8 @@ Slot = tuple[Segment, Segment]
 @pytest.fixture
 def slot(name: str) -> Iterator[Slot]:
     """A client's segment, as the client has it and as the service does."""
-    segment.create(name, "client.0", RUN).close()
-    own, seen = segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 0, RUN)
+    segments.create(name, "client.0", RUN).close()
+    own, seen = segments.attach(name, "client.0", RUN, write=True), segments.read_client_slot(name, 0, RUN)
     yield own, seen
     own.close()
     seen.close()
@@ -161,7 +161,7 @@ def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str, slot: Slot) -> None
 
 def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
     for index in range(CLIENT_SLOTS):
-        none = segment.no_client_slot(index, RUN)
+        none = segments.no_client_slot(index, RUN)
         assert none.spec is BY_NAME[f"client.{index}"]
         assert none.incarnation == RUN
         assert not os.get_inheritable(none.fileno())
@@ -188,8 +188,8 @@ def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(slot: Slot) 
 
 
 def test_records_are_reached_as_what_they_are(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    own = segment.attach(name, "gate", RUN, write=True)
+    segments.create(name, "gate", RUN).close()
+    own = segments.attach(name, "gate", RUN, write=True)
     for wrong in (
         lambda: own.word("state"),
         lambda: own.latest_reader("frames"),
@@ -200,15 +200,15 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
             wrong()
     with pytest.raises(KeyError):
         own.word("no_such_record")
-    made = segment.create(name, "telemetry", RUN)
+    made = segments.create(name, "telemetry", RUN)
     with pytest.raises(TypeError, match="words are only read through a mapping"):
         made.word("beat_ns")
     made.close()
 
 
 def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    own = segment.attach(name, "gate", RUN, write=True)
+    segments.create(name, "gate", RUN).close()
+    own = segments.attach(name, "gate", RUN, write=True)
     own.ring_writer("frames").put(b"before", 1)
     now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
     assert now.next() is None
@@ -223,103 +223,103 @@ def test_create_takes_nothing_that_is_there(on: SimpleNamespace) -> None:
         else:
             on.os.rename(path_of("r", "gate"), "/tmp/victim")
             on.os.symlink("/tmp/victim", path_of("r", "gate"))
-        for attempt in (on.segment.create, on.segment.attach):
-            with pytest.raises(on.segment.AttachError) as refused:
+        for attempt in (on.segments.create, on.segments.attach):
+            with pytest.raises(on.segments.AttachError) as refused:
                 attempt("r", "gate", RUN)
             assert refused.value.kind == "damaged"
-            assert attempt is on.segment.attach or path_of("r", "gate") in str(refused.value)
+            assert attempt is on.segments.attach or path_of("r", "gate") in str(refused.value)
         assert content(on, path_of("r", "gate")) == b"precious"
 
 
 def test_a_pipe_in_the_way_is_not_waited_for(on: SimpleNamespace) -> None:
     on.os.mkfifo(path_of("r", "supervisor"))
-    with pytest.raises(on.segment.AttachError, match=r"not a regular file"):
-        on.segment.attach("r", "supervisor", RUN)
-    assert not on.segment.living("r")
+    with pytest.raises(on.segments.AttachError, match=r"not a regular file"):
+        on.segments.attach("r", "supervisor", RUN)
+    assert not on.segments.living("r")
     assert open_fds(on) == 0
 
 
 @pytest.mark.parametrize(("of", "write"), [("gate", False), ("gate", True), ("client.0", True)])
 def test_what_is_not_the_service_s_is_refused_by_path_and_owner(on: SimpleNamespace, of: str, write: bool) -> None:
     """To root as to everyone: what somebody else has put there is somebody else's to change."""
-    on.segment.create("r", of, RUN)
+    on.segments.create("r", of, RUN)
     on.os.chown(path_of("r", of), NOBODY, -1)
-    with pytest.raises(on.segment.AttachError) as refused:
-        on.segment.attach("r", of, RUN, owner=0, write=write)
+    with pytest.raises(on.segments.AttachError) as refused:
+        on.segments.attach("r", of, RUN, owner=0, write=write)
     assert refused.value.kind == "owner"
     for part in (path_of("r", of), f"uid {NOBODY}", "the service to root (uid 0)", "remove it"):
         assert part in str(refused.value)
-    on.segment.attach("r", of, RUN, owner=NOBODY, write=write)
+    on.segments.attach("r", of, RUN, owner=NOBODY, write=write)
 
 
 def test_a_dead_run_is_one_s_own(on: SimpleNamespace) -> None:
     """Of what others have put there nothing is read, and nothing removed."""
-    mine, other = on.segment.memory("r", RUN), on.segment.memory("r", RUN + 1)
+    mine, other = on.segments.memory("r", RUN), on.segments.memory("r", RUN + 1)
     for run in (mine, other):
         for of in NAMES:
-            on.segment.create(run, of, RUN).close()
-    assert on.segment.dead_runs("r") == [mine, other]
+            on.segments.create(run, of, RUN).close()
+    assert on.segments.dead_runs("r") == [mine, other]
     for of in NAMES:
         on.os.chown(path_of(other, of), NOBODY, -1)
-    assert on.segment.dead_runs("r") == [mine]
-    assert on.segment.open_all(other) == {}
+    assert on.segments.dead_runs("r") == [mine]
+    assert on.segments.open_all(other) == {}
 
 
 def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: SimpleNamespace) -> None:
-    older, newer = on.segment.memory("r", RUN + 1), on.segment.memory("r", RUN)
+    older, newer = on.segments.memory("r", RUN + 1), on.segments.memory("r", RUN)
     gone = path_of("r.gone", "gate")
     for strange in ("r.gate", "failstop.r.gate", "failstop.r.1234.unknown"):
         put(on, f"/dev/shm/{strange}")
-    assert on.segment.dead_runs("r") == []
+    assert on.segments.dead_runs("r") == []
     put(on, gone)
     for run, client in ((older, 3), (newer, 0), (older, 1), (newer, 2)):
-        on.segment.create(run, f"client.{client}", RUN).close()
+        on.segments.create(run, f"client.{client}", RUN).close()
     with refusing(on, "stat", FileNotFoundError(errno.ENOENT, "gone"), of=gone) as asked:
-        assert on.segment.dead_runs("r") == [older, newer]
+        assert on.segments.dead_runs("r") == [older, newer]
     assert asked
 
 
 def test_what_is_left_of_a_run_is_opened_whatever_is_missing(on: SimpleNamespace) -> None:
     for of in PROCESSES[1:2] + PROCESSES[3:]:
-        on.segment.create("r", of, RUN)
-    assert list(on.segment.open_all("r")) == [PROCESSES[1], *PROCESSES[3:]]
+        on.segments.create("r", of, RUN)
+    assert list(on.segments.open_all("r")) == [PROCESSES[1], *PROCESSES[3:]]
 
 
 def test_a_lock_that_can_not_be_asked_for_is_nobody_s(on: SimpleNamespace) -> None:
-    on.segment.create("r", "supervisor", RUN)
-    assert on.segment.living("r")
+    on.segments.create("r", "supervisor", RUN)
+    assert on.segments.living("r")
     before = open_fds(on)
     with refusing(on, "fcntl", errno.ENOLCK):
-        assert not on.segment.living("r")
+        assert not on.segments.living("r")
     assert open_fds(on) == before
 
 
 def test_a_run_lives_as_long_as_its_supervisor(on: SimpleNamespace) -> None:
-    run = on.segment.memory("r", RUN)
-    assert not on.segment.living(run)
-    supervisor = living(on, lambda: [on.segment.create(run, of, RUN) for of in NAMES])
-    assert on.segment.living(run)
-    assert on.segment.dead_runs("r") == []
+    run = on.segments.memory("r", RUN)
+    assert not on.segments.living(run)
+    supervisor = living(on, lambda: [on.segments.create(run, of, RUN) for of in NAMES])
+    assert on.segments.living(run)
+    assert on.segments.dead_runs("r") == []
     kill(on, supervisor)
-    assert not on.segment.living(run)
-    assert on.segment.dead_runs("r") == [run]
+    assert not on.segments.living(run)
+    assert on.segments.dead_runs("r") == [run]
 
 
 def test_it_is_the_supervisor_s_segment_that_tells_so(on: SimpleNamespace) -> None:
     """Each is made and held by this process; its copies for other names are not asked."""
-    made = {of: on.segment.create("r", of, RUN) for of in ("gate", "supervisor")}
-    assert on.segment.living("r")
+    made = {of: on.segments.create("r", of, RUN) for of in ("gate", "supervisor")}
+    assert on.segments.living("r")
     made["supervisor"].close()
-    assert not on.segment.living("r")
+    assert not on.segments.living("r")
     on.os.rename(path_of("r", "gate"), path_of("r", "supervisor"))
-    assert not on.segment.living("r"), "the gate's is not locked"
+    assert not on.segments.living("r"), "the gate's is not locked"
 
 
 @pytest.mark.parametrize(("number", "look"), [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "df /dev/shm")])
 def test_what_keeps_a_segment_from_its_size_is_told(on: SimpleNamespace, number: int, look: str) -> None:
     expected = rf"no room in /dev/shm for \d+ bytes \({os.strerror(number)}\): look at `{look}`$"
-    with refusing(on, "fallocate", number), pytest.raises(on.segment.AttachError, match=expected) as refused:
-        on.segment.create("r", "gate", RUN)
+    with refusing(on, "fallocate", number), pytest.raises(on.segments.AttachError, match=expected) as refused:
+        on.segments.create("r", "gate", RUN)
     assert refused.value.kind == "damaged"
     assert on.os.listdir("/dev/shm") == []
     assert open_fds(on) == 0
@@ -327,9 +327,9 @@ def test_what_keeps_a_segment_from_its_size_is_told(on: SimpleNamespace, number:
 
 @pytest.mark.parametrize(("number", "kind"), [(errno.EMFILE, "descriptors"), (errno.EIO, "damaged")])
 def test_a_program_without_descriptors_is_no_damage(on: SimpleNamespace, number: int, kind: str) -> None:
-    on.segment.create("r", "gate", RUN)
-    with refusing(on, "open", number), pytest.raises(on.segment.AttachError, match="can't be opened") as told:
-        on.segment.attach("r", "gate", RUN)
+    on.segments.create("r", "gate", RUN)
+    with refusing(on, "open", number), pytest.raises(on.segments.AttachError, match="can't be opened") as told:
+        on.segments.attach("r", "gate", RUN)
     assert told.value.kind == kind
 
 
@@ -338,24 +338,24 @@ def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> N
     create_all(name)
     with open(path_of(name, "supervisor"), "rb") as file:
         fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
-        assert not segment.living(name)
+        assert not segments.living(name)
 
 
 def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
-    segment.unlink(name, "gate")
-    segment.unlink_all(name)
+    segments.unlink(name, "gate")
+    segments.unlink_all(name)
     create_all(name)
-    segment.unlink_all(name)
+    segments.unlink_all(name)
     assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
 
 
 def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     """Another user's, or a directory that somebody has put there: nobody needs the name again."""
-    on.segment.create("r", "gate", RUN)
+    on.segments.create("r", "gate", RUN)
     on.os.mkdir(path_of("r", "stopper"))
     with user(on, NOBODY):
-        on.segment.unlink("r", "gate")
-    on.segment.unlink("r", "stopper")
+        on.segments.unlink("r", "gate")
+    on.segments.unlink("r", "stopper")
     assert len(on.os.listdir("/dev/shm")) == 2
 
 
@@ -365,28 +365,28 @@ def test_instances_do_not_see_each_other(name: str) -> None:
     try:
         create_all(name, 1)
         create_all(longer, 2)
-        segment.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
-        assert segment.attach(longer, "gate", 2).word("beat_ns").get() == 0
-        segment.unlink_all(name)
-        segment.attach(longer, "gate", 2)
+        segments.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
+        assert segments.attach(longer, "gate", 2).word("beat_ns").get() == 0
+        segments.unlink_all(name)
+        segments.attach(longer, "gate", 2)
     finally:
-        segment.unlink_all(longer)
+        segments.unlink_all(longer)
 
 
 def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
     for of in ("gate", "telemetry", "client.0", "client.1"):
-        on.segment.create("r", of, RUN)
+        on.segments.create("r", of, RUN)
     for of in ("telemetry", "client.1"):
         on.os.pwrite(on.os.open(path_of("r", of), os.O_RDWR), bytes(HEADER_BYTES), 0)
     before = open_fds(on)
     for of, run in (("client.1", RUN), ("client.0", RUN + 1), ("telemetry", RUN), ("gate", RUN + 1)):
-        with pytest.raises(on.segment.AttachError):
-            on.segment.attach("r", of, run, write=True)
+        with pytest.raises(on.segments.AttachError):
+            on.segments.attach("r", of, run, write=True)
     assert open_fds(on) == before
 
 
 def test_close_is_idempotent_and_frees_the_descriptor(on: SimpleNamespace) -> None:
-    both = on.segment.create("r", "client.0", RUN), on.segment.attach("r", "client.0", RUN, write=True)
+    both = on.segments.create("r", "client.0", RUN), on.segments.attach("r", "client.0", RUN, write=True)
     assert open_fds(on) == 2
     for _ in range(2):
         for each in both:
@@ -398,10 +398,10 @@ def test_no_descriptor_crosses_an_exec(name: str) -> None:
     create_all(name)
 
     def work(send: object, wait: object) -> list[str]:
-        segment.unlink(name, "stopper")
-        made = segment.create(name, "stopper", RUN)
-        held = [segment.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
-        held += [segment.attach(name, "client.0", RUN, write=True), segment.read_client_slot(name, 1, RUN), made]
+        segments.unlink(name, "stopper")
+        made = segments.create(name, "stopper", RUN)
+        held = [segments.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
+        held += [segments.attach(name, "client.0", RUN, write=True), segments.read_client_slot(name, 1, RUN), made]
         assert any(name in link for link in links())
         reading, writing = os.pipe()
         os.set_inheritable(writing, True)
@@ -435,9 +435,9 @@ def links() -> list[str]:
 
 def test_readers_outlive_the_segment_object(name: str) -> None:
     """A mapping ends with its last reader, not with the object it came from."""
-    segment.create(name, "gate", RUN).close()
-    writer = segment.attach(name, "gate", RUN, write=True).latest_writer("state")
-    seen = segment.attach(name, "gate", RUN)
+    segments.create(name, "gate", RUN).close()
+    writer = segments.attach(name, "gate", RUN, write=True).latest_writer("state")
+    seen = segments.attach(name, "gate", RUN)
     reader, word = seen.latest_reader("state"), seen.word("beat_ns")
     seen.close()
     del seen

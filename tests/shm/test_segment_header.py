@@ -6,16 +6,18 @@ import os
 
 import pytest
 
-from failstop.shm import cell, segment
-from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME, LAYOUT_HASH
+from failstop.shm import cell
+from failstop.shm.segment import HEADER_BYTES
 from failstop.version import VERSION
 
 from .segments import HEADER, HEADER_SEED, NAMES, RUN, attach_any, content, path_of, refusal, write_header
 
 
 def test_the_header_fits_its_place(name: str) -> None:
-    assert cell.HEADER_BYTES + HEADER.size <= HEADER_BYTES
-    segment.create(name, "gate", RUN).close()
+    assert cell.CELL_HEADER_BYTES + HEADER.size <= HEADER_BYTES
+    segments.create(name, "gate", RUN).close()
     before = content(path_of(name, "gate"))
     write_header(name, "gate")
     assert content(path_of(name, "gate")) == before, "it is what a segment is made with"
@@ -25,10 +27,10 @@ def test_the_header_fits_its_place(name: str) -> None:
 
 def test_absent(name: str) -> None:
     for attempt in (
-        lambda: segment.attach(name, "gate"),
-        lambda: segment.attach(name, "gate", RUN, write=True),
-        lambda: segment.attach(name, "client.0", RUN, write=True),
-        lambda: segment.read_client_slot(name, 0, RUN),
+        lambda: segments.attach(name, "gate"),
+        lambda: segments.attach(name, "gate", RUN, write=True),
+        lambda: segments.attach(name, "client.0", RUN, write=True),
+        lambda: segments.read_client_slot(name, 0, RUN),
     ):
         kind, message = refusal(attempt)
         assert kind == "absent"
@@ -39,7 +41,7 @@ def test_absent(name: str) -> None:
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 @pytest.mark.parametrize("damage", ["zeros", "noise", "one bit", "other magic", "short header", "empty", "cut"])
 def test_a_damaged_header(name: str, of: str, damage: str) -> None:
-    segment.create(name, of, RUN).close()
+    segments.create(name, of, RUN).close()
     path = path_of(name, of)
     with open(path, "r+b") as file:
         if damage == "zeros":
@@ -52,7 +54,7 @@ def test_a_damaged_header(name: str, of: str, damage: str) -> None:
             file.seek(90)
             file.write(bytes([byte ^ 1]))
         elif damage == "short header":
-            file.write(cell.build(1, 0, segment.MAGIC, HEADER_SEED, 104))
+            file.write(cell.build(1, 0, segments.MAGIC, HEADER_SEED, 104))
         elif damage == "empty":
             file.truncate(0)
         elif damage == "cut":
@@ -69,7 +71,7 @@ def test_a_damaged_header(name: str, of: str, damage: str) -> None:
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 def test_another_layout_is_another_version(name: str, of: str) -> None:
     """Said before anything else in the header is judged, since nothing else need mean the same there."""
-    segment.create(name, of, RUN).close()
+    segments.create(name, of, RUN).close()
     for other in ({}, {"size": 77}, {"run": 1}, {"name": "other"}):
         write_header(name, of, layout=LAYOUT_HASH ^ 1, version="9.8.7", **other)
         kind, message = refusal(lambda: attach_any(name, of))
@@ -80,21 +82,21 @@ def test_another_layout_is_another_version(name: str, of: str) -> None:
 
 
 def test_another_version_is_told_whatever_it_is_made_of(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
+    segments.create(name, "gate", RUN).close()
     write_header(name, "gate", layout=LAYOUT_HASH ^ 1, version="9\u00e4")
     assert "is of failstop 9\ufffd\ufffd, this program is" in refusal(lambda: attach_any(name, "gate"))[1]
 
 
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 def test_the_version_alone_is_no_reason(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
+    segments.create(name, of, RUN).close()
     write_header(name, of, version="9.8.7")
     attach_any(name, of).close()
 
 
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 def test_another_run(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
+    segments.create(name, of, RUN).close()
     kind, message = refusal(lambda: attach_any(name, of, RUN + 1))
     assert kind == "damaged"
     assert "another run" in message
@@ -102,16 +104,16 @@ def test_another_run(name: str, of: str) -> None:
 
 @pytest.mark.parametrize("wrong", [{"size": 4096 * 99}, {"name": "telemetry"}])
 def test_a_header_of_another_segment(name: str, wrong: dict[str, object]) -> None:
-    segment.create(name, "gate", RUN).close()
+    segments.create(name, "gate", RUN).close()
     write_header(name, "gate", **wrong)  # type: ignore[arg-type]
-    kind, message = refusal(lambda: segment.attach(name, "gate", RUN))
+    kind, message = refusal(lambda: segments.attach(name, "gate", RUN))
     assert kind == "damaged"
     assert "wrong size or name" in message
 
 
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 def test_a_file_that_is_too_small_is_not_mapped(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
+    segments.create(name, of, RUN).close()
     for size in (BY_NAME[of].size - 1, 4095, 128):
         os.truncate(path_of(name, of), size)
         kind, message = refusal(lambda: attach_any(name, of))
@@ -121,25 +123,25 @@ def test_a_file_that_is_too_small_is_not_mapped(name: str, of: str) -> None:
 
 def test_cells_of_another_run_are_not_read(name: str) -> None:
     """Even with every byte of the dead run's records in place."""
-    segment.create(name, "gate", 1).close()
-    own = segment.attach(name, "gate", 1, write=True)
+    segments.create(name, "gate", 1).close()
+    own = segments.attach(name, "gate", 1, write=True)
     own.latest_writer("state").write(b"old", 1)
     own.ring_writer("frames").put(b"old", 1)
     with open(path_of(name, "gate"), "rb") as file:
         old = file.read()
-    segment.unlink(name, "gate")
-    segment.create(name, "gate", 2).close()
+    segments.unlink(name, "gate")
+    segments.create(name, "gate", 2).close()
     with open(path_of(name, "gate"), "r+b") as file:
         file.seek(HEADER_BYTES)
         file.write(old[HEADER_BYTES:])
-    seen = segment.attach(name, "gate", 2)
+    seen = segments.attach(name, "gate", 2)
     assert seen.latest_reader("state").read() is None
     assert seen.ring_reader("frames", from_oldest=True).next() is None
 
 
 def test_client_records_of_another_run_are_not_read(name: str) -> None:
     """The header of a client's segment is not looked at by the service: each record must say its run."""
-    segment.create(name, "client.0", 1).close()
-    segment.attach(name, "client.0", 1, write=True).latest_writer("command").write(b"drive", 1)
-    assert segment.read_client_slot(name, 0, 1).latest_reader("command").read() == (1, 1, b"drive")
-    assert segment.read_client_slot(name, 0, 2).latest_reader("command").read() is None
+    segments.create(name, "client.0", 1).close()
+    segments.attach(name, "client.0", 1, write=True).latest_writer("command").write(b"drive", 1)
+    assert segments.read_client_slot(name, 0, 1).latest_reader("command").read() == (1, 1, b"drive")
+    assert segments.read_client_slot(name, 0, 2).latest_reader("command").read() is None

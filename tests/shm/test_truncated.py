@@ -12,10 +12,11 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import segment
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME
+from failstop.messages.segments import AttachError
 from failstop.shm.cell import FileView
-from failstop.shm.layout import BY_NAME
-from failstop.shm.segment import AttachError, Segment
+from failstop.shm.segment import Segment
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
@@ -36,7 +37,7 @@ def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
             written.read_all(resident)
             written.read_all(written.readers())
             with pytest.raises(AttachError, match=r"damaged|whole header|wrong size"):
-                segment.attach(name, of, RUN, write=True)
+                segments.attach(name, of, RUN, write=True)
             if dice.random() < 0.5:  # grown again: zeros where its bytes were
                 os.ftruncate(written.fd, written.spec.size)
                 written.read_all(resident)
@@ -62,9 +63,9 @@ def test_a_copy_of_a_truncated_file_is_short() -> None:
 
 
 def test_a_client_that_writes_to_its_truncated_segment_is_read_again(name: str) -> None:
-    segment.create(name, "client.2", RUN).close()
-    own = segment.attach(name, "client.2", RUN, write=True)
-    seen = segment.read_client_slot(name, 2, RUN)
+    segments.create(name, "client.2", RUN).close()
+    own = segments.attach(name, "client.2", RUN, write=True)
+    seen = segments.read_client_slot(name, 2, RUN)
     writer, reader = own.latest_writer("command"), seen.latest_reader("command")
     writer.write(b"before", 1)
     os.truncate(path_of(name, "client.2"), 0)
@@ -104,7 +105,7 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     """Truncate, regrow, scribble and write, until the reader has ended."""
     dice = random.Random(1)
     size = BY_NAME[of].size
-    own = segment.attach(name, of, RUN, write=True)
+    own = segments.attach(name, of, RUN, write=True)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
     writers = {
@@ -133,8 +134,8 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
 
 
 def test_a_truncating_client_costs_the_reader_no_sigbus(name: str) -> None:
-    segment.create(name, "client.0", RUN).close()
-    with reading_child(name, "client.0", lambda: segment.read_client_slot(name, 0, RUN)) as child:
+    segments.create(name, "client.0", RUN).close()
+    with reading_child(name, "client.0", lambda: segments.read_client_slot(name, 0, RUN)) as child:
         assert child.receive() == "reading"
         truncate_all_the_while(name, "client.0", child)
         values, nones = child.result()
@@ -145,7 +146,7 @@ def test_a_truncating_client_costs_the_reader_no_sigbus(name: str) -> None:
 
 def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
     """The harness can fail: the same through a mapping kills the reader."""
-    segment.create(name, "client.0", RUN).close()
+    segments.create(name, "client.0", RUN).close()
 
     def attach_mapped() -> Segment:
         with open(path_of(name, "client.0"), "rb") as file:
@@ -153,7 +154,7 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
         return Segment(BY_NAME["client.0"], RUN, mapped)
 
     for write in (False, True):
-        attached = segment.attach(name, "client.0", RUN, write=write)
+        attached = segments.attach(name, "client.0", RUN, write=write)
         assert attached.mapped is None
         attached.close()
     with reading_child(name, "client.0", attach_mapped) as child:
@@ -164,16 +165,16 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
 
 def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
     """Its holder and the service have it open; only who comes later finds nothing."""
-    segment.create(name, "client.3", RUN).close()
-    own = segment.attach(name, "client.3", RUN, write=True)
-    seen = segment.read_client_slot(name, 3, RUN)
+    segments.create(name, "client.3", RUN).close()
+    own = segments.attach(name, "client.3", RUN, write=True)
+    seen = segments.read_client_slot(name, 3, RUN)
     writer, reader = own.latest_writer("command"), seen.latest_reader("command")
     writer.write(b"one", 1)
     os.unlink(path_of(name, "client.3"))
     assert reader.read() == (1, 1, b"one")
     writer.write(b"two", 2)
     assert reader.read() == (2, 2, b"two")
-    for attach in (lambda: segment.attach(name, "client.3", RUN), lambda: segment.read_client_slot(name, 3, RUN)):
+    for attach in (lambda: segments.attach(name, "client.3", RUN), lambda: segments.read_client_slot(name, 3, RUN)):
         with pytest.raises(AttachError) as refused:
             attach()
         assert refused.value.kind == "absent"
@@ -182,9 +183,9 @@ def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
 
 
 def test_unlinked_service_segments_are_read_on(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    own, seen = segment.attach(name, "gate", RUN, write=True), segment.attach(name, "gate", RUN)
-    segment.unlink_all(name)
+    segments.create(name, "gate", RUN).close()
+    own, seen = segments.attach(name, "gate", RUN, write=True), segments.attach(name, "gate", RUN)
+    segments.unlink_all(name)
     own.ring_writer("frames").put(b"frame", 1)
     assert seen.ring_reader("frames", from_oldest=True).next() == (1, 1, b"frame")
     own.word("beat_ns").set(77)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import segment
+from failstop.messages import segments
 from failstop.shm.words import Word
 from tests.support.children import Child
 
@@ -15,11 +15,11 @@ from .segments import RUN
 
 
 def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) -> None:
-    segment.create(name, "supervisor", RUN).close()
-    word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
+    segments.create(name, "supervisor", RUN).close()
+    word = segments.attach(name, "supervisor", RUN, write=True).word("epoch")
     for value in (1, 2**32, 2**63, 2**64 - 1, 5):
         word.set(value)
-        assert segment.attach(name, "supervisor", RUN).word("epoch").get() == value
+        assert segments.attach(name, "supervisor", RUN).word("epoch").get() == value
     for wrong in (-1, 2**64):
         with pytest.raises(ValueError, match="memoryview"):
             word.set(wrong)
@@ -34,18 +34,18 @@ def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) ->
 
 def test_a_word_is_never_seen_half_written(name: str) -> None:
     """Two patterns that differ in every byte, set flat out by another process; after which the last is there."""
-    segment.create(name, "supervisor", RUN).close()
+    segments.create(name, "supervisor", RUN).close()
     patterns = (0x5555555555555555, 0xAAAAAAAAAAAAAAAA)
-    segment.attach(name, "supervisor", RUN, write=True).word("epoch").set(patterns[0])
+    segments.attach(name, "supervisor", RUN, write=True).word("epoch").set(patterns[0])
 
     def work(send: Callable[[object], None], wait: object) -> None:
-        word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
+        word = segments.attach(name, "supervisor", RUN, write=True).word("epoch")
         send("writing")
         for _ in range(400_000):
             word.set(patterns[0])
             word.set(patterns[1])
 
-    word = segment.attach(name, "supervisor", RUN).word("epoch")
+    word = segments.attach(name, "supervisor", RUN).word("epoch")
     with Child(work) as child:
         assert child.receive() == "writing"
         seen = {word.get() for _ in range(400_000)}

@@ -6,10 +6,10 @@ import os
 import random
 from typing import TYPE_CHECKING
 
-from failstop.shm import segment
+from failstop.messages import segments
+from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
 from failstop.shm.cell import LatestReader, RingReader
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SegmentSpec
-from failstop.shm.segment import Segment
+from failstop.shm.segment import Segment, SegmentSpec
 
 from .memory import payload_of, time_of
 from .segments import RUN, path_of
@@ -26,7 +26,7 @@ class Written:
     def __init__(self, instance: str, of: str, dice: random.Random) -> None:
         self.spec: SegmentSpec = BY_NAME[of]
         self.dice = dice
-        segment.create(instance, of, RUN).close()
+        segments.create(instance, of, RUN).close()
         self.instance = instance
         self.client = of in CLIENT_NAMES
         writes = self.attached(write=True)
@@ -57,10 +57,10 @@ class Written:
     def attached(self, *, write: bool) -> Segment:
         index = int(self.spec.name.rpartition(".")[2]) if self.client else -1
         if not self.client:
-            return segment.attach(self.instance, self.spec.name, RUN, write=write)
+            return segments.attach(self.instance, self.spec.name, RUN, write=write)
         if write:
-            return segment.attach(self.instance, f"client.{index}", RUN, write=True)
-        return segment.read_client_slot(self.instance, index, RUN)
+            return segments.attach(self.instance, f"client.{index}", RUN, write=True)
+        return segments.read_client_slot(self.instance, index, RUN)
 
     def close(self) -> None:
         os.close(self.fd)

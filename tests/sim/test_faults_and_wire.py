@@ -138,27 +138,27 @@ def test_telemetry_ping_pad_and_keys(board: SimBoard, client: int) -> None:
     host.count(framing.GAMEPAD, 0.05)
     assert host.count(framing.GAMEPAD, 0.2) == 0
     board.key(1, 0x20)
-    assert decoder.key(host.wait(framing.KEY)) == (1, 0x20)
+    assert decoder.key(host.wait(framing.KEY_FUNC)) == (1, 0x20)
     board.battery(9000)
     assert decoder.battery_mv(host.wait(framing.SYS)) == 11_000
-    assert 40 <= host.count(framing.IMU, 0.5) <= 60
+    assert 40 <= host.count(framing.IMU_FUNC, 0.5) <= 60
 
 
 def test_imu_can_be_silenced(board: SimBoard, client: int) -> None:
     host = Host(client)
-    host.wait(framing.IMU)
+    host.wait(framing.IMU_FUNC)
     board.imu(False)
-    host.count(framing.IMU, 0.05)
-    assert host.count(framing.IMU, 0.2) == 0
+    host.count(framing.IMU_FUNC, 0.05)
+    assert host.count(framing.IMU_FUNC, 0.2) == 0
     board.imu(True)
-    host.wait(framing.IMU)
+    host.wait(framing.IMU_FUNC)
 
 
 def test_deaf_drops_frames_while_telemetry_goes_on(board: SimBoard, client: int) -> None:
     host = Host(client)
     board.deaf(True)
     os.write(client, DRIVE + encoders.PING)
-    host.wait(framing.IMU)
+    host.wait(framing.IMU_FUNC)
     assert board.events() == []
     assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
     board.deaf(False)
@@ -183,12 +183,12 @@ def test_garble_flips_bits_each_way(board: SimBoard, client: int) -> None:
         os.write(client, encoders.PING * 25)
     heard = len(board.events())
     assert 20 < heard < 190
-    host.count(framing.IMU, 0.3)
+    host.count(framing.IMU_FUNC, 0.3)
     assert host.decoder.crc_errors == 0
     board.garble(up=0.05)
     os.write(client, codec.STOP * 3)
     assert [event.is_stop for event in board.events()][-3:] == [True] * 3
-    host.count(framing.IMU, 0.5)
+    host.count(framing.IMU_FUNC, 0.5)
     assert host.decoder.crc_errors > 0
     with pytest.raises(SimBoardError, match="must be from 0 to 1"):
         board.garble(down=1.5)
@@ -230,7 +230,7 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     again = open_port(board.link, exclusive=True)
     os.write(again, codec.STOP)
     board.wait_wheels(False, 5.0)
-    Host(again).wait(framing.IMU)
+    Host(again).wait(framing.IMU_FUNC)
     with pytest.raises(SimBoardError, match="plugged in already"):
         board.replug()
     board.unplug()
@@ -278,14 +278,14 @@ def used_s(pid: int) -> float:
 def test_little_processor_time(board: SimBoard, at_work: bool) -> None:
     client = open_port(board.link, exclusive=True)
     host = Host(client)
-    host.wait(framing.IMU)
+    host.wait(framing.IMU_FUNC)
     if not at_work:
         os.close(client)
     before_s, begin_s = used_s(board.pid), time.monotonic()
     while time.monotonic() < begin_s + 1.5:
         if at_work:
             os.write(client, DRIVE)
-            host.count(framing.IMU, 0.02)
+            host.count(framing.IMU_FUNC, 0.02)
         else:
             time.sleep(0.1)
     # Measured 1.5 % at work and 1 % alone on an idle machine; the bound allows for a slow one.

@@ -163,7 +163,7 @@ def imu_samples(wheels: tuple[float, float, float, float], seed: int, seconds: i
     """A settled robot's samples: acceleration in g, gyro in rad/s."""
     model = BoardModel(0, seed=seed)
     model.wheels = wheels
-    samples = [decoder.imu(data) for func, data in upward(model, seconds * 1000 * MS) if func == framing.IMU]
+    samples = [decoder.imu(data) for func, data in upward(model, seconds * 1000 * MS) if func == framing.IMU_FUNC]
     return [(*s[:3], *map(math.radians, s[3:])) for s in samples[110:] if s is not None]
 
 
@@ -191,7 +191,7 @@ def test_the_imu_shows_gravity_rotation_and_bias() -> None:
     assert means == pytest.approx([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], abs=0.005)
     model = BoardModel(0)
     model.imu.bias_rad_s = (0.01, -0.02, 0.03)
-    gyros = [decoder.imu(data) or () for func, data in upward(model, 20_000 * MS) if func == framing.IMU]
+    gyros = [decoder.imu(data) or () for func, data in upward(model, 20_000 * MS) if func == framing.IMU_FUNC]
     assert [math.radians(statistics.mean(g[axis] for g in gyros)) for axis in (3, 4, 5)] == pytest.approx(
         [0.01, -0.02, 0.03], abs=0.001
     )

@@ -10,8 +10,8 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.lab.machine.kernel import Thread
+from failstop.messages import layout
 from failstop.policy import causes
-from failstop.shm import layout
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor.blackbox import START_NS
@@ -40,7 +40,7 @@ def test_the_first_epoch_is_told_before_any_stop(scene: Scene) -> None:
 
 
 def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
-    attach = scene.load("failstop.shm.segment").attach
+    attach = scene.load("failstop.messages.segments").attach
     lifelines = attach(scene.run.memory, "lifelines", scene.run.incarnation)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
     assert all(word.held() for word in words)
@@ -52,7 +52,7 @@ def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
 @pytest.mark.parametrize("granted", [0, REALTIME])
 def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> None:
     scene = Scene(granted=granted)
-    advice = scene.load("failstop.supervisor.grant").advice
+    advice = scene.load("failstop.supervisor.status").advice
     scene.supervisor.processes.tell_starved("gate", MS, scene.now_ns)
     ((_, _, text, _),) = scene.said()
     expected = advice(realtime=bool(granted), managed=False)

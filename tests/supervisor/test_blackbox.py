@@ -9,8 +9,8 @@ import msgpack
 import pytest
 
 from failstop.lab.machine.kernel import LATE_NS, Process
-from failstop.shm import box, layout
-from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, NEXT, PATIENCE_NS, SAMPLE_NS, START_NS
+from failstop.messages import box, layout
+from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, PATIENCE_NS, SAMPLE_NS, START_NS, STEP
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
@@ -149,7 +149,7 @@ SAVED = ("incident", "notice", "incident 0012 saved; next: `failstop incident sh
 
 def lost(why: str) -> tuple[str, str, str, dict[str, Any]]:
     """What is told of an incident that was not saved."""
-    return "incident", "warning", f"incident not saved: {why}; {NEXT}", {"reason": f"{why}; {NEXT}"}
+    return "incident", "warning", f"incident not saved: {why}; next: {STEP}", {"reason": f"{why}; next: {STEP}"}
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.lab.machine.kernel import LATE_NS
+from failstop.messages import layout, records
 from failstop.policy.processes import BY_NAME
-from failstop.shm import heartbeat, layout, records
+from failstop.shm import heartbeat
 from failstop.supervisor import main
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene

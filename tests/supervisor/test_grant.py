@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages.layout import GATE
 from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
-from failstop.shm.layout import GATE
-from failstop.supervisor import grant
+from failstop.supervisor import status
 from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
 def here(scene: Scene) -> Any:
     """The module, as a service on the machine has it."""
-    return scene.load("failstop.supervisor.grant")
+    return scene.load("failstop.supervisor.status")
 
 
 @pytest.mark.parametrize(
@@ -33,21 +33,21 @@ def here(scene: Scene) -> Any:
     ],
 )
 def test_the_command_fits_the_case(scene: Scene, here: Any, unit: str, container: bool, told: str) -> None:
-    scene.write(grant.CONTROL_GROUP, f"0::/system.slice/{unit}\n")
+    scene.write(status.CONTROL_GROUP, f"0::/system.slice/{unit}\n")
     if container:
-        scene.me.environ[grant.CONTAINER_VARIABLE] = "podman"
+        scene.me.environ[status.CONTAINER_VARIABLE] = "podman"
     assert told in here.advice(realtime=False, managed=bool(unit))
     assert "give it" not in here.advice(realtime=True, managed=bool(unit))
 
 
 def test_each_command_is_one_line() -> None:
-    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
+    assert "\n" not in "".join((status.UNIT, status.CONTAINER, status.SHELL, status.GRANTED))
 
 
 @pytest.mark.parametrize("sign", ["/.dockerenv", "/run/.containerenv", "variable", ""])
 def test_a_container_is_known_by_its_signs(scene: Scene, here: Any, sign: str) -> None:
     if sign == "variable":
-        scene.me.environ[grant.CONTAINER_VARIABLE] = "podman"
+        scene.me.environ[status.CONTAINER_VARIABLE] = "podman"
     elif sign:
         scene.write(sign, "")
     assert here.in_container() is bool(sign)
@@ -63,29 +63,29 @@ def test_a_container_is_known_by_its_signs(scene: Scene, here: Any, sign: str) -
 )
 def test_the_unit_is_that_of_the_control_group(scene: Scene, here: Any, groups: str, unit: str) -> None:
     assert here.own_unit() == "UNIT"
-    scene.write(grant.CONTROL_GROUP, groups)
+    scene.write(status.CONTROL_GROUP, groups)
     assert here.own_unit() == unit
 
 
 def test_people_are_told_what_is_lacking() -> None:
-    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}, and {grant.cost(0.2)}; give it rights")
-    early_news = ("robust futexes", grant.NO_EARLY_NEWS)
-    assert grant.lacking(0, "give it rights", 0.2) == [realtime, early_news]
-    assert grant.lacking(REALTIME, "give it rights", 0.2) == [early_news]
-    assert grant.lacking(EARLY_NEWS, "give it rights", 0.2) == [realtime]
-    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights", 0.2) == []
+    realtime = ("SCHED_FIFO", f"{status.NO_REALTIME}, and {status.cost(0.2)}; give it rights")
+    early_news = ("robust futexes", status.NO_EARLY_NEWS)
+    assert status.lacking(0, "give it rights", 0.2) == [realtime, early_news]
+    assert status.lacking(REALTIME, "give it rights", 0.2) == [early_news]
+    assert status.lacking(EARLY_NEWS, "give it rights", 0.2) == [realtime]
+    assert status.lacking(REALTIME | EARLY_NEWS, "give it rights", 0.2) == []
 
 
 def test_a_lease_is_told_with_what_it_costs() -> None:
     late = "after 200 ms instead of 60 to 100 (gate.lease_s)"
-    assert grant.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
-    assert grant.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
+    assert status.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
+    assert status.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
 
 
 def leased(scene: Scene, chosen: dict[str, object]) -> float:
     """The lease of a service that is started with these settings."""
     settings = scene.load("failstop.policy.settings").Settings(dict(chosen))
-    found: float = scene.load("failstop.supervisor.grant").leased(settings, chosen)[grant.LEASE]
+    found: float = scene.load("failstop.supervisor.status").leased(settings, chosen)[status.LEASE]
     return found
 
 
@@ -93,7 +93,7 @@ def test_the_lease_is_the_default_with_the_rights_of_every_process() -> None:
     scene = Scene(granted=REALTIME)
     asked: list[int] = []
     scene.refuse("sched_setscheduler", OSError(), lambda priority: bool(asked.append(priority)))
-    assert leased(scene, {}) == grant.LEASE_S
+    assert leased(scene, {}) == status.LEASE_S
     assert asked == [max(SUPERVISOR_PRIORITY, *(row.priority for row in PROCESSES))]
 
 
@@ -118,7 +118,7 @@ def test_the_lease_is_long_without_rights_unless_somebody_chose_one(
 
 def test_the_lease_without_rights_changes_nothing_of_who_stops_first() -> None:
     others_s = [HANG_NS / 1e9, BY_NAME[GATE].deadline_ns / 1e9]
-    assert all(Settings().ns(grant.LEASE) / 1e9 <= grant.LEASE_WITHOUT_S < other_s for other_s in others_s)
+    assert all(Settings().ns(status.LEASE) / 1e9 <= status.LEASE_WITHOUT_S < other_s for other_s in others_s)
 
 
 ONCE = Scene()
@@ -130,8 +130,8 @@ def test_no_rights_never_make_settings_wrong_that_were_right(
 ) -> None:
     timeouts = {"gate.command_timeout_s": command_s, "sources.cmd_vel.timeout_s": source_s}
     lease_s = leased(ONCE, {**timeouts, "gate.period_s": period_s})
-    assert grant.LEASE_S <= lease_s < min(command_s, source_s)
+    assert status.LEASE_S <= lease_s < min(command_s, source_s)
 
 
 def test_the_meaning_of_the_setting_names_the_lease_without_rights() -> None:
-    assert f"{grant.LEASE_WITHOUT_S:g} without real-time rights" in BY_KEY[grant.LEASE].doc
+    assert f"{status.LEASE_WITHOUT_S:g} without real-time rights" in BY_KEY[status.LEASE].doc

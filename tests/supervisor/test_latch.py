@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
 from failstop.policy import causes
-from failstop.shm import records
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
 from tests.support.why import said, told, why

@@ -11,7 +11,7 @@ import pytest
 
 from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM, Process, Thread
 from failstop.lab.machine.robot import DEVICE, MS, Robot
-from failstop.shm import layout
+from failstop.messages import layout
 
 DIRECTORY = "/run/failstop/failstop"
 SUPERVISOR = 1 + len(layout.PROCESSES)
@@ -67,8 +67,8 @@ class Service:
 
     def memory(self) -> str:
         """Of the run that has the name."""
-        incarnation, _ = self.load("failstop.shm.instance").run(DIRECTORY)
-        found: str = self.load("failstop.shm.segment").memory("failstop", incarnation)
+        incarnation, _ = self.load("failstop.files.instance").run(DIRECTORY)
+        found: str = self.load("failstop.messages.segments").memory("failstop", incarnation)
         return found
 
     def serves(self, robot: Any) -> bool:
@@ -161,7 +161,7 @@ def test_a_supervisor_that_can_t_begin_leaves_the_memory_of_the_run_before(servi
     assert process.code == 1
     assert b"Too many open files" in b"".join(service.robot.stderr.heard)
     assert sorted(service.os.listdir(DIRECTORY)) == ["last", "lock"], "how the run before was started"
-    assert service.load("failstop.shm.segment").dead_runs("failstop") == [dead]
+    assert service.load("failstop.messages.segments").dead_runs("failstop") == [dead]
 
 
 def test_a_program_that_has_closed_every_descriptor_finds_its_run_again(service: Service) -> None:
@@ -183,4 +183,4 @@ def test_the_name_goes_first(service: Service) -> None:
     service.machine.kill(service.process, SIGTERM)
     service.hold_up("unlink", memory)
     assert not service.os.path.exists(f"{DIRECTORY}/run")
-    assert service.load("failstop.shm.segment").living(memory), "its supervisor lives, while it can be found"
+    assert service.load("failstop.messages.segments").living(memory), "its supervisor lives, while it can be found"

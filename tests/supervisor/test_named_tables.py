@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import FAMILIES, Settings
+from failstop.policy.settings import FAMILIES, PAD_SOURCE, Settings
 from failstop.procs.gate import sources
 
 BY_PRIORITY = FAMILIES["sources"][0]
@@ -53,7 +53,7 @@ def test_interlocks() -> None:
 
 def test_the_gamepad_is_a_source_without_settings() -> None:
     assert refusal({"sources.gamepad.priority": 5}) == (
-        f"sources.{sources.PAD}.priority: the board's gamepad is a source above all others, with no settings"
+        f"sources.{PAD_SOURCE}.priority: the board's gamepad is a source above all others, with no settings"
     )
     assert BY_PRIORITY.high is not None
     assert BY_PRIORITY.high < sources.PAD_PRIORITY
@@ -61,7 +61,7 @@ def test_the_gamepad_is_a_source_without_settings() -> None:
 
 
 def test_the_gate_and_the_settings_name_the_same_default_source() -> None:
-    assert sources.DEFAULT in Settings().sources()
+    assert sources.Command(1, "", 0, (0.0, 0.0, 0.0)).source in Settings().sources()
 
 
 @pytest.mark.parametrize("name", ["a", "0", "a-b_c", "abcdefghijklmnop"])

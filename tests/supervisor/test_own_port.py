@@ -13,7 +13,7 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.port_handover import OwnPort
 from tests.support.ptys import Pty, new_pty
 from tests.support.supervisor_scene import DEVICE, Scene
 from tests.support.unprivileged import unprivileged
@@ -83,7 +83,7 @@ def open_and_stop(scene: Scene, told: list[int]) -> str:
     scene.port.close()
     module = scene.load("failstop.board.port")
     try:
-        scene.load("failstop.supervisor.port").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
+        scene.load("failstop.supervisor.port_handover").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
     except module.PortError as error:
         return str(error.kind)
     return "opened"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from failstop.shm.heartbeat import STARTING
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import LOOK_NS, SHARE_NS

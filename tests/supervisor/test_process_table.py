@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from failstop.board.interface import BOARD
+from failstop.messages import layout, records
 from failstop.procs.loop import NEVER, READ
-from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
 from failstop.supervisor.children import DIED
 from failstop.supervisor.process_table import TRY_AGAIN_NS

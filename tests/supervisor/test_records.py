@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.policy.processes import BY_NAME
-from failstop.shm import layout
 from failstop.supervisor.main import ANSWER_NS
 from failstop.supervisor.status import TELL_EVERY_NS
 from tests.support.stage import MS
@@ -42,12 +42,13 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
     gate = scene.employ(layout.GATE)
     scene.pass_time(MS)
     number, again = scene.number("processes"), scene.supervisor.processes[layout.PORT_OWNER].pid
-    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None}
+    killed = {"last_exit": "killed by SIGKILL", "killed": True}
+    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None, "killed": False}
     assert scene.table("processes") == {
         "waiting_for": "port_owner, stopper, telemetry",
         **NOT_STARVED,
         "processes": {
-            "port_owner": {"pid": again, "state": "starting", "restarts": 1, "last_exit": "killed by SIGKILL"},
+            "port_owner": {"pid": again, "state": "starting", "restarts": 1, **killed},
             "stopper": never,
             "gate": {**never, "pid": gate.pid, "state": "running"},
             "telemetry": never,

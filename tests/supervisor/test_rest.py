@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.messages import layout
 from failstop.procs.loop import READ
-from failstop.shm import layout
 from failstop.supervisor.main import BEATS_ALONE, EXCUSE_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene

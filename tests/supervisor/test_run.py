@@ -13,14 +13,13 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.kernel import LATE_NS
+from failstop.messages import layout
 from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
-from failstop.shm import layout
 from failstop.supervisor.run import LOOK_EVERY_NS, Run
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 
 GROUP = 4321
-NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
@@ -40,7 +39,7 @@ def mode(scene: Scene, name: str) -> str:
 
 
 def incarnation(scene: Scene, run: Any, process: str) -> int:
-    found: int = scene.load("failstop.shm.segment").attach(run.memory, process).incarnation
+    found: int = scene.load("failstop.messages.segments").attach(run.memory, process).incarnation
     return found
 
 
@@ -103,7 +102,7 @@ def group_is(scene: Scene, gid: int) -> None:
 def test_the_group_is_the_client_s_where_it_exists(ended: Scene) -> None:
     group_is(ended, GROUP)
     made = ended.new_run()
-    path_of = ended.load("failstop.shm.segment").path_of
+    path_of = ended.load("failstop.messages.segments").path_of
     paths = f"{RUNTIME_DIR}/bell", f"{RUNTIME_DIR}/claims", path_of(made.memory, "client.0")
     assert [ended.os.stat(path).st_gid for path in paths] == [GROUP] * 3
     assert ended.os.stat(path_of(made.memory, layout.GATE)).st_gid == 0, "what clients only read stays"
@@ -178,20 +177,21 @@ def fail(scene: Scene, at: int) -> None:
     """No room from the segment of this number on; past the last one, none for the file that names the run."""
     made = itertools.count()
     call = "fallocate" if at < len(layout.SEGMENTS) else "mkfifo"
-    scene.refuse(call, NO_SPACE, lambda *_: call == "mkfifo" or next(made) >= at)
+    no_space = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    scene.refuse(call, no_space, lambda *_: call == "mkfifo" or next(made) >= at)
 
 
 @pytest.mark.parametrize("at", [0, 1, 7, len(layout.SEGMENTS)])
 def test_a_start_that_fails_midway_leaves_nothing(ended: Scene, at: int) -> None:
     fail(ended, at)
-    with pytest.raises((ended.load("failstop.shm.segment").AttachError, OSError), match=r"No space|no room"):
+    with pytest.raises((ended.load("failstop.messages.segments").AttachError, OSError), match=r"No space|no room"):
         ended.new_run()
     assert segments(ended) == []
     assert ended.os.listdir(RUNTIME_DIR) == ["last"]
 
 
 def test_a_start_that_fails_keeps_the_black_box_of_the_run_before(ended: Scene) -> None:
-    before, segment = dies_before(ended), ended.load("failstop.shm.segment")
+    before, segment = dies_before(ended), ended.load("failstop.messages.segments")
     fail(ended, 3)
     with pytest.raises(segment.AttachError, match="no room"):
         ended.new_run()
@@ -206,14 +206,14 @@ def test_a_start_that_fails_keeps_the_black_box_of_the_run_before(ended: Scene) 
 def test_a_run_takes_nothing_from_one_that_lives(scene: Scene) -> None:
     """Whatever has become of the lock's file."""
     before = scene.os.listdir(RUNTIME_DIR), segments(scene)
-    with pytest.raises(scene.load("failstop.shm.instance").InstanceError, match="already running"):
+    with pytest.raises(scene.load("failstop.files.instance").InstanceError, match="already running"):
         scene.new_run()
     assert (scene.os.listdir(RUNTIME_DIR), segments(scene)) == before
 
 
 def test_a_segment_that_is_taken_away_during_the_start_is_named(ended: Scene) -> None:
     ended.refuse("open", FileNotFoundError(errno.ENOENT, "gone"), lambda path, *_: path.endswith(f".{layout.GATE}"))
-    error = ended.load("failstop.shm.segment").AttachError
+    error = ended.load("failstop.messages.segments").AttachError
     with pytest.raises(error, match=r"^shared memory gate was there and can't be opened: try again"):
         ended.new_run()
     assert segments(ended) == []
@@ -232,7 +232,7 @@ TEXT = {"gate": "shared memory gate", "lifelines": "shared memory lifelines", "s
 
 def remove(scene: Scene, name: str) -> str:
     """Take a name away; returns its path."""
-    path_of = scene.load("failstop.shm.segment").path_of
+    path_of = scene.load("failstop.messages.segments").path_of
     path: str = f"{RUNTIME_DIR}/stop" if name == "stop" else path_of(scene.run.memory, name)
     scene.os.unlink(path)
     return path

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.kernel import Thread
+from failstop.messages import layout
 from failstop.policy.processes import BY_NAME
 from failstop.procs import starved
-from failstop.shm import layout
 from failstop.supervisor.process_table import STARVED_SHOWN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
@@ -87,6 +87,17 @@ def test_nobody_is_spared_for_ever_and_none_is_down_for_it(scene: Scene) -> None
         assert telemetry.state == "waiting"
 
 
+def test_a_beat_just_before_the_end_is_no_defect_of_the_table_of_states(scene: Scene) -> None:
+    beat_but(scene, layout.TELEMETRY, 600 * MS)
+    assert scene.state(layout.TELEMETRY) == "hanging"
+    process = scene.employ(layout.TELEMETRY)
+    scene.dies(process)
+    scene.pass_time()
+    assert scene.state(layout.TELEMETRY) == "starting", "it was reaped, and is restarted"
+    assert scene.supervisor.processes.starved_record() == shown(layout.TELEMETRY, 600, 1)
+    assert (scene.supervisor.epoch, scene.cause()[1]) == (2, "telemetry died")
+
+
 def test_a_process_that_has_just_beaten_after_all_is_left_alone() -> None:
     scene = Scene(layout.GATE)
 
@@ -105,7 +116,7 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(scene: Scene) -
     for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
         found.tell_starved(name, silent_ns, scene.now_ns + round(at_s * 1e9))
     first, second = scene.said()
-    advice = scene.load("failstop.supervisor.grant").advice(realtime=False, managed=False)
+    advice = scene.load("failstop.supervisor.status").advice(realtime=False, managed=False)
     text = f"the machine starves the service: gate was not run for 300 ms; {advice}"
     assert first[::2] == ("starved", text)
     assert first[3] == {"process": "gate", "silent_ms": 300, "times": 1}

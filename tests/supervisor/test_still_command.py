@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.lab.machine.kernel import Process
+from failstop.messages import layout
 from failstop.policy import causes
-from failstop.shm import layout
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
@@ -26,7 +26,7 @@ def unheeded(program: Callable[[Process, list[str]], int] | None = None) -> Scen
 def follow(scene: Scene, elapsed_ns: int, *, still: bool = False) -> list[str]:
     scene.now_ns += elapsed_ns
     scene.judge(still=still)
-    return [str(stop.cause) for stop in scene.supervisor.aftermath.follow(scene.now_ns, listening=False)]
+    return [str(stop.cause) for stop in scene.supervisor.monitor.follow(scene.now_ns, listening=False)]
 
 
 def reset(scene: Scene) -> None:
@@ -39,7 +39,7 @@ def stop(scene: Scene) -> None:
     epochs.number += 1
     made = scene.made_stop(why(f"stop {epochs.number}"), layout.GATE)
     made.answered_by("port owner", scene.now_ns, made, epochs.number)
-    scene.supervisor.aftermath.answered(made, ending=False)
+    scene.supervisor.monitor.answered(made, ending=False)
     follow(scene, MS)
 
 

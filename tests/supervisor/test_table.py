@@ -6,8 +6,8 @@ import importlib
 
 import pytest
 
+from failstop.messages import layout
 from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
-from failstop.shm import layout
 
 each = pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
 STOPPING = {layout.PORT_OWNER, layout.STOPPER}

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from failstop.messages import layout
+from failstop.messages.packing import Note
 from failstop.policy import causes
-from failstop.shm import layout
-from failstop.shm.packing import Note
-from failstop.supervisor.aftermath import MOST_SAID
 from failstop.supervisor.kinds import BY_NAME
+from failstop.supervisor.monitor import MOST_SAID
 from failstop.supervisor.status import WAITED_NS
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import Scene
@@ -25,8 +25,8 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def aftermath(scene: Scene) -> Any:
-    return scene.supervisor.aftermath
+def monitor(scene: Scene) -> Any:
+    return scene.supervisor.monitor
 
 
 @pytest.fixture
@@ -54,14 +54,14 @@ def answered(scene: Scene, stop: Stop, written_ns: int, by: str = "port owner", 
     return found
 
 
-def test_aftermath_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene: Scene, aftermath: Any) -> None:
+def test_the_monitor_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene: Scene, monitor: Any) -> None:
     """Of a thousand all would be told."""
 
     def news(reason: str) -> bool:
-        aftermath.also(made(scene, Stop(T0, layout.PORT_OWNER, why(reason))))
+        monitor.also(made(scene, Stop(T0, layout.PORT_OWNER, why(reason))))
         return bool(scene.said())
 
-    aftermath.latched(made(scene, KEY))
+    monitor.latched(made(scene, KEY))
     assert all(news(str(number)) for number in range(MOST_SAID - 1))
     assert not news("key1")
     assert not news("0")
@@ -86,9 +86,9 @@ DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITC
     ],
 )
 def test_the_end_is_told_with_what_is_known_of_the_stop(
-    scene: Scene, aftermath: Any, heard_ns: int, link: str, written: bool, level: str, text: str
+    scene: Scene, monitor: Any, heard_ns: int, link: str, written: bool, level: str, text: str
 ) -> None:
-    aftermath.ended(heard_ns, link, written=written, sent=written)
+    monitor.ended(heard_ns, link, written=written, sent=written)
     acknowledged = {"acknowledged_us": 3140.3} if heard_ns else {}
     assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
 
@@ -119,11 +119,11 @@ NEXT = "next: `failstop reset --name stage`, then `failstop enable --name stage`
     ],
 )
 def test_a_stop_is_told_with_who_wrote_it_and_when(
-    scene: Scene, aftermath: Any, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
+    scene: Scene, monitor: Any, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
 ) -> None:
     written_ns = 0 if after_ns is None else stop.t_ns + after_ns
-    aftermath.latched(made(scene, KEY))
-    aftermath.answered(answered(scene, stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
+    monitor.latched(made(scene, KEY))
+    monitor.answered(answered(scene, stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
@@ -137,7 +137,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
     assert told(scene) == [(kind, text.format(wrote=wrote), {**fields, **latency, **latched}, level)]
 
 
-def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Scene, aftermath: Any) -> None:
+def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Scene, monitor: Any) -> None:
     also = (
         "stop_also",
         "also: gate died",
@@ -145,10 +145,10 @@ def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Sce
         "",
     )
     for _ in range(2):
-        aftermath.latched(made(scene, KEY))
+        monitor.latched(made(scene, KEY))
         for cause in (KEY, DEATH, DEATH):
-            aftermath.also(made(scene, cause))
-        aftermath.answered(answered(scene, DEATH, DEATH.t_ns, latched=KEY), ending=False)
+            monitor.also(made(scene, cause))
+        monitor.answered(answered(scene, DEATH, DEATH.t_ns, latched=KEY), ending=False)
         assert told(scene) == [also]
 
 
@@ -160,15 +160,15 @@ def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene
     assert told(scene) == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "warning")]
 
 
-def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(scene: Scene, aftermath: Any) -> None:
-    aftermath.ended(0, "deaf", written=True, sent=False)
+def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(scene: Scene, monitor: Any) -> None:
+    monitor.ended(0, "deaf", written=True, sent=False)
     handed = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
     assert told(scene) == [("stopped", handed + DEAF, {"link": "deaf"}, "critical")]
 
 
-def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, aftermath: Any) -> None:
+def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, monitor: Any) -> None:
     scene.wire.hold()
-    aftermath.answered(answered(scene, STUCK, KEY.t_ns + 80_000), ending=False)
+    monitor.answered(answered(scene, STUCK, KEY.t_ns + 80_000), ending=False)
     [(kind, text, _, level)] = told(scene)
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
     assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {NEXT}", "critical")
@@ -176,12 +176,12 @@ def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, after
 
 @pytest.mark.parametrize(("stop", "held"), [(KEY, True), (STUCK, False)])
 def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent(
-    scene: Scene, aftermath: Any, stop: Stop, held: bool
+    scene: Scene, monitor: Any, stop: Stop, held: bool
 ) -> None:
     """Any burst is held for a moment, and a port that was stuck has drained again."""
     if held:
         scene.wire.hold()
-    aftermath.answered(answered(scene, stop, KEY.t_ns + 80_000), ending=False)
+    monitor.answered(answered(scene, stop, KEY.t_ns + 80_000), ending=False)
     [(_, text, _, level)] = told(scene)
     assert (text, level) == (
         f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {NEXT}",
@@ -189,9 +189,9 @@ def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent
     )
 
 
-def test_a_stop_that_was_not_handed_over_is_held_by_nobody(scene: Scene, aftermath: Any) -> None:
+def test_a_stop_that_was_not_handed_over_is_held_by_nobody(scene: Scene, monitor: Any) -> None:
     scene.wire.hold()
-    aftermath.answered(answered(scene, STUCK, 0), ending=True)
+    monitor.answered(answered(scene, STUCK, 0), ending=True)
     [(_, text, _, level)] = told(scene)
     assert (text, level) == (f"{STUCK.cause}; stop frame NOT written", "critical")
 

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.procs.loop import NEVER
-from failstop.shm import layout
-from failstop.supervisor.children import STARTING_NS
+from failstop.supervisor.children import GIVEN_UP, STARTING_NS
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.process_table import GATE_AGAIN_NS
 from tests.support.stage import MS
@@ -71,6 +71,20 @@ def test_a_process_that_is_silent_is_killed_before_it_is_stopped_for(whole: Scen
     assert whole.cause()[1] == f"{name} hangs: {deadline_ns // MS} ms silent"
     fence = whole.supervisor.processes[name].fence
     assert fence.fields()["silent_ms"] == deadline_ns // MS
+
+
+def test_an_event_that_cannot_happen_is_told_and_stopped_for_once(whole: Scene) -> None:
+    whole.said()
+    whole.supervisor.processes[layout.GATE].on(GIVEN_UP)
+    whole.turn(MS)
+    told = "gate: given up while running, which cannot happen"
+    assert (whole.cause(), whole.state(layout.GATE)) == ((2, told), "running")
+    whole.answers(written_ns=whole.now_ns)
+    whole.turn(MS)
+    [(kind, _, text, fields)] = whole.said()
+    assert (kind, fields["cause"]) == ("stop", "defect")
+    assert text.startswith(f"STOP latched: {told}; stop frame written by the port owner")
+    assert whole.supervisor.epoch == 2
 
 
 def fence(scene: Scene, *names: str) -> None:

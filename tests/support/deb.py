@@ -11,7 +11,6 @@ HERE = ROOT / "packaging" / "deb"
 
 sys.path.insert(0, str(HERE))
 try:
-    modules = ("build", "commands", "completion", "man", "tree")
-    build, commands, completion, man, tree = map(importlib.import_module, modules)
+    build, tree = map(importlib.import_module, ("build", "tree"))
 finally:
     sys.path.remove(str(HERE))

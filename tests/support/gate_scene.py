@@ -12,14 +12,15 @@ import msgpack
 
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
+from failstop.files import instance
 from failstop.lab.sim.servos import Servos
+from failstop.messages import layout, records
+from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.reply import unpack
 from failstop.procs.loop import NEVER
 from failstop.procs.port_owner.admission import ServoBus
-from failstop.shm import instance, layout, records
-from failstop.shm.packing import Note
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
 from tests.support.arm_settings import SERVOS
@@ -293,7 +294,7 @@ class Scene(Stage):
 
     def assert_lid(self) -> None:
         """The interlock `lid`, which a test's settings may have, holds now."""
-        self.clients[1].write("interlocks", records.HELD.pack(OTHER, ["lid"]))
+        self.clients[1].write("interlocks", records.ASSERTED.pack(OTHER, ["lid"]))
 
     def goal(self, mode: int, values: dict[int, float], client: int = 0) -> None:
         """A goal of a stream."""
@@ -330,14 +331,14 @@ class Scene(Stage):
     def _burst(self) -> None:
         self.wheels_move = False
         for servo in SERVOS:
-            self.servos.execute(bytes((servos.STOP, 1, servo)), self.clock())
+            self.servos.execute(bytes((servos.SERVO_STOP, 1, servo)), self.clock())
 
     def _carry_out(self) -> list[int]:
         now_ns, kinds = self.clock(), []
         while entry := self._made.next():
             _, kind, body = records.FRAME.unpack(entry[2])
             kinds.append(kind)
-            if kind == records.STOP:
+            if kind == records.WRITE_BURST:
                 self._burst()
             elif kind == records.MOTION:
                 self.wheels_move = True
@@ -357,7 +358,7 @@ class Scene(Stage):
     def _execute(self, data: bytes) -> None:
         now_ns = self.clock()
         done_ns = now_ns + self.servos.holds_ns(data)
-        if data[0] == servos.MOVE:
+        if data[0] == servos.SERVO_MOVE:
             self.moves.append((now_ns, data))
         if answer := self.servos.execute(data, done_ns):
             found = decoder.servo_reply(BUS_SERVO, answer[4:-1])

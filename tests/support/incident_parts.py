@@ -11,14 +11,14 @@ from failstop.board.interface import BOARD
 from failstop.cli import style
 from failstop.incidents import files
 from failstop.incidents.incident import Incident
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.main import GateBox
+from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
-from failstop.shm import box, layout, records
 
 CAUSE_NS = 5_000_000_000_000
 UNIX_NS = 1_790_000_000_000_000_000
@@ -79,25 +79,27 @@ class Recorder:
         self.gate.tick(at(ms), self.core, 7)
 
     def frame(self, ms: float, data: bytes, taken: int | None = None) -> None:
-        payload = box.pack_wire(box.FRAME, data, len(data) if taken is None else taken)
+        payload = box.pack_wire(box.WIRE_FRAME, data, len(data) if taken is None else taken)
         self.ring(layout.PORT_OWNER, "box").put(payload, at(ms))
 
     def burst(self, ms: float) -> None:
         size = len(BOARD.burst)
-        self.ring(layout.PORT_OWNER, "box").put(box.pack_wire(box.BURST, BOARD.burst, size), at(ms))
+        self.ring(layout.PORT_OWNER, "box").put(box.pack_wire(box.WIRE_BURST, BOARD.burst, size), at(ms))
 
     def imu(self, ms: float, spread: float) -> None:
         """One sample whose gyro is up or down by `spread` rad/s in turn."""
         ring = self.ring(layout.TELEMETRY, "box")
         rate = spread if len(ring.entries) % 2 else -spread
-        ring.put(box.pack_board(box.IMU, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
+        ring.put(box.pack_board(box.IMU_KIND, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
 
     def beats(self, ms: float, **ages_ms: float) -> None:
         ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESSES]
         self.ring(layout.SUPERVISOR, "box").put(box.pack_beats(ages, [1000] * len(ages)), at(ms))
 
-    def event(self, ms: float, kind: str, text: str, level: str = "notice", **fields: Any) -> None:
+    def event(self, ms: float, kind: str, text: str, level: str = "notice", *, step: str = "", **fields: Any) -> None:
         event = {"t": 0.0, "ns": at(ms), "kind": kind, "level": level, "text": text, "fields": fields}
+        if step:
+            event |= {"text": f"{text}; next: {step}", "what": len(text)}
         self.ring(layout.SUPERVISOR, "events").put(msgpack.packb(event), at(ms))
 
     def cause(self, ms: float, cause: Cause) -> None:
@@ -161,6 +163,12 @@ def drive_and_die() -> Recorder:
     for ms in range(-3000, 2200, 100):
         made.beats(ms, gate=190.0 if ms == 200 else 90.0 if ms == 100 else 5.0)
     made.cause(0, GATE_DIED)
-    made.event(0.5, "stop", "STOP latched: gate died; stop frame written by the port owner after 212 us", "warning")
+    made.event(
+        0.5,
+        "stop",
+        "STOP latched: gate died; stop frame written by the port owner after 212 us",
+        "warning",
+        cause="died",
+    )
     made.event(1.0, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
     return made

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from failstop.board import codec
 from failstop.board.interface import BOARD
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.procs.port_owner import main
-from failstop.shm import box, layout, records
 from tests.support.stage import MOST_LATE, MS, Stage
 
 MAX_RPS = 2.0

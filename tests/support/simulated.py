@@ -8,34 +8,21 @@ constants and pure functions.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
 from failstop.lab.sim.servos import Leg
 from failstop.lab.stopped import Stopped, judge
-from failstop.shm import layout
+from failstop.messages import layout
 
 FORWARD = (0.2, 0.0, 0.0)
 LOOK_S = 0.001
 PATIENCE_S = 10.0
 AFTERMATH_S = 0.25
-
-
-_before = sys.unraisablehook
-
-
-def _collected(found: sys.UnraisableHookArgs) -> None:
-    """What is collected of a machine that is over can make no call any more, and that is nobody's error."""
-    if not isinstance(found.exc_value, Death):
-        _before(found)
-
-
-sys.unraisablehook = _collected
 
 
 class Board:
@@ -130,8 +117,6 @@ class Simulated:
         """`deaf`: the board hears nothing, from the start."""
         self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}))
         self.failed: list[BaseException] = []
-        self._kept: list[object] = []
-        """What dead programs leave behind: collected while another one runs, it would close that one's descriptors."""
         self.lab.machine.told = self._told
         self.me = self.lab.join("test")
         self.pid = self.me.pid
@@ -143,7 +128,6 @@ class Simulated:
         self.start()
 
     def _told(self, _kind: str, _process: Process, what: object) -> None:
-        self._kept.append(what)
         if isinstance(what, BaseException) and not isinstance(what, Mistake):
             self.failed.append(what)
 

@@ -12,7 +12,8 @@ from failstop.lab.machine.files import IN, OUT, Open, Pidfd
 from failstop.lab.machine.kernel import Machine, Thread
 from failstop.lab.machine.loading import File, Loader, Patches
 from failstop.lab.machine.port import Port
-from failstop.shm import heartbeat, layout, records
+from failstop.messages import layout, records
+from failstop.shm import heartbeat
 
 MS = 1_000_000
 MOST_LATE = 3
@@ -217,7 +218,7 @@ class Stage(PortMachine):
         for path in ("/dev/shm", "/proc", "/tmp", RUNTIME_DIR):
             self.machine.root.folder(path)
         self.runtime_dir = RUNTIME_DIR
-        self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.shm.segment")
+        self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.messages.segments")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
         self.settings = self.load("failstop.policy.settings").Settings(

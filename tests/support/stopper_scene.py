@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.messages import layout
 from failstop.procs.stopper import main
-from failstop.shm import layout
 from tests.support.stage import MOST_LATE, MS, Stage
 
 
@@ -31,7 +31,7 @@ class Scene(Stage):
 
     def next_ns(self) -> int:
         """When it turns without any news."""
-        return min(self.clock() + main.TICK_NS, self.stopper.loop.due_ns())
+        return min(self.clock() + main.LONGEST_SLEEP_NS, self.stopper.loop.due_ns())
 
     def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
         """What it writes in the coming milliseconds, asked each millisecond."""

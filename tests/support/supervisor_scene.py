@@ -13,11 +13,11 @@ from failstop.lab.machine.files import Null, Open
 from failstop.lab.machine.kernel import LATE_NS, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
+from failstop.messages import layout, records
+from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.reply import unpack
-from failstop.shm import layout, records
 from failstop.shm.heartbeat import RUNNING
-from failstop.shm.packing import pack
 from failstop.supervisor import main
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
@@ -56,11 +56,11 @@ class Scene(PortMachine):
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.run = self.new_run(journal)
-        self.port = self.load("failstop.supervisor.port").OwnPort(self.open(self.wire))
+        self.port = self.load("failstop.supervisor.port_handover").OwnPort(self.open(self.wire))
         notify = self.load("failstop.supervisor.status").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()
-        attach = self.load("failstop.shm.segment").attach
+        attach = self.load("failstop.messages.segments").attach
         self.view = attach(self.run.memory, layout.SUPERVISOR)
         self.word = self.view.word
         self._told, self._box = self.view.ring_reader("events"), self.view.ring_reader("box")

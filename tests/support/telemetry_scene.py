@@ -8,8 +8,8 @@ from typing import Any
 import msgpack
 
 from failstop.board import framing
-from failstop.shm import layout, records
-from failstop.shm.packing import Note
+from failstop.messages import layout, records
+from failstop.messages.packing import Note
 from tests.support.stage import MS, Stage
 
 S = 1_000 * MS
@@ -51,7 +51,7 @@ class Scene(Stage):
 
     def imu(self, *raw: float, elapsed_ns: int = 9 * MS) -> None:
         """One sample: g on x, y, z and deg/s on x, y, z."""
-        self.turn((framing.IMU, struct.pack("<6f", *raw)), elapsed_ns=elapsed_ns)
+        self.turn((framing.IMU_FUNC, struct.pack("<6f", *raw)), elapsed_ns=elapsed_ns)
 
     def stand(self, seconds: float, z_dps: float = 0.25) -> None:
         """Samples of a robot at rest."""
@@ -65,7 +65,7 @@ class Scene(Stage):
 
     def key(self, key: int, event: int) -> None:
         """An event of a key of the board."""
-        self.turn((framing.KEY, bytes((key, event))))
+        self.turn((framing.KEY_FUNC, bytes((key, event))))
 
     def battery(self, *millivolts: int) -> None:
         """Readings of the battery's voltage."""

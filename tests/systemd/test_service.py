@@ -19,7 +19,7 @@ from bench import installed
 from bench.service_scene import CONFIG, DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Stopped, wait_for
-from failstop.shm import layout
+from failstop.messages import layout
 from tests.systemd.units import SYSTEMD
 
 CHILDREN = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]

@@ -15,10 +15,10 @@ import pytest
 from failstop.api import ask
 from failstop.cli.commands import stop
 from failstop.discovery import BOARD_PID, BOARD_VID
+from failstop.files.root import SYSTEM_BASE
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS
-from failstop.procs.telemetry.state_files import SYSTEM_BASE
 from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 

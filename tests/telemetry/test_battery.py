@@ -6,19 +6,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery import (
     HEADER,
     LOW_READINGS,
     MOST_READINGS,
-    PLUGGED,
-    UNKNOWN,
+    PLUGGED_IN,
+    UNDECIDED,
     UNPLUGGED,
     BatteryLog,
     Charger,
     LowBattery,
 )
-from failstop.shm import records
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -27,7 +27,7 @@ NOON = 1_773_662_400.0
 """2026-03-16 12:00:00 UTC."""
 
 
-def charger(state: int = UNKNOWN, **changed: object) -> Charger:
+def charger(state: int = UNDECIDED, **changed: object) -> Charger:
     """Disabled since long, with these settings."""
     made = Charger(Settings(changed), state)
     made.follow(False, -100 * S)
@@ -41,7 +41,7 @@ def readings(tested: Charger, *values: int, start_ns: int = 0, every_ns: int = S
     return start_ns + len(values) * every_ns
 
 
-def settled(state: int = UNKNOWN, **changed: object) -> Charger:
+def settled(state: int = UNDECIDED, **changed: object) -> Charger:
     """A charger's judge that has had 11.8 V for 8 s, with these settings; the next reading is due at 8 s."""
     made = charger(state, **changed)
     readings(made, *[11_800] * 8)
@@ -59,22 +59,22 @@ def averaged(tested: Charger, step_mv: int, *, seconds: int = 20) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    ("step_mv", "state"), [(190, PLUGGED), (-190, UNPLUGGED), (189, UNKNOWN), (-189, UNKNOWN), (0, UNKNOWN)]
+    ("step_mv", "state"), [(190, PLUGGED_IN), (-190, UNPLUGGED), (189, UNDECIDED), (-189, UNDECIDED), (0, UNDECIDED)]
 )
 def test_a_step_of_190_mv_is_the_charger_and_less_is_none(step_mv: int, state: int) -> None:
     """Motor load makes +-170 mV."""
     tested = settled()
-    assert tested.state == UNKNOWN
-    assert tested.take(11_800 + step_mv, 8 * S) is (state != UNKNOWN)
+    assert tested.state == UNDECIDED
+    assert tested.take(11_800 + step_mv, 8 * S) is (state != UNDECIDED)
     assert tested.state == state
 
 
-@pytest.mark.parametrize(("step_mv", "state"), [(249, PLUGGED), (-226, UNPLUGGED)])
+@pytest.mark.parametrize(("step_mv", "state"), [(249, PLUGGED_IN), (-226, UNPLUGGED)])
 def test_what_was_measured_is_seen_once_through_the_boards_averaging(step_mv: int, state: int) -> None:
     states = averaged(charger(), step_mv)
-    assert states[:9] == [UNKNOWN] * 9
+    assert states[:9] == [UNDECIDED] * 9
     assert states[-1] == state
-    assert set(states) == {UNKNOWN, state}
+    assert set(states) == {UNDECIDED, state}
 
 
 def test_the_base_is_the_median_and_not_the_mean() -> None:
@@ -113,7 +113,7 @@ def test_a_step_while_enabled_is_none() -> None:
     tested = settled()
     tested.follow(True, 8 * S)
     assert not tested.take(12_100, 8 * S)
-    assert tested.state == UNKNOWN
+    assert tested.state == UNDECIDED
 
 
 def test_only_more_than_3_s_after_disabling() -> None:
@@ -126,8 +126,8 @@ def test_only_more_than_3_s_after_disabling() -> None:
 
 
 def test_the_last_state_is_kept() -> None:
-    tested = settled(PLUGGED)
-    assert tested.state == PLUGGED
+    tested = settled(PLUGGED_IN)
+    assert tested.state == PLUGGED_IN
     assert not tested.take(12_100, 8 * S), "it is plugged already"
     assert tested.take(11_500, 9 * S)
     assert tested.state == UNPLUGGED
@@ -145,7 +145,11 @@ def test_the_setting_is_the_step() -> None:
 
 
 def test_the_states_have_names() -> None:
-    assert [records.PLUGGED[state] for state in (UNKNOWN, PLUGGED, UNPLUGGED)] == ["unknown", "plugged", "unplugged"]
+    assert [records.PLUGGED[state] for state in (UNDECIDED, PLUGGED_IN, UNPLUGGED)] == [
+        "unknown",
+        "plugged",
+        "unplugged",
+    ]
 
 
 @given(st.lists(st.tuples(st.integers(11_600, 11_789), st.integers(0, 3_000)), max_size=80), st.sampled_from([0, 1, 2]))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import imu
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
@@ -59,7 +60,7 @@ def test_the_settings_are_used_axis_by_axis() -> None:
 
 
 def test_the_variance_to_publish_is_0_0012_squared() -> None:
-    assert pytest.approx(0.0012**2) == imu.RATE_VARIANCE
+    assert pytest.approx(0.0012**2) == records.RATE_VARIANCE
 
 
 def test_the_defaults_are_3_s_of_at_most_0_3_deg_per_s_then_1_s_0_5_deg_per_s_20_s() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from failstop.board.framing import BUZZER
 from failstop.lab.machine.robot import Robot
+from failstop.messages.layout import TELEMETRY
 from failstop.procs.telemetry import pad
-from failstop.shm.layout import TELEMETRY
 from tests.support.simulated import Simulated
 
 MODE = 0x2000
@@ -31,9 +31,9 @@ def test_bias_charger_log_and_tones_on_a_running_service() -> None:
         return math.degrees(robot.state.gyro_bias.bias_radps[2])
 
     service.board.pad(MODE)
-    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.MODES[1][4:-1])
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.MODE_SOUNDS[1][4:-1])
     service.board.pad(0x0100)
-    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.LATCH[4:-1])
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.LATCH_SOUND[4:-1])
     wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in service.said)
 
     service.wait(2.5)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.messages import records
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry import odometry
 from failstop.procs.telemetry.odometry import Odometry, wrapped
 
 MS = 1_000_000
@@ -124,7 +124,7 @@ def test_the_twist_s_std_is_0_05_m_per_s_and_0_2_rad_per_s_and_the_settings() ->
 
 
 def test_the_pose_s_variance_is_1e3_on_x_y_and_yaw() -> None:
-    assert odometry.POSE_VARIANCE == 1e3
+    assert records.POSE_VARIANCE == 1e3
 
 
 @given(st.lists(st.tuples(st.integers(0, 300), VELOCITY), max_size=40))

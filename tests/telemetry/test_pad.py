@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.decoder import BUTTONS
+from failstop.messages import records
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.pad import DRIVE, JOINT, LOCKED, Pad, PadNews
-from failstop.shm import records
+from failstop.procs.telemetry.pad import DRIVING, JOINT, LOCKED, Pad, PadNews
 
 MS = 1_000_000
 FRAME_MS = 50
@@ -57,7 +57,7 @@ def held() -> Held:
 @pytest.fixture
 def driving(held: Held) -> Held:
     held.tap()
-    assert held.pad.mode == DRIVE
+    assert held.pad.mode == DRIVING
     return held
 
 
@@ -131,7 +131,7 @@ def test_mode_has_a_lockout_of_0_6_s(held: Held) -> None:
     held.frame(MODE)
     held.frames(10)
     held.frame(MODE)
-    assert held.pad.mode == DRIVE, "0.55 s"
+    assert held.pad.mode == DRIVING, "0.55 s"
     held.frames(3)
     held.frame(MODE)
     assert held.pad.mode == LOCKED, "0.75 s; the press that was locked out did not prolong it"
@@ -146,14 +146,14 @@ def test_exactly_0_6_s_is_enough(held: Held) -> None:
 
 def test_mode_held_changes_the_mode_once(held: Held) -> None:
     held.frames(100, MODE)
-    assert held.pad.mode == DRIVE
+    assert held.pad.mode == DRIVING
 
 
 def test_modes_bit_is_a_setting() -> None:
     held = Held(**{"pad.mode_button": 0x0008})
     held.frame()
     assert held.tap(0x0008).cause is None
-    assert held.pad.mode == DRIVE
+    assert held.pad.mode == DRIVING
     assert str(held.frame(MODE).cause) == "gamepad button 0x2000"
 
 
@@ -394,4 +394,4 @@ def test_mode_leads_from_the_joints_back_to_locked(armed: Held) -> None:
     armed.tap()
     assert armed.pad.mode == LOCKED
     assert armed.tap().arm is None
-    assert armed.pad.mode == DRIVE
+    assert armed.pad.mode == DRIVING

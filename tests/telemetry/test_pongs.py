@@ -10,7 +10,7 @@ from failstop.board.interface import BOARD
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
-from failstop.shm import layout, records
+from failstop.messages import layout, records
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
@@ -120,7 +120,7 @@ def test_an_answer_in_pieces_arrives_with_its_last_piece(scene: Scene) -> None:
 
 def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
     scene.turn((framing.PWM_SERVO, b"\x01\x09\x05"), (framing.PWM_SERVO, b"\x05\x05\xdc\x05"))
-    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU, bytes(24)))
+    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU_FUNC, bytes(24)))
     assert told(scene) == (0, 0)
     assert not scene.rung("supervisor_bell")
 

@@ -9,10 +9,10 @@ import pytest
 
 from failstop.board import framing
 from failstop.board.decoder import KEY_EVENTS
+from failstop.messages import records
 from failstop.policy import causes
 from failstop.procs.telemetry import pad
 from failstop.procs.telemetry.battery import LOW_READINGS
-from failstop.shm import records
 from tests.support.stage import MS
 from tests.support.telemetry_scene import FOLDER, Scene
 
@@ -192,7 +192,7 @@ def test_tones_are_requests_for_frames_that_are_not_motion() -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
     scene.turn(elapsed_ns=20 * MS)
     requests = scene.requests()
-    assert requests == [(records.PAD_FRAME, pad.MODES[1]), (records.PAD_FRAME, pad.LATCH)]
+    assert requests == [(records.PAD_FRAME, pad.MODE_SOUNDS[1]), (records.PAD_FRAME, pad.LATCH_SOUND)]
     assert all(frame[2] == framing.BUZZER for _, frame in requests)
     assert scene.rung("gate_bell")
 
@@ -271,7 +271,9 @@ def test_what_people_are_told_is_at_most_280_bytes() -> None:
 
 
 def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:
-    scene.turn((framing.IMU, b"short"), (framing.SYS, b"\x04"), (framing.GAMEPAD, b"1"), (framing.KEY, b"\x01\x03"))
+    scene.turn(
+        (framing.IMU_FUNC, b"short"), (framing.SYS, b"\x04"), (framing.GAMEPAD, b"1"), (framing.KEY_FUNC, b"\x01\x03")
+    )
     scene.turn((framing.SBUS, bytes(36)))
     assert [scene.latest(name) for name in ("imu", "battery", "pad")] == [()] * 3
     assert scene.told("causes") == []

@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
-from failstop.procs.telemetry.state_files import MOST_WAITING, StateFiles, append_line, state_directory, write_whole
-from failstop.shm import layout, root
+from failstop.files import root
+from failstop.files.root import state_directory
+from failstop.messages import layout
+from failstop.procs.telemetry.state_files import MOST_JOBS, StateFiles, append_line, write_whole
 from tests.support.stage import Stage
 from tests.support.telemetry_scene import FOLDER, S
 
@@ -184,14 +186,14 @@ def test_a_missing_directory_is_a_note_once_and_its_return_another(stage: Stage,
     for _ in range(3):
         files.append("battery log", "log.csv", HEADER, "1,2\n")
     stage.clock.now_ns += 1
-    (note,) = files.notes()
+    ((note, step),) = files.notes()
     assert note.startswith("battery log can't be written: ")
-    assert note.endswith(f"look at the disk and at {FOLDER}")
+    assert step == f"look at the disk and at {FOLDER}"
     stage.os.unlink(FOLDER)
     for _ in range(2):
         files.append("battery log", "log.csv", HEADER, "3,4\n")
     stage.clock.now_ns += 1
-    assert files.notes() == ["battery log is written again"]
+    assert files.notes() == [("battery log is written again", "")]
 
 
 def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp_path: Path) -> None:
@@ -200,7 +202,7 @@ def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp
     assert files.notes() == []
     (tmp_path / "charger").mkdir()
     assert files.read("charger state", "charger") == ""
-    assert files.notes()[0].startswith("charger state can't be read: ")
+    assert files.notes()[0][0].startswith("charger state can't be read: ")
 
 
 @pytest.mark.timeout(20)
@@ -208,7 +210,7 @@ def test_a_pipe_in_a_file_s_place_is_not_waited_for(tmp_path: Path) -> None:
     files = StateFiles(str(tmp_path))
     os.mkfifo(tmp_path / "charger")
     assert files.read("charger state", "charger") == ""
-    assert "a FIFO, not a regular file" in files.notes()[0]
+    assert "a FIFO, not a regular file" in files.notes()[0][0]
 
 
 def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
@@ -228,7 +230,7 @@ def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
     assert stage.clock() == began_ns
     stage.machine.at_seam = None
     stage.clock.now_ns += S
-    assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_WAITING
+    assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_JOBS
 
 
 def test_closing_writes_what_waits_and_ends_the_thread(stage: Stage, files: Any) -> None:

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.lab.sim.imu import Imu
+from failstop.messages import layout
+from failstop.policy.proofs import WINDOW_NS
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
-from failstop.shm import layout
+from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, StillJudge
 from tests.support.simulated import Simulated
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene

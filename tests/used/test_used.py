@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.shm import root
+from failstop.files import root
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--mount-proc")

@@ -13,7 +13,7 @@ import pytest
 
 from bench.web.parts import Web
 from failstop.api.errors import FailstopError
-from failstop.shm import durable
+from failstop.files import durable
 from failstop.web.devices import Device, Devices
 from failstop.web.kept import DEVICES, Kept
 

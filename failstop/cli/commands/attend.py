@@ -121,7 +121,7 @@ def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
     try:
         state = robot.state
     except FailstopError as error:
-        return head + style.wrap([("NO SERVICE  ", FAIL), (str(error), STRONG)], columns, 0)
+        return head + style.wrap([(f"{verdict.NO_SERVICE}  ", FAIL), (str(error), STRONG)], columns, 0)
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
         rows += [[], [('nobody needs to attend this robot: attend.required is "off"', WARN)]]

@@ -12,8 +12,8 @@ from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
 from failstop.doctor import table
 from failstop.doctor.look import FAIL, OK, SKIP, WARN, Finding, Look
-from failstop.machine import facts as machine_facts
-from failstop.shm.instance import check_name
+from failstop.doctor.machine import facts
+from failstop.files.instance import check_name
 
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s
@@ -52,7 +52,7 @@ def main(arguments: Namespace) -> int:
     worst = found[0][1].level
     if arguments.json:
         records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
-        print(json.dumps({"worst": worst, **machine_facts(), "findings": records}, indent=2))
+        print(json.dumps({"worst": worst, **facts(), "findings": records}, indent=2))
     else:
         style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
     return 1 if worst == FAIL else 0

@@ -13,8 +13,9 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import follow, summary
-from failstop.supervisor.fold import PREFIX, fitted
+from failstop.cli.screen import summary
+from failstop.incidents.left import left, refusal
+from failstop.supervisor.events import PREFIX, fitted
 from failstop.supervisor.kinds import KINDS
 
 EXAMPLES = """\
@@ -59,8 +60,8 @@ def main(arguments: Namespace) -> int:
         show(log.read())
     except NoService as error:
         # The last words of a service that has died and was not started again.
-        show(left[1] if (left := follow.left(name)) else [])
-        raise follow.refusal(name, error) from None
+        show(dead[1] if (dead := left(name)) else [])
+        raise refusal(name, error) from None
     while arguments.follow:
         try:
             for event in log.follow():

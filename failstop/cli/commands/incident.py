@@ -13,10 +13,11 @@ from failstop.api.snapshot import Stop
 from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.cli.commands import add_name, seconds
-from failstop.cli.screen.follow import left
+from failstop.cli.screen import incident as screen
 from failstop.cli.style import show, width
-from failstop.incidents import files, report
+from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
+from failstop.incidents.left import left
 
 EXAMPLES = """\
 failstop incident list
@@ -79,7 +80,7 @@ def _list(arguments: Namespace) -> int:
     if arguments.json:
         print(json.dumps(found, indent=2))
     elif found:
-        show(report.table(found, width()))
+        show(screen.table(found, width()))
     elif not problems:
         print(f"no incidents of {arguments.name!r}: nothing was latched yet")
     for problem in problems:
@@ -89,9 +90,9 @@ def _list(arguments: Namespace) -> int:
 
 def _show(arguments: Namespace, incident: Incident) -> int:
     if arguments.json:
-        print(json.dumps(report.as_dict(incident), indent=2))
+        print(json.dumps(story.as_dict(incident), indent=2))
     else:
-        show(report.text(incident, width(), time.time(), whole=arguments.all))
+        show(screen.text(incident, width(), time.time(), whole=arguments.all))
     return 0
 
 

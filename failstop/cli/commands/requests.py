@@ -13,7 +13,7 @@ from failstop.api.words import velocity
 from failstop.cli import standard
 from failstop.cli.commands import add_name, seconds
 from failstop.cli.screen.progress import Progress
-from failstop.shm.records import CAUSE
+from failstop.messages.records import CAUSE
 
 EXAMPLES = {
     "enable": """\

@@ -10,12 +10,12 @@ from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
+from failstop.files import instance
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY
 from failstop.procs import rights
-from failstop.shm import instance
-from failstop.supervisor import grant, starter
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor import starter
+from failstop.supervisor.port_handover import OwnPort
 
 DEVICE = "device.path"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
@@ -71,18 +71,19 @@ def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
+    from failstop.supervisor import status  # its imports would hold up the first stop
+
     rights.take_descriptors()
     rights.take_stack()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
-    settings = grant.leased(config.checked({**read, **given}, arguments.config), read)
+    settings = status.leased(config.checked({**read, **given}, arguments.config), read)
     instance.check_name(arguments.name)
     if port is None:
         return
-    runtime_dir = instances.make_runtime_dir(arguments.name)
-    instances.refuse_listening(arguments.name, runtime_dir)
-    again = _again(arguments)
-    starter.become_supervisor(arguments.name, runtime_dir, settings, instances.lock(runtime_dir), port.fd, again)
+    folder = instances.make_runtime_dir(arguments.name)
+    instances.refuse_listening(arguments.name, folder)
+    starter.become_supervisor(arguments.name, folder, settings, instances.lock(folder), port.fd, _again(arguments))
 
 
 def _again(arguments: Namespace) -> str:

@@ -8,19 +8,19 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from math import hypot
 
-from failstop.api import host, words
+from failstop.api import host, verdict, words
 from failstop.api.errors import NoService
 from failstop.api.events import Event, EventLog
+from failstop.api.follow import Follower, Vibration
 from failstop.api.state import State, StateReader
 from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import follow, summary
-from failstop.cli.screen.follow import Vibration
+from failstop.cli.screen import summary
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
+from failstop.incidents.left import left, refusal
 from failstop.policy.settings import BY_KEY
 
 EXAMPLES = {
@@ -73,7 +73,7 @@ def _status(name: str, *, as_json: bool) -> int:
     try:
         state = StateReader(name).read()
     except NoService as error:
-        raise follow.refusal(name, error) from None
+        raise refusal(name, error) from None
     if as_json:
         print(json.dumps(state.as_dict(), indent=2))
     else:
@@ -86,9 +86,9 @@ def _why(name: str, *, as_json: bool) -> int:
     try:
         found = explain(StateReader(name).read(), EventLog(name).read(), time.time())
     except NoService as error:
-        if not (left := follow.left(name)):
-            raise follow.refusal(name, error) from None
-        found, code = left[0], error.exit_code
+        if not (dead := left(name)):
+            raise refusal(name, error) from None
+        found, code = dead[0], error.exit_code
     if as_json:
         print(json.dumps(dataclasses.asdict(found), indent=2))
     else:
@@ -101,7 +101,7 @@ def _watch(name: str) -> int:
     """Until q; the exit code is 0 then, else 128 and the signal's number."""
     from failstop.cli.screen.terminal import Terminal
 
-    follower, live = follow.Follower(name), Live(name)
+    follower, live = Follower(name), Live(name)
     with Terminal() as terminal:
         for typed, now_s in terminal.turns(PERIOD_S):
             if b"q" in typed.lower():
@@ -178,7 +178,7 @@ class Live:
         rows: list[Line] = [
             self._title("", columns),
             [],
-            [("NO SERVICE  ", FAIL), (note, STRONG)],
+            [(f"{verdict.NO_SERVICE}  ", FAIL), (note, STRONG)],
             [("waiting for it to come back", PLAIN)],
             [],
             [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
@@ -191,5 +191,5 @@ class Live:
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
     """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
     count = max(0, min(room - 2, len(events)))
-    shown = [replace(it, text=it.text.partition("; next: ")[0]) for it in events[len(events) - count :]]
+    shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

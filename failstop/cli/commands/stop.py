@@ -16,9 +16,9 @@ from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
+from failstop.files import instance
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
-from failstop.shm import instance
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Decoder, Ho
 from failstop.cli.screen.summary import row
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
-from failstop.shm import blocks
-from failstop.shm.layout import GATE
+from failstop.messages import blocks
+from failstop.messages.layout import GATE
+from failstop.policy.joints import PULSES_PER_RAD
+from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves
@@ -56,7 +56,7 @@ HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repea
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop teleop`."""
-    parser.add_argument("--source", default=DEFAULT_SOURCE, help=f"command as this source (default: {DEFAULT_SOURCE})")
+    parser.add_argument("--source", default=FIRST_SOURCE, help=f"command as this source (default: {FIRST_SOURCE})")
     add_name(parser)
 
 

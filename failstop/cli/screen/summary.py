@@ -7,20 +7,15 @@ from collections.abc import Sequence
 
 from failstop.api import steps, verdict, words
 from failstop.api.events import Event
-from failstop.api.snapshot import ArmState, State
-from failstop.api.why import explain, proofs
+from failstop.api.snapshot import ArmState, Block, State
+from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
-from failstop.shm import blocks
-from failstop.supervisor.grant import cost
 from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.status import cost
 
 LABEL = 10
 """Columns of the names on the left."""
-BATTERY_LOW_V = 10.5
-"""Three lithium cells at 3.5 V: little is left."""
-LATE_BEAT_S = 0.3
-"""A beat older than this is worth a look; the slowest process beats every 100 ms."""
 LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
@@ -44,8 +39,9 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows += [device(state), battery(state), _sensors(state)]
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
-    said = ((who, sees) for who, sees, _ in words.said(state) if f"{who} says: {sees}" not in also)
-    rows += [row("says", f"{who}: {sees}") for who, sees in said]
+    rows += [
+        row("says", f"{who}: {sees}") for who, sees, wrong in words.said(state) if wrong or state.block not in WAITS
+    ]
     below = wrapped([*([(text, WARN)] for text in also), *_remarks(state, events)], columns, 0)
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
@@ -90,7 +86,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
         rows.append(row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
     if not rows:
         rows.append(row("driver", "nobody commands"))
-        if left_off and state.blocked == blocks.NO_COMMAND:
+        if left_off and state.block is Block.NO_COMMAND:
             rows[0] += [("; ", PLAIN), (left_off.text, WARN), (f" ({words.ago(left_off.t, now_s)})", DIM)]
     return rows
 
@@ -120,7 +116,7 @@ def battery(state: State) -> Line:
     """Its voltage, and whether it is charged."""
     if not state.battery_v:
         return row("battery", "not known yet")
-    found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < BATTERY_LOW_V else PLAIN)
+    found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
     return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
 
 
@@ -128,7 +124,7 @@ def _sensors(state: State) -> Line:
     age_s = state.scan_age_s
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
-    return row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)
+    return row("sensor", scan + pad, WARN if state.block is Block.NO_SCAN else PLAIN)
 
 
 def processes(state: State) -> list[Line]:
@@ -137,7 +133,7 @@ def processes(state: State) -> list[Line]:
     rows: list[Line] = [[(head, DIM) for head in heads]]
     for name, process in state.processes.items():
         beat = f" {process.age_s * 1e3:.0f} ms" if process.pid and process.age_s < 10 else " -"
-        late = process.state == "running" and process.age_s > LATE_BEAT_S
+        late = process.state == "running" and process.age_s > verdict.LATE_BEAT_S
         row: Line = [(name, PLAIN), (f" {process.pid or '-'}", PLAIN)]
         row += [(process.state, PROCESSES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
         row.append((f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN))

@@ -10,8 +10,8 @@ from argparse import ArgumentParser, Namespace
 from failstop.cli import style
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.lab.trial import Stopped, Trial
+from failstop.messages import layout
 from failstop.ros2.command import find_rclpy
-from failstop.shm import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
+from failstop.files.root import state_directory
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
@@ -20,7 +21,6 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_VELOCITY, Path, Velocity
 from failstop.lab.sim.client import SimBoard
-from failstop.procs.telemetry.state_files import state_directory
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute

@@ -13,15 +13,15 @@ import time
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.framing import BUS_SERVO
-from failstop.board.servos import MOVE, STOP
+from failstop.board.servos import SERVO_MOVE, SERVO_STOP
 from failstop.lab.faults import arm_table as table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import fits
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.servos import Leg
 from failstop.lab.trial import Trial, wait_for, write_settings
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause
-from failstop.shm.layout import SUPERVISOR
 
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793), "elbow": (3, 46, 51), "wrist": (4, 131, 160)}
 JOINTS |= {"roll": (5, 498, 499), "gripper": (10, 629, 499)}
@@ -228,8 +228,8 @@ def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg],
     """The word of the board's servos; it asks the code under test nothing but what it latched."""
     # Of zero frames there are five a second while the wheels stand: the arm's stop follows a burst alone.
     arms = [event for event in events if event.func == BUS_SERVO and event.arrival_ns >= fault_ns]
-    stop = next((event for event in arms if event.data[0] == STOP), None)
-    moves = [event for event in arms if event.data[0] == MOVE]
+    stop = next((event for event in arms if event.data[0] == SERVO_STOP), None)
+    moves = [event for event in arms if event.data[0] == SERVO_MOVE]
     after = sum(stop is not None and event.executed_ns > stop.executed_ns for event in moves)
     wrong = []
     if stop is None and fault.what != table.UNPLUG:

@@ -9,8 +9,8 @@ import dataclasses
 from failstop.board.servos import LONGEST_MOVE_MS
 from failstop.lab.faults.fault import ENABLE, LATE_MS, NEW_RUN, RESET, Wanted, told
 from failstop.lab.faults.processes import DEADLINES_MS, DEATH_OF, HANG_OF
+from failstop.messages.layout import GATE, PROCESSES, SUPERVISOR
 from failstop.policy import causes
-from failstop.shm.layout import GATE, PROCESSES, SUPERVISOR
 
 KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST, UNPLUG, SECOND, POSING, SERVO = (
     "kill",

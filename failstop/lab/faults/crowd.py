@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from failstop.api.client import Client, send_stop
 from failstop.lab.trial import COMMAND_EVERY_S
-from failstop.procs.gate.sources import DEFAULT
+from failstop.policy.settings import FIRST_SOURCE
 
 NOBODY = 65534
 _DESCRIPTORS = 4096
@@ -81,7 +81,7 @@ class ChildDriver(Helper):
         try:
             while True:
                 now = time.monotonic_ns().to_bytes(8, "little")
-                client.command(*self._velocity, manual=False, source=DEFAULT)
+                client.command(*self._velocity, manual=False, source=FIRST_SOURCE)
                 self._shared[:] = now + client.slot.to_bytes(8, "little")
                 time.sleep(COMMAND_EVERY_S)
         except (_Ended, Exception) as error:

@@ -14,7 +14,7 @@ from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.inject import ASKED, AskedMeanwhile, Injector
 from failstop.lab.faults.scene import Scene
 from failstop.lab.trial import TrialError
-from failstop.shm.layout import SUPERVISOR
+from failstop.messages.layout import SUPERVISOR
 
 GONE_S = (0.01, 0.15)
 WATCHDOG_S = 1.0

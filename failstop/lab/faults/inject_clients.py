@@ -11,14 +11,15 @@ import time
 from collections.abc import Callable
 
 from failstop.api.client import Client, run
+from failstop.files import instance
 from failstop.lab.faults.crowd import ChildDriver, Nobody
 from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.inject import Injector
 from failstop.lab.faults.scene import Scene
+from failstop.messages import segments
+from failstop.messages.layout import GATE
 from failstop.policy import causes
-from failstop.procs.gate.sources import DEFAULT, PAD
-from failstop.shm import instance, segment
-from failstop.shm.layout import GATE
+from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""
@@ -115,7 +116,7 @@ class SlotDamaged(OtherDrives):
     def strike(self, scene: Scene) -> int:
         commanded_ns = self.hang()
         assert self.child
-        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
+        self._path = segments.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         with open(self._path, "rb") as file:
             self._whole = file.read()
         self.during(scene)
@@ -148,7 +149,7 @@ class SlotUnlinked(SlotDamaged):
 
     def strike(self, scene: Scene) -> int:
         assert self.child
-        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
+        self._path = segments.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         now_ns = time.monotonic_ns()
         os.rename(self._path, self._path + AWAY)
         return now_ns
@@ -163,7 +164,7 @@ class SecondClient(Injector):
     """Another client publishes on the same source: whatever `velocity` says."""
 
     velocity = (0.1, 0.0, 0.0)
-    source = DEFAULT
+    source = FIRST_SOURCE
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
@@ -193,7 +194,7 @@ class ClientAsGamepad(SecondClient):
     """The gamepad goes before every source: whoever could stand in for it would have the wheels."""
 
     velocity = (0.0, 0.0, 0.0)
-    source = PAD
+    source = PAD_SOURCE
 
 
 class StopRequest(Injector):

@@ -18,7 +18,7 @@ from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.inject import AskedMeanwhile, Injector
 from failstop.lab.faults.scene import Scene
 from failstop.lab.trial import TrialError
-from failstop.shm.layout import GATE, TELEMETRY
+from failstop.messages.layout import GATE, TELEMETRY
 
 FROZEN_S = 0.3
 HOUR_S = 3600.0

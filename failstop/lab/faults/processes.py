@@ -18,11 +18,11 @@ from failstop.lab.faults.fault import (
     Fault,
     Wanted,
 )
+from failstop.messages.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
 from failstop.procs.stopper.main import HANG_NS
-from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 
 AT_ONCE_MS = 5.0
 NO_ANSWER_MS = 10.0

@@ -7,13 +7,13 @@ import statistics
 import time
 from typing import Any
 
+from failstop.doctor.machine import facts
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
 from failstop.lab.faults.fault import EVENTS, Fault, told
 from failstop.lab.faults.table import BEYOND, TABLE
-from failstop.machine import facts
-from failstop.supervisor.grant import LEASE_S, LEASE_WITHOUT_S
+from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
 
 USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
 LEASES = (
@@ -169,10 +169,10 @@ def markdown(result: dict[str, Any]) -> str:
         f"stop, {result['wrong']} not as the table says**.",
         "",
         "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
-        "frame. The bar is for the p99. What is latched is a row of policy/causes.py with its first arguments, and the",
-        "journal tells of it; what is said besides is in that column. Where nothing is latched after a new start,",
-        "motion is disabled. Clearing moves no wheel, but where it comes *by itself*. What is *not here* this",
-        "machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
+        "frame. The bar is for the p99. What is latched is a row of [causes.md](../causes.md) with its first",
+        "arguments, and the journal tells of it; what is said besides is in that column. Where nothing is latched",
+        "after a new start, motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
+        "What is *not here* this machine could not bring about: `make vm` puts one to sleep and steps its clock",
         "([usb.md](usb.md)).",
         "",
         *LEASES,

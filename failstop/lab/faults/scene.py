@@ -17,8 +17,8 @@ from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
-from failstop.shm.layout import SUPERVISOR
-from failstop.supervisor import grant
+from failstop.messages.layout import SUPERVISOR
+from failstop.supervisor import status
 
 SETTINGS: dict[str, object] = {
     "restart.deaths": 100_000,
@@ -27,7 +27,7 @@ SETTINGS: dict[str, object] = {
     "battery.log_s": 1.0,
     "battery.directory": "",
     f"interlocks.{INTERLOCK}.timeout_s": 0.5,
-    grant.LEASE: grant.LEASE_S,
+    status.LEASE: status.LEASE_S,
 }
 """Of a campaign, over the user's: so many deaths are no crash loop here, and the lease is that of the bars, whatever
 rights the service has."""

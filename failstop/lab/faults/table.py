@@ -27,6 +27,7 @@ from failstop.lab.faults.fault import (
     Fault,
 )
 from failstop.lab.faults.inject_board import WATCHDOG_S
+from failstop.messages.layout import GATE, PORT_OWNER, SUPERVISOR
 from failstop.policy.causes import (
     BUTTON,
     DEAF,
@@ -45,7 +46,6 @@ from failstop.policy.causes import (
     TWO_PUBLISHERS,
 )
 from failstop.policy.causes import HANGS as HANGS_CAUSE
-from failstop.shm.layout import GATE, PORT_OWNER, SUPERVISOR
 
 BACK = "the device's return"
 ASKED = "a stop request meanwhile"

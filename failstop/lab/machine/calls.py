@@ -81,8 +81,7 @@ class Calls:
         found = ready()
         if found or timeout_s == 0:
             return found
-        thread = machine.current
-        assert thread is not None
+        thread = machine.caller()
         until_ns = None if timeout_s is None or timeout_s < 0 else machine.now_ns + max(1, round(timeout_s * NS))
         waited = list(opened)
         while True:

@@ -4,18 +4,25 @@ A thread is a greenlet. It runs until a call of the simulated system blocks. Not
 two runs of one seed are equal to the byte. Time passes in two ways: each call takes step_ns, and when every thread
 waits, the clock jumps to the next timer. A test may take part inline: its calls are those of a process of the machine,
 and while one of them blocks, the machine runs.
+
+A finalizer (`__del__`, a callback of `weakref.finalize`, a generator's `finally`) may run at any moment, and after its
+machine has ended. The collector's make no calls (Machine.finalizer), and a call that comes too late is a Death.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import gc
 import heapq
 import os
+import weakref
+from _thread import get_ident
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from greenlet import getcurrent, greenlet
+from greenlet import GreenletExit, getcurrent, greenlet
 
 from failstop.lab.machine.files import Directory, Open
 
@@ -44,8 +51,9 @@ class Replaced(BaseException):
         self.argv = argv
 
 
-class Death(BaseException):
-    """A call of a process that has died: it changes nothing any more."""
+class Death(GreenletExit, GeneratorExit):  # type: ignore[misc]  # greenlet has no types
+    """A call of a process that has died: it changes nothing any more. A greenlet and a generator end by it without a
+    report."""
 
 
 class Thread:
@@ -143,9 +151,27 @@ class Process:
         opened.release(self, fd)
 
 
+living: weakref.WeakSet[Machine] = weakref.WeakSet()
+"""The machines that have not ended."""
+_collector = 0
+"""The thread of Python's in which the garbage collector runs; 0: it does not."""
+
+
+def _collect(phase: str, _: Mapping[str, int]) -> None:
+    global _collector
+    _collector = get_ident() if phase == "start" else 0
+
+
+def _collecting() -> bool:
+    return _collector != 0 and _collector == get_ident()
+
+
+gc.callbacks.append(_collect)
+
+
 class Machine:
     """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
-    raises is what the call raises."""
+    raises is what the call raises. Its threads keep it in memory until end()."""
 
     def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
@@ -178,6 +204,34 @@ class Machine:
         self._order = 0
         self._next_pid = FIRST_PID
         self._threads = 0
+        living.add(self)
+
+    def end(self) -> None:
+        """End every thread, and forget all that is on the machine: each later call of a process is a Death."""
+        living.discard(self)
+        processes, self.processes = self.processes, {}
+        self.current = self.inline = self.at_seam = None
+        self.told = lambda kind, process, what: None
+        for process in processes.values():
+            process.dead = True
+        for thread in [thread for process in processes.values() for thread in process.threads]:
+            if thread.greenlet is not self.hub:
+                thread.greenlet.parent = getcurrent()
+                thread.greenlet.throw(Death)
+        self.root = Directory()
+        self.programs.clear()
+        self._runnable.clear()
+        self._timers.clear()
+
+    def finalizer(self, body: Callable[..., object]) -> Callable[..., None]:
+        """A finalizer as this machine runs it: not for the collector, which comes in the middle of any process."""
+
+        def run(*arguments: Any, **named: Any) -> None:
+            if not _collecting():
+                with contextlib.suppress(Death):
+                    body(*arguments, **named)
+
+        return run
 
     # Time.
 
@@ -276,10 +330,19 @@ class Machine:
             futex.owner_died(thread.number)
         thread.robust = []
 
+    def caller(self) -> Thread:
+        """The thread that makes a call. Raises Death where none of a living process does."""
+        thread = self.current
+        try:
+            if thread and not thread.process.dead and not _collecting() and getcurrent() is thread.greenlet:
+                return thread
+        except RuntimeError:  # of a greenlet that is being collected itself
+            pass
+        raise Death
+
     def block(self, until_ns: int | None = None) -> bool:
         """Wait in the current thread until wake(), or that time; True when it was woken. Handles signals meanwhile."""
-        thread = self.current
-        assert thread is not None
+        thread = self.caller()
         while True:
             self._wait(thread, until_ns)
             if thread.process.dead:
@@ -311,8 +374,7 @@ class Machine:
 
     def give_way(self, to: Process | None = None) -> None:
         """Let every other runnable thread run first, or those of one process alone."""
-        thread = self.current
-        assert thread is not None
+        thread = self.caller()
         first = [each for each in self._runnable if to is None or each.process is to]
         self._runnable = deque((*first, thread, *(each for each in self._runnable if each not in first)))
         self._leave(thread)
@@ -451,21 +513,10 @@ class Machine:
         self._runnable.extend(process.parked)
         process.parked = []
 
-    def collecting(self) -> bool:
-        """True in a call of the garbage collector's, which comes in the middle of anything: it is no process's."""
-        try:
-            return self.current is None or getcurrent() is not self.current.greenlet
-        except RuntimeError:  # of a greenlet that is being collected itself
-            return True
-
     def call(self, name: str, *about: Any) -> Process:
         """Begin a call of the system: returns the process that makes it."""
-        thread = self.current
-        if thread is None:
-            raise Death
+        thread = self.caller()
         process = thread.process
-        if process.dead or getcurrent() is not thread.greenlet:
-            raise Death
         self.now_ns += self.step_ns
         if process.pending and thread is process.threads[0]:
             self.handle_signals(process)

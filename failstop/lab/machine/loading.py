@@ -72,6 +72,7 @@ class Loader:
         self._unnamed = set(self._loaded)
         """Stand-ins that their package does not know yet."""
         self._builtins = {**vars(builtins), "__import__": self._import, "open": self._open, "print": self._print}
+        self._builtins["__build_class__"] = self._build_class
 
     def load(self, name: str) -> Any:
         """A module of failstop's by its name."""
@@ -125,6 +126,12 @@ class Loader:
         if top in HARMLESS:
             return builtins.__import__(name, globals, locals, fromlist, level)
         raise ImportError(f"the simulated machine has no {name}")
+
+    def _build_class(self, *arguments: Any, **options: Any) -> Any:
+        made = builtins.__build_class__(*arguments, **options)
+        if "__del__" in vars(made):
+            made.__del__ = self.machine.finalizer(made.__del__)
+        return made
 
     def _print(self, *values: object, **options: Any) -> None:
         builtins.print(*values, **{"file": self.system["sys"].stdout, **options})

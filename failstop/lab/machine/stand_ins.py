@@ -73,8 +73,7 @@ def make_futex(calls: Calls) -> ModuleType:
 
         def hold(self, lines: int = 1) -> object:
             calls.process("set_robust_list")
-            thread = machine.current
-            assert thread is not None
+            thread = machine.caller()
             for line in range(lines):
                 word = self._word(line)
                 word.put(thread.number | WAITERS)
@@ -95,8 +94,7 @@ def make_futex(calls: Calls) -> ModuleType:
             while wanted():
                 if value != held or not held & NUMBER:
                     return bool(value & OWNER_DIED)
-                assert machine.current is not None
-                self._mine.waiting.append(machine.current)
+                self._mine.waiting.append(machine.caller())
                 machine.block()
                 value = self._mine.value()
             self.wake()
@@ -111,8 +109,7 @@ def make_futex(calls: Calls) -> ModuleType:
 
     def let_go() -> None:
         calls.process("set_robust_list")
-        assert machine.current is not None
-        machine.current.robust = []
+        machine.caller().robust = []
 
     return Module(
         "failstop.shm.futex", calls, Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
@@ -161,6 +158,12 @@ def make_starved(calls: Calls) -> ModuleType:
         process = calls.machine.processes.get(pid)
         return bool(process and process.starved)
 
+    return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=LONGEST_NS)
+
+
+def make_thread_state(calls: Calls) -> ModuleType:
+    """failstop.shm.thread_state: the machine knows what it runs."""
+
     def state_of(pid: int) -> str:
         """The letter that /proc has."""
         process = calls.machine.processes.get(pid)
@@ -168,7 +171,7 @@ def make_starved(calls: Calls) -> ModuleType:
             return "Z"
         return "S" if not process.held_until_ns else "R" if process.starved else "T"
 
-    return Module("failstop.procs.starved", calls, look=look, state_of=state_of, LONGEST_NS=LONGEST_NS)
+    return Module("failstop.shm.thread_state", calls, state_of=state_of)
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
@@ -177,4 +180,5 @@ def stand_ins(calls: Calls) -> dict[str, ModuleType]:
         "failstop.shm.futex": make_futex(calls),
         "failstop.procs.rights": make_rights(calls),
         "failstop.procs.starved": make_starved(calls),
+        "failstop.shm.thread_state": make_thread_state(calls),
     }

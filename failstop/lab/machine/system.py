@@ -10,6 +10,7 @@ from __future__ import annotations
 import stat
 import sys
 import weakref
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -62,8 +63,14 @@ class Sys(Module):
 class Weakref(Module):
     """The module `weakref`: a process that ends here has no interpreter that would clean up behind it."""
 
-    def finalize(self, *arguments: Any) -> Any:
-        made = weakref.finalize(*arguments)
+    def __init__(self, calls: Calls) -> None:
+        plain = {name: value for name, value in vars(weakref).items() if name != "finalize"}
+        super().__init__("weakref", calls, **plain)
+        self._own = type("finalize", (weakref.finalize,), {"_registry": {}})
+        """Python's own register of them would keep the machine in memory."""
+
+    def finalize(self, referent: Any, body: Callable[..., object], *arguments: Any) -> Any:
+        made = self._own(referent, self._machine.finalizer(body), *arguments)
         made.atexit = False
         return made
 
@@ -97,7 +104,6 @@ class Collector(Module):
 def modules(calls: Calls) -> dict[str, Any]:
     """Modules of the simulated machine, by name."""
     system = Os(calls)
-    plain = {name: value for name, value in vars(weakref).items() if not name.startswith("__") and name != "finalize"}
     return {
         "os": system,
         "os.path": system.path,
@@ -105,7 +111,7 @@ def modules(calls: Calls) -> dict[str, Any]:
         "time": Time(calls),
         "sys": Sys(calls, system),
         "stat": stat,
-        "weakref": Weakref("weakref", calls, **plain),
+        "weakref": Weakref(calls),
         "grp": Users("grp", calls),
         "pwd": Users("pwd", calls),
         "gc": Collector("gc", calls),

@@ -110,8 +110,7 @@ class Paths(Module):
         if isinstance(node, Fifo) and not flags & (os.O_NONBLOCK | os.O_PATH):
             other = os.O_RDONLY if flags & 3 == os.O_WRONLY else os.O_WRONLY
             if not node.ends(os.O_RDWR, other):
-                assert self._machine.current is not None
-                node.openers.append(self._machine.current)
+                node.openers.append(self._machine.caller())
                 self._machine.block()
         return process.descriptor(opened)
 
@@ -242,8 +241,6 @@ class Descriptors(Module):
     """The calls that take a descriptor, or make one."""
 
     def close(self, fd: int) -> None:
-        if self._machine.collecting():
-            return
         process = self._calls.process("close", fd)
         self._calls.opened(process, fd)
         process.close(fd)

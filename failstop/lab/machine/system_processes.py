@@ -89,7 +89,7 @@ class Processes(Module):
         return before
 
     def _thread(self, number: int) -> Thread:
-        found = self._machine.threads().get(number) if number else self._machine.current
+        found = self._machine.threads().get(number) if number else self._machine.caller()
         if found is None:
             raise ProcessLookupError(errno.ESRCH, "no such thread")
         return found

@@ -29,8 +29,7 @@ class Lock:
         while not self._take():
             if not blocking or (until_ns is not None and machine.now_ns >= until_ns):
                 return False
-            assert machine.current is not None
-            self._waiting.append(machine.current)
+            self._waiting.append(machine.caller())
             machine.block(until_ns)
         return True
 
@@ -100,8 +99,7 @@ class Queue:
 
     def get(self) -> Any:
         while not self._items:
-            assert self._machine.current is not None
-            self._waiting.append(self._machine.current)
+            self._waiting.append(self._machine.caller())
             self._machine.block()
         return self._items.pop(0)
 

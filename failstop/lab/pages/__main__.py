@@ -1,14 +1,18 @@
-"""`python -m failstop.lab.pages causes` or `settings`: print docs/causes.md or docs/configuration.md."""
+"""`python -m failstop.lab.pages`: renew every file that is made from the code; with --check only say which differ."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from failstop.lab.pages import causes, settings
-
-PAGES = {"causes": causes.page, "settings": settings.page}
+from failstop.lab.pages import made
 
 parser = argparse.ArgumentParser(prog="python -m failstop.lab.pages", description=__doc__)
-parser.add_argument("page", choices=PAGES)
-sys.stdout.write(PAGES[parser.parse_args().page]())
+parser.add_argument("--check", action="store_true", help="write nothing, and end with 1 where one differs")
+check = parser.parse_args().check
+found = made.differing()
+for name, text in found.items():
+    if not check:
+        (made.ROOT / name).write_text(text, "utf-8")
+    sys.stdout.write(f"{name} {'differs: make docs' if check else 'is renewed'}\n")
+sys.exit(check and bool(found))

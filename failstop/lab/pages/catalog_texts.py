@@ -1,5 +1,5 @@
 """Texts of `journalctl -x` for each kind of event: the subject, and what it means and what to do, with @FIELD@ for a
-field's value. systemd/failstop.catalog is made from this (`python -m failstop.lab.pages.catalog`)."""
+field's value. systemd/failstop.catalog is made from this (`make docs`)."""
 
 from __future__ import annotations
 

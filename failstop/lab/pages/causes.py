@@ -1,4 +1,4 @@
-"""The page docs/causes.md: every cause of a stop, made from the table of policy/causes.py."""
+"""The page docs/causes.md: every cause of a stop, made from the table of failstop/policy/causes.py."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from failstop.policy.causes import Kind
 HEAD = """\
 # Causes
 
-Generated from the table in policy/causes.py: `python -m failstop.lab.pages causes > docs/causes.md`. `failstop why`
-explains the cause that is latched in the same words; [journal.md](journal.md) finds it afterwards, and
+Generated from the table in failstop/policy/causes.py (`make docs`).
+`failstop why` explains the cause that is latched in the same words; [journal.md](journal.md) finds it afterwards, and
 [faults.md](dev/faults.md) says how soon the wheels are stopped for the faults behind it.
 
 Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears

@@ -1,4 +1,4 @@
-"""The page docs/configuration.md: every setting, made from the declarations of policy/settings.py."""
+"""The page docs/configuration.md: every setting, made from the declarations of failstop/policy/settings.py."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def page() -> str:
     lines = [
         "# Settings",
         "",
-        "Generated from the declarations: `python -m failstop.lab.pages settings`. One TOML file holds them, in",
+        "Generated from the declarations (`make docs`). One TOML file holds them, in",
         "tables named as the part before the dot; `failstop run --config FILE` reads it once and refuses what is",
         "unknown, out of range or contradictory, naming the key, the value and what is allowed. `failstop config`",
         "prints every value with its origin, `failstop config --check FILE` checks a file, `failstop config --example`",

@@ -23,7 +23,7 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import Path, Velocity
 from failstop.lab.trial import TrialError
-from failstop.shm.layout import SUPERVISOR
+from failstop.messages.layout import SUPERVISOR
 
 SWUNG_S = 10.0
 AFTER_S = 0.4

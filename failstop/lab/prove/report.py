@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from failstop.cli import style
+from failstop.doctor.machine import facts
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.run import Character, Result
 from failstop.lab.prove.shake import Noise
-from failstop.machine import facts
-from failstop.supervisor.grant import cost
+from failstop.supervisor.status import cost
 
 CAN_NOT = (
     "Proved is what was done here: this robot, this battery, wheels in the air, each path so many times. Wheels on the "

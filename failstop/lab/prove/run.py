@@ -19,8 +19,8 @@ from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Velocity
 from failstop.lab.prove.watch import Watch
 from failstop.lab.trial import TrialError
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
-from failstop.shm.layout import SUPERVISOR
 
 NS = 1e9
 STEADY_S = 0.8

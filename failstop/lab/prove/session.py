@@ -27,7 +27,7 @@ from failstop.lab.prove.strike import Ask
 from failstop.lab.prove.table import Path, Velocity
 from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
-from failstop.supervisor.grant import LEASE
+from failstop.supervisor.status import LEASE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"

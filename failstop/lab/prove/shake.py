@@ -12,7 +12,8 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
-from failstop.procs.telemetry.still import WINDOW_NS, StillJudge
+from failstop.policy.proofs import WINDOW_NS
+from failstop.procs.telemetry.still import StillJudge
 
 Sample = tuple[int, float, float]
 """(t_ns, gyro x, gyro y), in rad/s."""

@@ -22,8 +22,8 @@ from failstop.lab.prove.table import VELOCITIES
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy.settings import Settings
-from failstop.shm.layout import SUPERVISOR
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing

@@ -10,7 +10,7 @@ from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
 from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.watch import Move, Reading
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
+from failstop.policy.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.reader import AGREE
 
 REACH_RAD = 0.5

@@ -8,8 +8,8 @@ from failstop.lab.faults import arm_table, processes
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
 from failstop.lab.faults.table import BY_NAME
+from failstop.messages.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
-from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,8 +16,8 @@ from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
 from failstop.doctor.stop_path import Tap
 from failstop.lab.prove.shake import Sample
+from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
-from failstop.shm import layout, records
 from failstop.shm.cell import RingReader
 from failstop.shm.words import Word
 
@@ -112,9 +112,9 @@ class Watch:
                 self.written.append((written_ns, which))
         while self._frames and (entry := self._frames.next()):
             _, kind, body = records.FRAME.unpack(entry[2])
-            if kind == records.STOP or (kind == records.MOTION and body == BOARD.stop):
+            if kind == records.WRITE_BURST or (kind == records.MOTION and body == BOARD.stop):
                 self.zeros.append(entry[1])
-            elif kind == records.ARM and body[_COMMAND_AT] == servos.MOVE:
+            elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
                 self.moves += moves(entry[1], body[_COMMAND_AT:-1])
         while self._received and (entry := self._received.next()):
             for func, data in self._decoder.feed(entry[2]):
@@ -135,7 +135,7 @@ class Watch:
             self.let_go()
 
     def _take(self, t_ns: int, func: int, data: bytes) -> None:
-        if func == framing.IMU and (imu := decoder.imu(data)):
+        if func == framing.IMU_FUNC and (imu := decoder.imu(data)):
             self.samples.append((t_ns, imu[3] * RAD_PER_DEG, imu[4] * RAD_PER_DEG))
         elif func == framing.GAMEPAD and (pad := decoder.gamepad(data)):
             if pad[0]:

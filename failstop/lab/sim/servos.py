@@ -90,12 +90,12 @@ class Servos:
         if not data:
             return b""
         command, memory = data[0], data.ljust(4 + 3 * 255, b"\0")
-        if command == wire.MOVE:
+        if command == wire.SERVO_MOVE:
             duration_ns = 1_000_000 * int(unpack_from("<H", memory, 1)[0])
             for index in range(memory[3]):
                 servo, position = unpack_from("<BH", memory, 4 + 3 * index)
                 self._move(servo, min(position, wire.HIGHEST_POSITION), duration_ns, t_ns)
-        elif command == wire.STOP:
+        elif command == wire.SERVO_STOP:
             for servo in memory[2 : 2 + memory[1]]:
                 self._stop(servo, t_ns)
         elif command in (wire.TORQUE_OFF, wire.TORQUE_ON):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from struct import Struct, pack
 
-from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SYS, seal
+from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SYS, seal
 
 _BATTERY = Struct("<BH")
 _IMU = Struct("<6f")
@@ -19,13 +19,13 @@ def battery(millivolts: int) -> bytes:
 
 
 def key(key_id: int, event: int) -> bytes:
-    """KEY: a key's id and one of decoder.KEY_EVENTS."""
-    return seal(KEY, bytes((key_id, event)))
+    """KEY_FUNC: a key's id and one of decoder.KEY_EVENTS."""
+    return seal(KEY_FUNC, bytes((key_id, event)))
 
 
 def imu(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> bytes:
-    """IMU: acceleration in g, gyro in deg/s. Anything a float32 holds goes, NaN too."""
-    return seal(IMU, _IMU.pack(ax, ay, az, gx, gy, gz))
+    """IMU_FUNC: acceleration in g, gyro in deg/s. Anything a float32 holds goes, NaN too."""
+    return seal(IMU_FUNC, _IMU.pack(ax, ay, az, gx, gy, gz))
 
 
 def gamepad(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:

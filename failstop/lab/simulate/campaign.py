@@ -120,6 +120,7 @@ class Explorer:
         self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
+        before.machine.end()
         self.stage.machine.at_seam = self._only if plan.only else self._fork_here
         gc.collect()
         gc.freeze()
@@ -134,7 +135,11 @@ class Explorer:
                 raise
             traceback.print_exc()
             os._exit(1)  # a fork must not go on as whoever started the campaign
+        finally:
+            gc.enable()
+            gc.unfreeze()
         self.result.add(run)
+        self.stage.machine.end()
         return self.result
 
     def _judged(self) -> Run:

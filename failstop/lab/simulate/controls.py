@@ -84,7 +84,7 @@ CONTROLS = (
         "nobody fences",
         "port_owner_hangs",
         (
-            (SUPERVISOR, "self._kill(child.pid, signal.SIGKILL)", "pass"),
+            (SUPERVISOR, "os.kill(child.pid, signal.SIGKILL)", "pass"),
             (STOPPER, "            life.kill()\n", ""),
         ),
     ),
@@ -104,10 +104,10 @@ CONTROLS = (
         (
             (
                 SUPERVISOR,
-                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n"
+                "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n"
                 "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n",
                 "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n"
-                "        self._kill(child.pid, signal.SIGKILL)\n        kill_ns = self._now_ns()\n",
+                "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n",
             ),
         ),
     ),

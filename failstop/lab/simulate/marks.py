@@ -16,6 +16,7 @@ NOT_TRIED = {
     "admission bad frame": "nor does a gate that sends nonsense",
     "admission burst": "a zero frame that is too old comes of a gate and a port owner that are both held up",
     "cause unstill": "the simulated board's IMU does not feel its wheels shake on here",
+    "cause defect": "nothing happens to a process that cannot happen",
     "cause battery": "its voltage takes seconds to show",
     "cause button": "no gamepad is plugged in",
     "cause fleet": "no broker is there",
@@ -30,15 +31,13 @@ NOT_TRIED = {
     "state starting killed": "no start takes ten seconds",
     "state running beats": "a process that was spared as it started beats again",
     "state hanging died": "a process that is starved and spared dies: two faults",
+    "state waiting beats": "a process that was spared beats just before its end, which is noticed first",
+    "state down beats": "a process that was spared beats just before its end, which is noticed first",
     "state fenced beats": "a beat between the kill and the end",
     "state dead beats": "a beat between the end and its notice",
 }
 """Marks that no scenario reaches, and why; the tests with real processes do."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
-
-
-EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
-"""In the order of supervisor/children.py."""
 
 
 class Marks:
@@ -74,7 +73,7 @@ def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
 
 def _watch_admission(loader: Loader, marks: Marks) -> None:
     module = loader.load("failstop.procs.port_owner.admission")
-    names = {module.WRITE: "write", module.DROP: "drop", module.BURST: "burst", module.REQUEST: "request"}
+    names = {module.ADMIT: "write", module.DROP: "drop", module.STAND_STILL: "burst", module.STOP_ASKED: "request"}
     decide = module.Admission.decide
 
     def told(self: Any, *arguments: Any, **words: Any) -> Any:
@@ -90,7 +89,7 @@ def _watch_states(loader: Loader, marks: Marks) -> None:
     on = module.Child.on
 
     def told(self: Any, event: int) -> None:
-        marks.reach(f"state {self.state} {EVENTS[event]}")
+        marks.reach(f"state {self.state} {module.EVENTS[event]}")
         on(self, event)
 
     module.Child.on = told
@@ -102,5 +101,10 @@ def missing(counts: Mapping[str, int]) -> list[str]:
     module = loader.load("failstop.supervisor.children")
     wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME]
     wanted += [f"admission {name}" for name in ADMISSION]
-    wanted += [f"state {state} {EVENTS[event]}" for state, row in module.NEXT.items() for event in row]
+    wanted += [
+        f"state {state} {event}"
+        for state, row in module.NEXT.items()
+        for event, after in zip(module.EVENTS, row, strict=True)
+        if after
+    ]
     return [name for name in wanted if not counts.get(name) and name not in NOT_TRIED]

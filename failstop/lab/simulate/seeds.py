@@ -109,8 +109,6 @@ class Nursery:
             made.begin(WARM_NS)
             self._stages[key] = made, Node.count
             gc.collect()
-            gc.freeze()
-            gc.disable()
         return self._stages[key]
 
     def _stage(self, name: str, *, cold: bool) -> Stage:
@@ -197,6 +195,7 @@ def _forked(what: Callable[[], Any]) -> Any:
     reader, writer = os.pipe()
     child = os.fork()
     if not child:
+        gc.disable()
         os.close(reader)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(RUN_S)

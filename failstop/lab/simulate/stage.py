@@ -10,10 +10,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from greenlet import getcurrent
-
 from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Death, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
@@ -73,11 +71,8 @@ class Stage:
             store = getattr(where, name)
 
             def told(*arguments: Any, _store: Any = store) -> None:
-                thread = machine.current
-                if machine.at_seam and thread:
-                    if thread.process.dead or getcurrent() is not thread.greenlet:
-                        raise Death
-                    machine.at_seam(thread, "store", ())
+                if machine.at_seam and machine.current:
+                    machine.at_seam(machine.caller(), "store", ())
                 _store(*arguments)
 
             setattr(where, name, told)

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from failstop.board.interface import BOARD
 from failstop.board.servos import HIGHEST_POSITION
+from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
 from failstop.procs.gate.arm.space import Space
 from failstop.procs.gate.arm.stream import Stream
-from failstop.procs.gate.core import IS_LATCHED, GateCore
 
-ENABLED = "wheels enabled"
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
@@ -29,7 +27,7 @@ STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 0.5
 """Pulses from its end at which a journey is there: as near as a frame can say."""
-LATE_NS = 2_000_000_000
+LOST_NS = 2_000_000_000
 """A journey that is not there so long after its time has lost its way."""
 FIND_NS = 4_000_000_000
 
@@ -37,8 +35,7 @@ FIND_NS = 4_000_000_000
 class ArmCore:
     """The arm as the gate knows it: its joints, the goal that it follows, the next question to the servos."""
 
-    def __init__(self, settings: Settings, gate: GateCore, now_ns: int) -> None:
-        self._gate = gate
+    def __init__(self, settings: Settings, now_ns: int) -> None:
         self.joints = from_settings(settings)
         self._timeout_ns = settings.ns("arm.goal_timeout_s")
         self._pose_speed = settings["arm.pose_speed"]
@@ -63,11 +60,6 @@ class ArmCore:
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not taken."""
-
-    @property
-    def closed(self) -> str:
-        """Why the arm takes no goal now; empty when it does."""
-        return IS_LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
 
     # Goals.
 
@@ -95,12 +87,12 @@ class ArmCore:
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
-    def take(self, goal: Goal, now_ns: int) -> None:
-        """A goal of a stream; `refused` says why it is not taken. That of another publisher is the gate's to look
-        for."""
+    def take(self, goal: Goal, closed: str, now_ns: int) -> None:
+        """A goal of a stream; `refused` says why it is not taken. That of another publisher is the shell's to look
+        for. `closed`: why the arm takes none now; empty when it does."""
         goal.t_ns = min(goal.t_ns, now_ns)
-        check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(goal.ends)
+        check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
+        self.refused = self._shut(goal, closed) or check(goal.ends)
         if self.refused:
             return
         if (way := self.way) and way.session == SERVICE:
@@ -113,14 +105,14 @@ class ArmCore:
         self._goal = goal
         self.active_ns, self.released = now_ns, False
 
-    def _shut(self, goal: Goal) -> str:
+    def _shut(self, goal: Goal, closed: str) -> str:
         """Why no goal of its stream counts now. One that goes on through a stop and a reset must not move the arm by
         that reset: whoever holds a key has to let go of it first."""
         ended_ns = self._ended.pop(goal.session, None)
-        if not self.closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
+        if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
         self._ended[goal.session] = goal.t_ns
-        return self.closed or ENDED
+        return closed or ENDED
 
     def pause(self, session: int) -> None:
         """Its stream is over, by its own doing."""
@@ -227,7 +219,7 @@ class ArmCore:
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
-        if (way := self.way) and way.phase not in (goals.LOADING, goals.UNDER_WAY):
+        if (way := self.way) and way.phase not in (goals.LOADING, goals.ON_ITS_WAY):
             return []
         return list(self.followed.ends) if self.followed else []
 
@@ -271,7 +263,7 @@ class ArmCore:
                 journey.finish()
                 return []
             journey.phase = goals.LOADING
-        if journey.phase == goals.UNDER_WAY:
+        if journey.phase == goals.ON_ITS_WAY:
             self._watch_end(journey, now_ns)
         elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
             journey.phase, journey.since_ns = goals.CHECKING, now_ns
@@ -285,7 +277,7 @@ class ArmCore:
         if journey.left_s(now_ns) <= 0.0 and there:
             self._stream.end()
             journey.phase, journey.since_ns = goals.SETTLING, now_ns
-        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LATE_NS:
+        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LOST_NS:
             self._stream.end()
             journey.finish("it did not get there in time")
 
@@ -327,7 +319,7 @@ class ArmCore:
             if fault := journey.begin(now_ns):
                 journey.finish(fault)
                 return
-            journey.phase = goals.UNDER_WAY
+            journey.phase = goals.ON_ITS_WAY
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Journey | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:

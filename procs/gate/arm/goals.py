@@ -11,7 +11,7 @@ from itertools import pairwise
 from math import isfinite
 from operator import itemgetter
 
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
+from failstop.policy.joints import PULSES_PER_RAD, Joint
 
 FOLLOW = "follow"
 JOG = "jog"
@@ -22,11 +22,11 @@ TUCK = "tuck"
 
 FINDING = "finding out where it is"
 LOADING = "switching its torque on"
-UNDER_WAY = "on its way"
+ON_ITS_WAY = "on its way"
 SETTLING = "settling"
 CHECKING = "reading back where it is"
 
-Row = tuple[float, dict[Joint, float]]
+Waypoint = tuple[float, dict[Joint, float]]
 """When (s from the begin), and the pulses of each joint of the goal."""
 
 
@@ -53,7 +53,7 @@ class Journey:
     mode = TRAJECTORY
 
     def __init__(
-        self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Row], share: float = 1.0
+        self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Waypoint], share: float = 1.0
     ) -> None:
         """`rows`: where to be when; where it begins is found out first. `share`: of each joint's speed. A first row
         without a time, 0, is reached as fast as that share allows."""
@@ -115,15 +115,6 @@ class Journey:
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 
 
-def too_far(angles: dict[Joint, float]) -> str:
-    """A joint that may not be sent there, with its range; empty: each may."""
-    for joint, angle in angles.items():
-        low, high = joint.range_rad()
-        if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
-            return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
-    return ""
-
-
 def too_fast(rates: dict[Joint, float]) -> str:
     """A joint that may not turn at that rate, with its limit; empty: each may."""
     for joint, rate in rates.items():
@@ -133,7 +124,7 @@ def too_fast(rates: dict[Joint, float]) -> str:
     return ""
 
 
-def too_fast_between(rows: list[Row]) -> str:
+def too_fast_between(rows: list[Waypoint]) -> str:
     """A joint that would be asked for more than its speed between two rows of a trajectory, and when."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:

@@ -8,7 +8,7 @@ counts when two in a row agree.
 from __future__ import annotations
 
 from failstop.board.servos import LONGEST_MOVE_MS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
-from failstop.procs.gate.arm.joints import MOST_MISSES, Joint
+from failstop.policy.joints import MOST_MISSES, Joint
 
 LATE_NS = 3_000_000
 """By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the

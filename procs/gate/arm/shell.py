@@ -5,33 +5,33 @@ A request that takes time has more than one reply: how far it is (records.UNDER_
 
 from __future__ import annotations
 
+from failstop.messages import box, records
+from failstop.messages.packing import Note
+from failstop.messages.records import CAUSE
 from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.policy.joints import PULSES_PER_RAD, too_far
 from failstop.policy.reply import Reply
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENABLED, SERVICE, ArmCore
+from failstop.procs.gate.arm.core import SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.clients import Slot, seen
-from failstop.procs.gate.core import IS_LATCHED
-from failstop.procs.gate.sources import PAD
-from failstop.procs.loop import Timer
-from failstop.shm import box, records
-from failstop.shm.packing import Note
-from failstop.shm.records import CAUSE
+from failstop.procs.gate.core import WHEELS_ENABLED
+from failstop.procs.gate.requests import Request, Requests
+from failstop.procs.gate.rings import Frames
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
-
-    from failstop.procs.gate.main import Gate
 
 NOT_IN_POSE = "arm is not in the drive pose"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 BOX_NS = 100_000_000
 """How often the black box is told what it is to do, while it does anything."""
-MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
+GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
 """The gamepad's session: no client's."""
@@ -40,10 +40,8 @@ PAD_PUBLISHER = -1
 class Waiter:
     """A client that waits for the end of a journey, and whether it wants motion to be enabled then."""
 
-    def __init__(self, slot: Slot, number: int, journey: Journey, *, enables: bool = False) -> None:
-        self.slot = slot
-        self.session = slot.session
-        self.number = number
+    def __init__(self, request: Request, journey: Journey, *, enables: bool = False) -> None:
+        self.request = request
         self.journey = journey
         self.enables = enables
         self.told_ns = 0
@@ -52,11 +50,11 @@ class Waiter:
 class Arm:
     """The arm of a gate whose robot has one."""
 
-    def __init__(self, gate: Gate, context: Context, due: Timer, now_ns: int) -> None:
-        """`due`: when to turn without any news."""
+    def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
+        """`requests`: where they are answered; `notes`: where news for people is put."""
         settings = context.settings
-        self.core = ArmCore(settings, gate.core, now_ns)
-        self._gate = gate
+        self.core = ArmCore(settings, now_ns)
+        self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
         """The last entry of the black box, and its time."""
@@ -75,23 +73,30 @@ class Arm:
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """The last news of each joint for people."""
-        self._due = due
+        self._stopped_for: Cause | None = None
 
     # The gate's turn.
 
-    def turn(self, now_ns: int) -> None:
-        """Answers of the servos, then whatever is due."""
-        core, gate = self.core, self._gate.core
+    def hear(self, closed: str, now_ns: int) -> Cause | None:
+        """Answers of the servos, and the gamepad; returns the cause to stop for. `closed`, here and below: why the arm
+        takes no goal now; empty when it does."""
         while entry := self._answers.next():
-            core.answer(*records.SERVO.unpack(entry[2]), entry[1])
-        self._follow_pad(now_ns)
-        if not gate.enabled:
-            self._step(now_ns)
-        self._answer_waiter(now_ns)
-        self._follow_tuck(now_ns)
+            self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
+        return self._follow_pad(closed, now_ns)
+
+    def step(self, now_ns: int) -> None:
+        """The next step, while motion is not enabled."""
+        frame, hold = self.core.step(now_ns)
+        if hold:
+            self._frames.stop(now_ns)
+        if frame:
+            self._frames.put(records.ARM, frame, now_ns)
+
+    def tell(self, closed: str, now_ns: int) -> None:
+        """Tell people and the black box what the arm does."""
+        self._follow_tuck(closed, now_ns)
         self._tell_joints()
         self._keep(now_ns)
-        self._due.set(now_ns + TELL_NS if gate.enabled else core.due_ns)
 
     def _keep(self, now_ns: int) -> None:
         """For the black box: what it is to do, at each change of mode and mover, and ten times a second meanwhile."""
@@ -102,105 +107,98 @@ class Arm:
             ends = followed.ends.items() if followed else ()
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
-    def _step(self, now_ns: int) -> None:
-        frame, hold = self.core.step(now_ns)
-        if hold:
-            self._hold(now_ns)
-        if frame:
-            self._gate.send(records.ARM, frame, now_ns)
-
-    def _hold(self, now_ns: int) -> None:
-        """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
-        self._gate.send(records.STOP, b"", now_ns)
-
     # News.
+
+    def stop(self, why: str, cause: Cause | None = None) -> None:
+        """A stop is written: it ends whatever moves the arm. `cause`: of one that is latched."""
+        self._stopped_for = cause
+        self.core.stop(why)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
-            self._hold(now_ns)
-        elif self._waiter and self._waiter.session == session:
+            self._frames.stop(now_ns)
+        elif self._waiter and self._waiter.request.session == session:
             self._give_up("given up: its client has gone", now_ns)
 
     def _give_up(self, why: str, now_ns: int) -> None:
         if self.core.drop(why):
-            self._hold(now_ns)
+            self._frames.stop(now_ns)
 
-    def goal(self, slot: Slot, now_ns: int) -> None:
-        """A new goal of a stream, if the slot has one."""
-        if (found := slot.new("arm_goal")) is None:
-            return
-        t_ns, mode, values = found
-        if mode not in MODES or not set(values) <= set(self._by_servo):
+    def goal(
+        self, slot: Slot, t_ns: int, mode: int, values: dict[int, float], closed: str, now_ns: int
+    ) -> Cause | None:
+        """A new goal of a stream; returns the cause to stop for."""
+        if mode not in GOAL_MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
-            return
-        if self._rivals(slot.session, slot.who(), now_ns):
-            return
+            return None
         ends = {self._by_servo[servo]: value for servo, value in values.items()}
-        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, ends), now_ns)
+        return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
-    def _follow_pad(self, now_ns: int) -> None:
+    def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
+        """A second publisher of goals latches."""
+        if rival := self._rival(goal.session, goal.who, now_ns):
+            return None if closed else rival
+        self.core.take(goal, closed, now_ns)
+        return None
+
+    def _rival(self, session: int, who: str, now_ns: int) -> Cause | None:
+        other = self.core.publisher(session, now_ns)
+        return causes.TWO_MOVE_THE_ARM(other, who) if other else None
+
+    def _follow_pad(self, closed: str, now_ns: int) -> Cause | None:
         """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
-            return
+            return None
         self._pad_seq, t_ns, payload = entry
         index, share = records.PAD_ARM.unpack(payload)
         if index >= len(self.core.joints):
-            return
+            return None
         joint = self.core.joints[index]
         self._pad_joint = joint.name
-        if not share:
-            self.core.pause(PAD_PUBLISHER)
-        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, {joint: share * joint.speed / PULSES_PER_RAD})
-        if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
-            self.core.take(goal, now_ns)
-        elif not share and self.core.moved_by(PAD_PUBLISHER):
+        if share:
+            rate = share * joint.speed / PULSES_PER_RAD
+            return self._take(Goal(goals.JOG, PAD_PUBLISHER, PAD_SOURCE, t_ns, {joint: rate}), closed, now_ns)
+        self.core.pause(PAD_PUBLISHER)
+        if self.core.moved_by(PAD_PUBLISHER):
             self._give_up("let go", now_ns)
+        return None
 
-    def _rivals(self, session: int, who: str, now_ns: int) -> bool:
-        """A second publisher of goals latches."""
-        other = self.core.publisher(session, now_ns)
-        if other and not self.core.closed:
-            self._gate.stop(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
-        return bool(other)
+    def hold(self, request: Request, now_ns: int) -> Reply:
+        """A client's request to stop the arm where it is."""
+        self.core.end_streams(request.session)
+        self._give_up(f"held by {request.who}", now_ns)
+        self.core.letting_go.clear()
+        self._frames.stop(now_ns)
+        return Reply(records.DONE, "arm held")
 
-    def _said(self, done: int, text: str) -> Reply:
-        return Reply(done, text, self._gate.core.latch if CAUSE in text else None)
-
-    def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> Reply:
-        """A client's request about the arm."""
-        if verb == records.ARM_HOLD:
-            self.core.end_streams(slot.session)
-            self._give_up(f"held by {slot.who()}", now_ns)
-            self.core.letting_go.clear()
-            self._hold(now_ns)
-            return Reply(records.DONE, "arm held")
-        if closed := self.core.closed:
-            return self._said(records.REFUSED, closed)
-        if self._rivals(slot.session, slot.who(), now_ns):
-            return self._said(records.REFUSED, IS_LATCHED)
-        if verb == records.ARM_RELEASE:
-            self._hold(now_ns)
+    def move(self, request: Request, now_ns: int) -> Reply | Cause:
+        """Any other request of a client about the arm, while it takes goals; returns what becomes of it, or the cause
+        to stop for."""
+        if rival := self._rival(request.session, request.who, now_ns):
+            return rival
+        if request.verb == records.ARM_RELEASE:
+            self._frames.stop(now_ns)
             self.core.release(now_ns)
             return Reply(records.DONE, "arm released: its torque is off")
-        if verb == records.ARM_READ:
+        if request.verb == records.ARM_READ:
             self.core.forget()
-            journey: Journey | str = Journey("read", slot.session, slot.who(), self.core.joints, [])
+            journey: Journey | str = Journey("read", request.session, request.who, self.core.joints, [])
         else:
-            journey = self._journey(slot, verb)
+            journey = self._journey(request)
         if isinstance(journey, str):
             return Reply(records.REFUSED, journey)
-        return self._travel(Waiter(slot, number, journey), "preempted", now_ns)
+        return self._travel(Waiter(request, journey), "preempted", now_ns)
 
-    def _journey(self, slot: Slot, verb: int) -> Journey | str:
+    def _journey(self, request: Request) -> Journey | str:
         """The way that is asked for, or why there is none."""
-        if verb in (records.ARM_DRIVE, records.ARM_TUCK):
-            purpose = goals.DRIVE if verb == records.ARM_DRIVE else goals.TUCK
-            return self.core.pose(purpose, slot.session, slot.who()) or f"the settings have no {purpose} pose"
-        if verb != records.ARM_MOVE or (path := slot.latest("arm_path")) is None:
+        if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
+            purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
+            return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
+        if request.verb != records.ARM_MOVE or (path := request.about("arm_path")) is None:
             return "no trajectory came with the request"
         _, share, servos, rows = path
         if not set(servos) <= set(self._by_servo) or len(set(servos)) < len(servos) or not 0.0 < share <= 1.0:
@@ -208,85 +206,86 @@ class Arm:
         if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
             return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
         joints = [self._by_servo[servo] for servo in servos]
-        way: list[goals.Row] = []
+        way: list[goals.Waypoint] = []
         for t_s, angles in rows:
             aims = dict(zip(joints, angles, strict=True))
-            if fault := goals.too_far(aims):
+            if fault := too_far(aims):
                 return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
             way.append((t_s, {joint: joint.pulses(angle) for joint, angle in aims.items()}))
-        return goals.too_fast_between(way) or Journey(goals.MOVE, slot.session, slot.who(), joints, way, share)
+        return goals.too_fast_between(way) or Journey(goals.MOVE, request.session, request.who, joints, way, share)
 
     def _travel(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
         """Begin a journey for who waits; `why`: what whoever moved the arm before is told."""
         if self.core.travel(waiter.journey, now_ns, why):
-            self._hold(now_ns)
-        self._answer_waiter(now_ns)
+            self._frames.stop(now_ns)
+        self.answer_waiter(now_ns)
         self._waiter = waiter
         return Reply(records.UNDER_WAY, waiter.journey.progress(now_ns))
 
-    def _answer_waiter(self, now_ns: int) -> None:
-        """Tell who waits how far it is, and how it ended."""
+    def answer_waiter(self, now_ns: int) -> Request | None:
+        """Tell the client that waits how far it is, and how it ended; returns its request to enable motion, when the
+        arm was read to be in its drive pose for it."""
         waiter = self._waiter
         if waiter is None:
-            return
-        journey = waiter.journey
+            return None
+        request, journey = waiter.request, waiter.journey
         if not journey.done:
             if now_ns - waiter.told_ns >= TELL_NS:
                 waiter.told_ns = now_ns
-                self._answer(waiter, Reply(records.UNDER_WAY, journey.progress(now_ns)), now_ns)
-            return
+                self._requests.answer(request, Reply(records.UNDER_WAY, journey.progress(now_ns)))
+            return None
         self._waiter = None
-        if waiter.slot.session != waiter.session:
-            return
+        if request.slot is None or request.slot.session != request.session:
+            return None
         if waiter.enables and not journey.dropped:
-            self._enable_in_pose(waiter, now_ns)
+            if not (fault := self._out_of_pose(journey)):
+                return request
+            self._requests.answer(request, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}"))
         else:
-            done = records.REFUSED if journey.outcome else records.DONE
-            self._answer(waiter, self._said(done, journey.outcome or "arm is there"), now_ns)
-
-    def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
-        self._gate.requests.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
+            done, cause = records.DONE, None
+            if journey.outcome:
+                done, cause = records.REFUSED, self._stopped_for if CAUSE in journey.outcome else None
+            self._requests.answer(request, Reply(done, journey.outcome or "arm is there", cause))
+        return None
 
     # Enabling motion.
 
-    def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
-        """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
-        no drive pose, so the arm stands where it is, and motion may be enabled now."""
+    def enable(self, request: Request, now_ns: int) -> Reply | None:
+        """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
+        have no drive pose, so the arm stands where it is, and motion may be enabled now."""
         if self.core.letting_go:
             return Reply(records.REFUSED, "the arm is being released: ask again in a moment")
         waiter = self._waiter
-        if waiter and waiter.enables and waiter.session != slot.session:
-            return Reply(records.REFUSED, f"{waiter.slot.who()} is enabling motion")
-        journey = self.core.pose(goals.DRIVE, SERVICE, slot.who())
+        if waiter and waiter.enables and waiter.request.session != request.session:
+            return Reply(records.REFUSED, f"{waiter.request.who} is enabling motion")
+        journey = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
         if journey is None:
-            self._give_up(ENABLED, now_ns)
+            self._give_up(WHEELS_ENABLED, now_ns)
         else:
-            reply = self._travel(Waiter(slot, number, journey, enables=True), ENABLED, now_ns)
+            reply = self._travel(Waiter(request, journey, enables=True), WHEELS_ENABLED, now_ns)
         self.core.forget()
         return reply
 
-    def _enable_in_pose(self, waiter: Waiter, now_ns: int) -> None:
-        """The end of the way to the drive pose: what was read back decides."""
+    def _out_of_pose(self, journey: Journey) -> str:
+        """Why motion may not be enabled at the end of the way to the drive pose: what was read back decides."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
-        fault = "" if absent and core.ignore_absent else waiter.journey.outcome or core.off_pose(goals.DRIVE)
-        if fault:
-            hint = '; without the arm: arm.absent = "ignore"' if absent else ""
-            self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)
-        else:
-            self._gate.requests.enable_now(waiter.slot, waiter.number, now_ns)
+        if absent and core.ignore_absent:
+            return ""
+        fault = journey.outcome or core.off_pose(goals.DRIVE)
+        return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     # For people.
 
-    def _follow_tuck(self, now_ns: int) -> None:
+    def _follow_tuck(self, closed: str, now_ns: int) -> None:
         """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
                 self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
             self._tucking = None
-        if core.active_ns and (core.closed or core.followed):
+        if core.active_ns and (closed or core.followed):
             core.active_ns = now_ns
         left_s = self._tuck_left_s(now_ns)
         if left_s is None or left_s > self._notice_s:
@@ -309,7 +308,7 @@ class Arm:
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
     def _tell(self, text: str, level: str = "") -> None:
-        self._gate.core.notes.append(Note("arm", text, level=level))
+        self._notes.append(Note("arm", text, level=level))
 
     def _tell_joints(self) -> None:
         """Tell of a servo's fault, once, and that it is well again."""
@@ -327,7 +326,7 @@ class Arm:
                     f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
                 )
 
-    def state(self, now_ns: int) -> dict[str, Any]:
+    def state(self, closed: str, now_ns: int) -> dict[str, Any]:
         """Its part of the gate's state: what people and programs are told."""
         core = self.core
         way, followed = core.way, core.followed
@@ -338,7 +337,7 @@ class Arm:
             "moving": core.streaming(),
             "by": followed.who if followed else "",
             "refused": _without_cause(core.why_not()),
-            "closed": _without_cause(core.closed),
+            "closed": _without_cause(closed),
             "released": core.released,
             "silent": [joint.servo for joint in core.joints if joint.silent],
             "joints": [joint.state() for joint in core.joints],

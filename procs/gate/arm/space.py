@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import inf
 
 from failstop.policy.capsules import Model, would_hit
+from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import Joint
 
 
 class Space:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from failstop.board.interface import BOARD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import Joint
 from failstop.procs.gate.arm.space import Space
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS

@@ -1,0 +1,63 @@
+"""The Arduino bridge's wire: a CR before the stop, and never more unanswered lines than its buffer holds answers to.
+
+A stop is answered by 21 bytes, three times its own, and the question for positions by 25. The firmware waits while its
+buffer of 63 bytes of answers is full; its receive buffer of 63 then drops the newest bytes: a stop, or the sign and
+space between digits. Two lines and 15 glued stops, all that three writers repeat, lose nothing
+(tests/boards/test_stop_of_every_board.py).
+"""
+
+from __future__ import annotations
+
+from failstop.board.arduino import codec
+from failstop.board.wire import (
+    ANSWERED,
+    OBSERVED,
+    ZERO,
+    Answer,
+    Motion,
+    Pace,
+    Port,
+    Question,
+    Stop,
+    Watchdog,
+    Wheels,
+    Wire,
+    Write,
+)
+
+_MS = 1_000_000
+
+WIRE = Wire(
+    name="ros_arduino_bridge",
+    # Opening raises DTR, which resets the board; its bootloader waits 1.4 s for a program.
+    port=Port(baud=57_600, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
+    stop=Stop(
+        writes=(Write(0, codec.STOP),),
+        after_ns=0,
+        repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),
+    ),
+    pace=Pace(idle_ns=0, unanswered=2),
+    watchdog=Watchdog(
+        after_ns=2000 * _MS,
+        does=ZERO,
+        arm=None,
+        fed_by="every motion line feeds it, a question does not; a firmware without USE_BASE has none, and no motors",
+    ),
+    motion=Motion(
+        wheels=2,
+        unit=codec.UNIT,
+        limit=codec.LIMIT,
+        step=1.0,
+        apart=2 * codec.LIMIT,
+        frame=codec.motion,
+        rest=codec.REST,
+        check=codec.check_motion,
+    ),
+    questions=(
+        Question("baud rate", codec.BAUD_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "57600"),
+        Question("positions", codec.POSITIONS, lambda sample: isinstance(sample, Wheels)),
+    ),
+    reader=codec.Answers,
+    proofs=(ANSWERED, OBSERVED),
+    others="none on the board",
+)

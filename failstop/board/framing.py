@@ -1,0 +1,138 @@
+"""Framing: the parts that all frames to and from the controller board share: functions, head, CRC, and checks of
+values.
+
+A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts the data alone and the CRC
+covers func, len and data (vendor protocol description).
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+SYS = 0
+LED = 1
+BUZZER = 2
+MOTOR = 3
+PWM_SERVO = 4
+BUS_SERVO = 5
+KEY_FUNC = 6
+IMU_FUNC = 7
+GAMEPAD = 8
+SBUS = 9
+OLED = 10
+RGB = 11
+
+HEAD = b"\xaa\x55"
+WHEELS = 4
+MAX_DATA = 255
+
+# Functions the board takes from the host, motion apart.
+AUX_FUNCS = (SYS, LED, BUZZER, PWM_SERVO, BUS_SERVO, OLED, RGB)
+
+# A receiver that is out of step takes this for the start of a motor frame wherever it stands.
+MOTOR_HEAD = b"\xaa\x55\x03"
+
+
+class FrameError(ValueError):
+    """A value that must not reach the board; the message names the field, the value and the allowed range."""
+
+
+def _crc_table() -> bytes:
+    table = bytearray()
+    for value in range(256):
+        crc = value
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0x8C if crc & 1 else crc >> 1
+        table.append(crc)
+    return bytes(table)
+
+
+CRC_TABLE = _crc_table()
+
+
+def crc8(data: Iterable[int], crc: int = 0) -> int:
+    """CRC-8/MAXIM (reflected polynomial 0x8C, initial 0, no final xor) of bytes-like data; `crc` continues one."""
+    table = CRC_TABLE
+    for byte in data:
+        crc = table[crc ^ byte]
+    return crc
+
+
+def seal(func: int, data: bytes) -> bytes:
+    """Put head, function, length and CRC around data, unchecked: for this room's own encoders."""
+    body = bytes((func, len(data))) + data
+    return HEAD + body + bytes((crc8(body),))
+
+
+def zeros_complete(func: int, data: bytes, least: int = 0) -> int:
+    """After how many bytes of data, `least` at least, a cut of this frame would be completed by zeros, with zeros for
+    the rest; 0: after none. Zeros leave a CRC of zero as it is, and the next one passes as the CRC."""
+    crc = crc8((func, len(data)))
+    for end, byte in enumerate(data):
+        if not crc and end >= least:
+            return end
+        crc = CRC_TABLE[crc ^ byte]
+    return 0
+
+
+def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
+    """Frame raw data (bytes-like, up to 255) for any function but MOTOR.
+
+    Motor frames come from the checked motor encoders alone. For functions that go down, data that would put
+    `AA 55 03` on the wire is refused as well: a receiver that is out of step would take it for a motor frame.
+    """
+    integer("func", func, SYS, RGB)
+    if func == MOTOR:
+        raise FrameError(f"func is {MOTOR} (MOTOR), must be any other: motor frames come from the motor encoders")
+    if not isinstance(data, (bytes, bytearray, memoryview)):
+        raise FrameError(f"data is a {type(data).__name__}, must be bytes")
+    raw = bytes(data)
+    if len(raw) > MAX_DATA:
+        raise FrameError(f"data has {len(raw)} bytes, must have 0 to {MAX_DATA}")
+    sealed = seal(func, raw)
+    if func in AUX_FUNCS and MOTOR_HEAD in sealed:
+        raise FrameError(f"data {raw.hex()} puts aa5503 on the wire, must not: it can be taken for a motor frame")
+    return sealed
+
+
+def integer(field: str, value: int, low: int, high: int) -> int:
+    """The value, if it is an integer from low to high, else FrameError; a bool is no integer here."""
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise FrameError(f"{field} is {value!r}, must be an integer from {low} to {high}")
+    return value
+
+
+def number(field: str, value: float, low: float, high: float, unit: str) -> float:
+    """The value as a float, if it is a number from low to high, else FrameError; NaN and bool are no numbers here.
+    Minus zero becomes zero."""
+    real = isinstance(value, (int, float)) and not isinstance(value, bool)
+    # The chained comparison is false for NaN.
+    if not real or not low <= value <= high:
+        raise FrameError(f"{field} is {value!r}, must be a finite number from {low:g} to {high:g} {unit}")
+    return value + 0.0
+
+
+def counted(field: str, values: Sequence[object], low: int, high: int) -> int:
+    """How many values there are, if from low to high, else FrameError."""
+    try:
+        count = len(values)
+    except TypeError:
+        raise FrameError(f"{field} is {values!r}, must be a sequence of {low} to {high}") from None
+    if not low <= count <= high:
+        raise FrameError(f"{field} has {count} entries, must have {low} to {high}")
+    return count
+
+
+def group(field: str, value: Sequence[object], size: int) -> None:
+    """FrameError unless the value is a tuple or list of `size` parts."""
+    if not isinstance(value, (tuple, list)) or len(value) != size:
+        raise FrameError(f"{field} is {value!r}, must be a tuple of {size} values")
+
+
+def distinct(field: str, ids: Sequence[int]) -> None:
+    """FrameError if an id appears twice: the later one would silently win."""
+    for at, value in enumerate(ids):
+        if value in ids[:at]:
+            raise FrameError(f"{field} {value} appears twice, must appear at most once")

@@ -1,0 +1,1 @@
+"""Hoverboard: a main board with hoverboard-firmware-hack-FOC, on its serial cable."""

@@ -1,0 +1,73 @@
+"""Frames of hoverboard-firmware-hack-FOC: the command down and the feedback up, little-endian words and their xor.
+
+Down: start ABCD, steer, speed, xor. The board mixes left = speed + steer / 2 and right = speed - steer / 2 (its default
+coefficients), so steer is left - right and speed is the mean. Firmware source, commit a0751d5.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import FrameError
+from failstop.board.wire import beyond, two_speeds
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+START = 0xABCD
+LIMIT = 1000.0
+"""The board clamps steer and speed to this: in its speed mode 1000 rpm, by default all of the voltage."""
+APART = 1000.0
+"""The largest steer: the board clamps it alone, so a wider difference would drive another way than it was asked to."""
+UNIT = "thousandths of the voltage (VLT_MODE, the default) or rpm (SPD_MODE)"
+
+_COMMAND = Struct("<HhhH")
+
+
+def seal(steer: int, speed: int) -> bytes:
+    """The frame with any two words, unchecked."""
+    check = START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF)
+    return _COMMAND.pack(START, steer, speed, check)
+
+
+def motion(speeds: Sequence[float], limit: float) -> bytes:
+    """The frame for left and right, each within plus or minus `limit`. Raises FrameError.
+
+    Speeds become whole numbers, towards zero. The larger loses one more where their sum is odd: half a unit in the
+    mean would be rounded by the board, and a wheel at rest told to creep backward.
+    """
+    left, right = (int(speed) for speed in two_speeds(speeds, limit, LIMIT, "units"))
+    if (left + right) % 2:
+        if abs(left) > abs(right):
+            left -= 1 if left > 0 else -1
+        else:
+            right -= 1 if right > 0 else -1
+    if abs(left - right) > APART:
+        raise FrameError(f"left {left} and right {right} are more than {APART:g} apart, must be less")
+    return seal(left - right, (left + right) // 2)
+
+
+STOP = motion((0.0, 0.0), 0.0)
+
+
+def wheels(steer: int, speed: int) -> tuple[float, float]:
+    """Left and right, as the board mixes them: floored, then clamped."""
+    # In sixteenths of a unit, as the firmware computes.
+    left, right = (speed * 16 + steer * 8) >> 4, (speed * 16 - steer * 8) >> 4
+    return max(-LIMIT, min(left, LIMIT)), max(-LIMIT, min(right, LIMIT))
+
+
+def check_motion(frame: bytes, limit: float) -> str:
+    """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
+    if len(frame) != _COMMAND.size:
+        return "not a command frame"
+    start, steer, speed, check = _COMMAND.unpack(frame)
+    if start != START:
+        return "not a command frame"
+    if check != START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
+        return "bad xor"
+    if abs(steer) > APART:
+        return f"steer {steer}, must be within {APART:g}"
+    # The exact values: what the board's clamps would hide is refused too.
+    return beyond((speed + steer / 2, speed - steer / 2), limit, LIMIT)

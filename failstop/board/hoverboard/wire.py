@@ -1,0 +1,52 @@
+"""The hoverboard's wire: a stop stands alone between idle gaps, and each writer repeats it at times of its own.
+
+The receiver looks at what came since its last look whenever the line falls idle, and takes exactly eight bytes: two
+frames without a gap are dropped together. It also looks at the end of each of its own feedback frames, every 10.1 ms,
+and drops what is half arrived then: a lone stop is lost in 6.1 %. Repeats at multiples of the feedback's period would
+be lost together; these are not, and no two writers' touch twice in a row: the stop of one or two writers is accepted
+within 12 ms (tests/boards/test_stop_of_every_board.py).
+"""
+
+from __future__ import annotations
+
+from failstop.board.hoverboard import codec
+from failstop.board.hoverboard.feedback import Feedback
+from failstop.board.wire import COAST, ECHOED, OBSERVED, Motion, Pace, Port, Stop, Watchdog, Wire, Write
+
+IDLE_NS = 200_000
+"""Twice a byte's time and a little more: the receiver sees an idle line after one."""
+_MS = 1_000_000
+
+WIRE = Wire(
+    name="hoverboard-firmware-hack-FOC",
+    port=Port(baud=115_200, dtr=False, rts=False, deaf_ns=0, opening=()),
+    stop=Stop(
+        writes=(Write(IDLE_NS, codec.STOP),),
+        after_ns=IDLE_NS,
+        repeats_ns=tuple(
+            tuple(int(at * _MS) for at in row)
+            for row in ((0, 6.5, 9.5, 29, 98), (0, 7.5, 11, 23, 116), (0, 2, 7.5, 29, 107))
+        ),
+    ),
+    pace=Pace(idle_ns=IDLE_NS, unanswered=None),
+    watchdog=Watchdog(
+        after_ns=805 * _MS,
+        does=COAST,
+        arm=None,
+        fed_by="every accepted frame feeds it; frames without a gap between them do not; the next frame drives again",
+    ),
+    motion=Motion(
+        wheels=2,
+        unit=codec.UNIT,
+        limit=codec.LIMIT,
+        step=1.0,
+        apart=codec.APART,
+        frame=codec.motion,
+        rest=codec.STOP,
+        check=codec.check_motion,
+    ),
+    questions=(),
+    reader=Feedback,
+    proofs=(ECHOED, OBSERVED),
+    others="a second serial cable, where the firmware was built with two inputs",
+)

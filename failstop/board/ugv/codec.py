@@ -1,0 +1,126 @@
+"""Lines of JSON for Waveshare's ugv_base_ros: the commands down and the reports up. Firmware source, commit c967326.
+
+The stop begins with a line feed, which ends whatever was cut before: a cut line is no JSON and is ignored. Braces are
+never left out or emptied: `{}`, `null` or the tail of a line stop the wheels and switch an arm's torque off. Motion is
+T:1 alone: T:13, which the vendor's ROS 2 driver sends, does not feed the board's watchdog.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from math import isfinite, pi
+
+from failstop.board.framing import integer
+from failstop.board.wire import Answer, Battery, Imu, Reader, Sample, Wheels, beyond, two_speeds
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+STOP = b'\n{"T":1,"L":0,"R":0}\n'
+SPEED_RATE = b'{"T":139}\n'
+"""A question without any effect. Never T:128, which overwrites a calibration."""
+ATTITUDE = b'{"T":126}\n'
+LIMIT = 2.0
+"""Beyond it the board keeps the old speed without a word, and feeds its watchdog."""
+STEP = 0.001
+UNIT = "m/s (on ugv_base_general's Rover and RaspRover a share of the PWM)"
+WATCHDOG_MS = (100, 3000)
+"""The range that this module sets. 0 would end every motion in 1 ms."""
+
+REPORT = 1001
+ANSWERS = (139, 1002)
+LONGEST_LINE = 1024
+
+_LINE = re.compile(rb'\{"T":1,"L":(-?\d\.\d{3}),"R":(-?\d\.\d{3})\}\n')
+_ACCEL = 9.80665 / 8192
+"""m/s^2 a unit: the IMU's range is 4 g."""
+_GYRO = pi / 180 / 16.4
+"""rad/s a unit: the IMU's range is 2000 degrees a second."""
+
+
+def motion(speeds: Sequence[float], limit: float) -> bytes:
+    """The line for left and right, each within plus or minus `limit`, rounded towards zero. Raises FrameError."""
+    left, right = two_speeds(speeds, limit, LIMIT, "m/s")
+    return _line(_thousandths(left), _thousandths(right))
+
+
+def _thousandths(speed: float) -> int:
+    # 0.29 is 289.99999999999994 thousandths by floats.
+    return int(round(speed / STEP, 6))
+
+
+def _line(left: int, right: int) -> bytes:
+    # Adding 0.0 makes minus zero zero.
+    return f'{{"T":1,"L":{left / 1000 + 0.0:.3f},"R":{right / 1000 + 0.0:.3f}}}\n'.encode()
+
+
+REST = motion((0.0, 0.0), 0.0)
+
+
+def check_motion(frame: bytes, limit: float) -> str:
+    """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
+    found = _LINE.fullmatch(frame)
+    if not found:
+        return "not a motion line"
+    speeds = float(found[1]), float(found[2])
+    if _line(*map(_thousandths, speeds)) != frame:
+        return "not as this module writes it"
+    return beyond(speeds, limit, LIMIT)
+
+
+def watchdog(after_ns: int) -> bytes:
+    """The line that makes the board stop its wheels so long after the last motion line. It is forgotten with the power,
+    and not answered. Raises FrameError."""
+    after_ms = integer("watchdog in ms", after_ns // 1_000_000, *WATCHDOG_MS)
+    return f'\n{{"T":136,"cmd":{after_ms}}}\n'.encode()
+
+
+class Reports(Reader):
+    """A line each; what is no JSON object is dropped: the board prints text while it starts."""
+
+    def __init__(self) -> None:
+        self._kept = b""
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        """The samples of the lines that these bytes complete."""
+        *lines, rest = (self._kept + chunk).split(b"\n")
+        self._kept = rest[-LONGEST_LINE:]
+        return [sample for line in lines for sample in _samples(line)]
+
+
+def _samples(line: bytes) -> list[Sample]:
+    try:
+        said = json.loads(line)
+    except (ValueError, RecursionError):
+        return []
+    if not isinstance(said, dict):
+        return []
+    kind = said.get("T")
+    if kind == REPORT:
+        return _report(said)
+    return [Answer(str(kind))] if kind in ANSWERS else []
+
+
+def _numbers(said: dict[str, object], *names: str) -> tuple[float, ...]:
+    """The values of these names; empty where one is missing or no finite number."""
+    found = [said.get(name) for name in names]
+    numbers = [value for value in found if isinstance(value, (int, float)) and not isinstance(value, bool)]
+    return tuple(map(float, numbers)) if len(numbers) == len(names) and all(map(isfinite, numbers)) else ()
+
+
+def _report(said: dict[str, object]) -> list[Sample]:
+    found: list[Sample] = []
+    speeds, positions = _numbers(said, "L", "R"), _numbers(said, "odl", "odr")
+    if speeds or positions:
+        found.append(Wheels(speeds, positions))
+    # With an arm, ax to az are where its hand is.
+    accel, gyro = _numbers(said, "ax", "ay", "az"), _numbers(said, "gx", "gy", "gz")
+    if accel and gyro and "ab" not in said:
+        ax, ay, az = accel
+        gx, gy, gz = gyro
+        found.append(Imu((ax * _ACCEL, ay * _ACCEL, az * _ACCEL), (gx * _GYRO, gy * _GYRO, gz * _GYRO)))
+    if centivolts := _numbers(said, "v"):
+        found.append(Battery(centivolts[0] / 100))
+    return found

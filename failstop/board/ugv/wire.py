@@ -1,0 +1,66 @@
+"""The UGV's wire: a line feed before the stop, and a watchdog of the board's own, armed at each opening.
+
+The receiver keeps a line of any length until its line feed, so the stop needs no idle line and may be glued to
+anything. Motion lines feed the watchdog; the refresh of a stop is a motion line too.
+"""
+
+from __future__ import annotations
+
+from failstop.board.ugv import codec
+from failstop.board.wire import (
+    ANSWERED,
+    OBSERVED,
+    ZERO,
+    Answer,
+    Motion,
+    Pace,
+    Port,
+    Question,
+    Stop,
+    Watchdog,
+    Wire,
+    Write,
+)
+
+_MS = 1_000_000
+
+WIRE = Wire(
+    name="Waveshare UGV (ugv_base_ros)",
+    # Its serial pins have no modem lines; on USB both lines on or both off leave the ESP32 running.
+    port=Port(
+        baud=115_200,
+        dtr=False,
+        rts=False,
+        deaf_ns=5000 * _MS,
+        opening=(codec.STOP, codec.watchdog(500 * _MS)),
+    ),
+    stop=Stop(
+        writes=(Write(0, codec.STOP),),
+        after_ns=0,
+        repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),
+    ),
+    pace=Pace(idle_ns=0, unanswered=None),
+    watchdog=Watchdog(
+        after_ns=3000 * _MS,
+        does=ZERO,
+        arm=codec.watchdog,
+        fed_by="T:1 and T:11 feed it; T:13, which the vendor's ROS 2 driver sends, neither feeds nor arms it",
+    ),
+    motion=Motion(
+        wheels=2,
+        unit=codec.UNIT,
+        limit=codec.LIMIT,
+        step=codec.STEP,
+        apart=2 * codec.LIMIT,
+        frame=codec.motion,
+        rest=codec.REST,
+        check=codec.check_motion,
+    ),
+    questions=(
+        Question("speed rate", codec.SPEED_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "139"),
+        Question("attitude", codec.ATTITUDE, lambda sample: isinstance(sample, Answer) and sample.text == "1002"),
+    ),
+    reader=codec.Reports,
+    proofs=(ANSWERED, OBSERVED),
+    others="its Wi-Fi access point with a web page, ESP-NOW, and the vendor's own programs on the host",
+)

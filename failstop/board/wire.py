@@ -1,0 +1,201 @@
+"""Wire: the vocabulary in which any motor board is described; one folder of this room describes one board with it.
+
+The service drives the board of interface.py alone; the boards described here are proved and not yet driven
+(docs/boards.md).
+"""
+
+from __future__ import annotations
+
+from failstop.board.framing import counted, number
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+ZERO = "zero"
+"""The wheels are driven to rest."""
+COAST = "coast"
+"""The motors get no current, and the wheels roll on."""
+DISARM = "disarm"
+"""The wheels stop, and the board takes no motion before it was armed again."""
+
+WRITTEN = "written"
+ANSWERED = "answered"
+"""Proof: a question behind the stop was answered, so the stop was parsed."""
+ECHOED = "echoed"
+"""Proof: the board reports the command that it obeys, and that is zero."""
+OBSERVED = "observed"
+"""Proof: the wheels' own encoders or the IMU say that they stand."""
+
+BITS_PER_BYTE = 10
+"""On the wire: a start bit, eight of data, a stop bit."""
+
+
+class Port(Data):
+    """How the board's serial port is set up, and what is lost while the board starts."""
+
+    baud: int
+    dtr: bool
+    rts: bool
+    deaf_ns: int
+    """How long after it was opened nothing is heard: opening resets the board."""
+    opening: tuple[bytes, ...]
+    """Frames to write when it hears: they arm its own watchdog."""
+
+    @property
+    def byte_ns(self) -> int:
+        """How long a byte takes on the wire."""
+        return BITS_PER_BYTE * 1_000_000_000 // self.baud
+
+
+class Write(Data):
+    """One write to the port."""
+
+    idle_ns: int
+    """How long the line has to be silent before its first byte."""
+    data: bytes
+
+
+class Stop(Data):
+    """Writes that stop the wheels whatever state the board's receiver is in."""
+
+    writes: tuple[Write, ...]
+    after_ns: int
+    """How long the line has to be silent after its last byte."""
+    repeats_ns: tuple[tuple[int, ...], ...]
+    """A row for each writer: when it writes the stop, after it began. Writers that can't see each other's bytes have
+    different times, so that no two of them touch twice in a row."""
+
+
+class Pace(Data):
+    """When anything but a stop may be written."""
+
+    idle_ns: int
+    """How long the line has to be silent before it."""
+    unanswered: int | None
+    """How many frames may be on their way without the answer to them; None: any number."""
+
+
+class Watchdog(Data):
+    """The board's own watchdog, which stops the wheels when the host is gone: a dead kernel, a pulled cable."""
+
+    after_ns: int
+    """As the board comes up."""
+    does: str
+    """ZERO, COAST or DISARM."""
+    arm: Callable[[int], bytes] | None
+    """(after_ns): the frame that sets the time; raises FrameError. None: it is what the firmware was built with."""
+    fed_by: str
+    """A sentence for people: what keeps it from acting, and what does not."""
+
+
+class Motion(Data):
+    """Motion from the speeds of the wheels, in the board's own unit."""
+
+    wheels: int
+    """How many speeds there are: left and right, or one for each wheel."""
+    unit: str
+    limit: float
+    """The largest speed that the board takes."""
+    step: float
+    """Speeds are sent as multiples of this, rounded towards zero."""
+    apart: float
+    """The largest difference between two wheels that the board takes."""
+    frame: Callable[[Sequence[float], float], bytes]
+    """(speeds, limit): the frame that sets all wheels, each within plus or minus `limit`. Raises FrameError. Zeros make
+    exactly one form, `rest`."""
+    rest: bytes
+    """The frame for zeros."""
+    check: Callable[[bytes, float], str]
+    """(frame, limit): why these bytes must not be written as a motion frame; "" when they may. Never raises on
+    bytes."""
+
+
+class Sample:
+    """A report of a board, in the same few kinds for all boards."""
+
+
+class Wheels(Sample, Data):
+    """Left and right, or one for each wheel; what a board does not report is empty."""
+
+    speeds: tuple[float, ...]
+    """In the unit of its motion."""
+    positions: tuple[float, ...]
+    """Odometers, in a unit of the board's own: two reports that are equal prove rest."""
+
+
+class Obeyed(Sample, Data):
+    """The command that the board follows now, in the unit of its motion; zeros also after its watchdog has acted."""
+
+    speeds: tuple[float, ...]
+
+
+class Battery(Sample, Data):
+    """Its voltage."""
+
+    volts: float
+
+
+class Imu(Sample, Data):
+    """Acceleration in m/s^2 and turn rate in rad/s, by the axes of the board."""
+
+    accel: tuple[float, float, float]
+    gyro: tuple[float, float, float]
+
+
+class Answer(Sample, Data):
+    """A line that only answers, and is never sent unasked."""
+
+    text: str
+
+
+class Question(Data):
+    """A frame that moves nothing and is answered."""
+
+    name: str
+    ask: bytes
+    answered_by: Callable[[Sample], bool]
+    """Whether a sample is the answer to it."""
+
+
+class Reader:
+    """Bytes from the board, in; samples, out. It keeps what is not complete yet."""
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        """The samples that these bytes complete, in order. Never raises."""
+        raise NotImplementedError
+
+
+class Wire(Data):
+    """Everything that is known of one board's language."""
+
+    name: str
+    port: Port
+    stop: Stop
+    pace: Pace
+    watchdog: Watchdog
+    motion: Motion
+    questions: tuple[Question, ...]
+    reader: Callable[[], Reader]
+    proofs: tuple[str, ...]
+    """Proofs of a stop that it can give beside WRITTEN: ANSWERED, ECHOED, OBSERVED."""
+    others: str
+    """A sentence for people: who else can command its wheels."""
+
+
+def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:
+    """Left and right, each a finite number within plus or minus `limit`, which is `most` at most; else FrameError."""
+    counted("speeds", speeds, 2, 2)
+    number("limit", limit, 0.0, most, unit)
+    return number("speed left", speeds[0], -limit, limit, unit), number("speed right", speeds[1], -limit, limit, unit)
+
+
+def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
+    """Why these speeds must not be commanded; "" when they may."""
+    if not 0.0 <= limit <= most:
+        return f"limit {limit}, must be 0 to {most:g}"
+    for name, speed in zip(("left", "right"), speeds, strict=True):
+        if not -limit <= speed <= limit:  # a chained comparison is false for NaN
+            return f"{name} at {speed:g}, limit {limit:g}"
+    return ""

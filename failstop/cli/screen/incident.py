@@ -1,0 +1,132 @@
+"""Incident: a saved stop for people, as lines of a terminal of 80 columns or what there is. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from failstop.api import words
+from failstop.cli import style
+from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
+from failstop.incidents import memory, story
+from failstop.incidents.incident import DRIVING, SAYS, Incident, named
+from failstop.incidents.story import CAUSE
+from failstop.messages.records import printable
+from failstop.policy import causes
+from failstop.policy.settings import Settings
+
+Lines = list[list[tuple[str, str]]]
+Fact = tuple[str, str, str]
+"""Its name, what it says, and its role."""
+
+MORE = "--all tells the rest; `plot` in place of `show` draws it"
+NARROWEST = 60
+LABEL = 10
+LEAD = 2 + 10 + 2 + LABEL + 2
+"""Columns in front of a line's text: indent, time, gap, label, gap."""
+PROOFS = {True: PLAIN, None: WARN, False: FAIL}
+ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
+
+
+def table(heads: list[dict[str, Any]], columns: int) -> Lines:
+    """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
+    lines: Lines = []
+    for head in heads:
+        role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
+        lines.append([(head["id"], STRONG)])
+        lines += _wrapped("  ", f"{words.date(head['t'])}  {head['reason']}", PLAIN, columns)
+        lines += _wrapped("  ", memory.proven(head), role, columns)
+    return lines
+
+
+def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False) -> Lines:
+    """The facts, and the lines of the story that matter, without scrolling; `whole`: every line of it, and what was
+    around it."""
+    columns = max(columns, NARROWEST)
+    return [
+        *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),
+        [],
+        *_story(incident, columns, whole=whole),
+        *([[], *_facts("Around it", _around(incident), columns)] if whole else [[(MORE, DIM)]]),
+    ]
+
+
+def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
+    """A text behind what leads it, as wide as that from its second row on."""
+    return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
+
+
+def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
+    wrapped = (_wrapped(f"  {name:<10}", said, role, columns) for name, said, role in rows)
+    return [[(title, STRONG)], *(line for lines in wrapped for line in lines)]
+
+
+def _head(incident: Incident, now_s: float) -> list[Fact]:
+    """The event, its time, who noticed it, and the three proofs of the stop, which are kept apart."""
+    head = incident.head
+    ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
+    by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
+    noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
+    if incident.cause.kind is causes.REQUESTED:
+        asked = incident.cause.named()
+        noticed += f"; asked for by {asked['who']} (pid {asked['pid']})"
+    rows = [
+        ("why", incident.why, FAIL),
+        ("when", f'{words.date(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
+        ("before", _before(incident), PLAIN),
+        ("noticed", noticed, PLAIN),
+    ]
+    for name, (said, proven) in zip(("proof", "", ""), memory.proofs(head), strict=True):
+        rows.append((name, said, PROOFS[proven]))
+    if incident.left:
+        rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
+    if incident.foreign:
+        version = f"Of failstop {head['versions']['failstop']}, which laid its records out otherwise"
+        rows.append(("note", f"{version}: what was told, no more.", WARN))
+    if incident.undecoded:
+        rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
+    return rows
+
+
+def _before(incident: Incident) -> str:
+    """The robot's motion when it happened, and since when it stood."""
+    ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
+    if not ticks:
+        return memory.NOT_KNOWN
+    last = ticks[-1]
+    if last.block == DRIVING:
+        age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
+        how = words.velocity(*last.velocity) or "zero"
+        return f"driving, {how}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
+    driven = [tick.ns for tick in ticks if tick.block == DRIVING]
+    least = "" if driven else "at least "
+    stood_s = (incident.cause_ns - (driven[-1] if driven else ticks[0].ns)) / 1e9
+    return f"the wheels stood ({SAYS.get(last.block, last.block)}), for {least}{words.took(stood_s)}"
+
+
+def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
+    """A row for each line; where there is no room, what an event says is cut, or told in several rows (`whole`)."""
+    found: Lines = [[("Story", STRONG), (", milliseconds from the cause; of several alike, the last", PLAIN)]]
+    for line in story.tell(incident) if whole else story.brief(incident):
+        cause = line.what == CAUSE
+        at = f">>{0:>10}  " if cause else f"  {incident.ms(line.ns):>+10.1f}  "
+        label = printable(f"{line.what.partition('_')[0]:<{LABEL}.{LABEL}}  ")
+        said = printable(line.text)
+        more = f" ({line.count} x until {incident.ms(line.until_ns):+.1f})" if line.count > 1 else ""
+        if not whole:
+            said = style.cut(said, columns - LEAD - len(more))
+        told = FAIL if cause else PLAIN
+        found += style.wrap([(at, told), (label, ROLES.get(line.what, PLAIN)), (said + more, told)], columns, LEAD)
+    return found
+
+
+def _around(incident: Incident) -> list[Fact]:
+    """Details for a reader whom the story has left with a question."""
+    usual = Settings().lines().splitlines()
+    changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
+    volts = f"{incident.battery_v[-1]:.2f} V, at least {min(incident.battery_v):.2f} V" if incident.battery_v else ""
+    return [
+        ("battery", volts or memory.NOT_KNOWN, PLAIN),
+        ("machine", ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in incident.machine.items()), PLAIN),
+        ("settings", ", ".join(changed) or "all as by default", PLAIN),
+        ("versions", ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items()), PLAIN),
+    ]

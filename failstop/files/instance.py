@@ -1,0 +1,214 @@
+"""Instances: the names, the runtime directory and the service lock that keep several robots on one machine apart."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+
+from failstop.data import Data
+from failstop.files import place, root
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+DEFAULT_NAME = "failstop"
+_ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
+RUN_DIGITS = 16
+SHARED = "/dev/shm/failstop"
+LAST_BYTES = 65536
+"""More than the longest paths of port and settings file, quoted for a shell."""
+
+
+class Last(Data):
+    """How the last run of a name was started."""
+
+    device: str = ""
+    """Its port; empty: there was no run that this user can see."""
+    command: str = ""
+    """The command line that starts it again."""
+    servos: tuple[int, ...] = ()
+    """Of the robot's arm."""
+
+
+class InstanceError(Exception):
+    """The name or runtime directory can't be used; the message says why and what to do."""
+
+
+class NoService(Exception):
+    """No service of this name runs."""
+
+
+def check_name(name: str) -> str:
+    """Return the name, or raise InstanceError: 1 to 32 of a-z, 0-9, _ and -."""
+    if not 0 < len(name) <= 32 or not _ALLOWED.issuperset(name):
+        raise InstanceError(f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -")
+    return name
+
+
+def option(name: str) -> str:
+    """The option by which a command of failstop means this instance: " --name NAME", and nothing for the default
+    one."""
+    return "" if name == DEFAULT_NAME else f" --name {name}"
+
+
+def bases() -> list[str]:
+    """The folders that runtime directories of all instances are in, the best first."""
+    user = os.getuid()
+    session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
+    found = [root.at("/run/failstop"), os.path.join(session, "failstop")]
+    # A user without a session, as in a container, has no private folder. In a shared one others may have been there
+    # first, and be in the way; never in root's.
+    return [*found, f"{SHARED}-{user}"] if user else found
+
+
+def places(name: str) -> list[str]:
+    """Where the runtime directory of an instance may be, the best first. Raises InstanceError."""
+    return [os.path.join(base, check_name(name)) for base in bases()]
+
+
+def _file(name: str) -> Callable[[str], str]:
+    """Where this file is in a runtime directory."""
+    return lambda runtime_dir: os.path.join(runtime_dir, name)
+
+
+lock_path = _file("lock")
+"""The file whose first byte the running service holds."""
+claims_path = _file("claims")
+"""The file on whose bytes clients hold their slots."""
+stop_path = _file("stop")
+"""The FIFO that every local user may write: any bytes are a stop."""
+bell_path = _file("bell")
+"""The FIFO by which clients wake the gate."""
+run_path = _file("run")
+"""The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
+last_path = _file("last")
+"""The file that says how the last run was started; it stays when that has ended."""
+
+
+def _draft_of(path: str) -> str:
+    """Where a file is written before it takes its name."""
+    return f"{path}.new"
+
+
+def publish(runtime_dir: str, incarnation: int) -> int:
+    """Say which run serves this directory; returns the descriptor of the file that says so. Raises OSError."""
+    return _put(runtime_dir, run_path(runtime_dir), f"{incarnation:016x}\n".encode())
+
+
+def remember(runtime_dir: str, last: Last) -> None:
+    """Keep how this run was started, for when it has ended. Raises OSError."""
+    words = last.device, last.command, *map(str, last.servos)
+    os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
+
+
+def last(name: str) -> Last:
+    """How the last run of this name was started, as far as this user can see one. Raises nothing."""
+    found: list[tuple[int, list[str]]] = []
+    # A name that can't be one; a file that is not there, or not to be trusted.
+    with contextlib.suppress(InstanceError):
+        for path in map(last_path, places(name)):
+            with contextlib.suppress(OSError):
+                found.append(_read(path))
+    try:
+        device, command, *servos = max(found)[1]
+        return Last(device, command if command.isprintable() else "", tuple(map(int, servos)))
+    except ValueError:  # nothing was found, or nonsense
+        return Last()
+
+
+def _read(path: str) -> tuple[int, list[str]]:
+    """When a file was written (Unix time, ns), and the words in it. Raises OSError."""
+    fd = place.opened(path, os.O_RDONLY)
+    try:
+        return os.fstat(fd).st_mtime_ns, os.fsdecode(os.read(fd, LAST_BYTES)).split("\0")
+    finally:
+        os.close(fd)
+
+
+def _put(runtime_dir: str, path: str, data: bytes) -> int:
+    """Put a file that everybody may read into a runtime directory, whole or not at all; returns its descriptor. Raises
+    OSError."""
+    draft = _draft_of(path)
+    above = place.directory(runtime_dir)
+    fd = -1
+    try:
+        fd = place.opened(draft, os.O_RDWR | os.O_CREAT)
+        os.ftruncate(fd, 0)
+        if os.pwrite(fd, data, 0) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+        os.fchmod(fd, 0o644)
+        os.rename(os.path.basename(draft), os.path.basename(path), src_dir_fd=above, dst_dir_fd=above)
+    except BaseException:
+        if fd >= 0:
+            os.close(fd)
+        raise
+    finally:
+        os.close(above)
+    return fd
+
+
+def clear(runtime_dir: str) -> None:
+    """Take away what a run has put into its directory, its name first, all but the lock and how it was started; as far
+    as it is there."""
+    try:
+        where = place.directory(runtime_dir)
+    except OSError:
+        return
+    each = [path(runtime_dir) for path in (run_path, stop_path, bell_path, claims_path)]
+    for path in (*each, *(_draft_of(path(runtime_dir)) for path in (run_path, last_path))):
+        with contextlib.suppress(OSError):
+            os.unlink(os.path.basename(path), dir_fd=where)
+    os.close(where)
+
+
+def run(runtime_dir: str) -> tuple[int, int]:
+    """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
+    fd = -1
+    try:
+        fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
+        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
+    except place.Untrusted as error:
+        raise InstanceError(str(error.strerror)) from None
+    except (OSError, ValueError):
+        raise no_service(os.path.basename(runtime_dir)) from None
+    finally:
+        if fd >= 0:
+            os.close(fd)
+
+
+def already_running(name: str, pid: int | str) -> InstanceError:
+    """The refusal of a second service of one name."""
+    return InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
+
+
+def find(name: str) -> str:
+    """Return the runtime directory of the running service of this name. Raises NoService, InstanceError."""
+    path, fd = open_stop(name)
+    os.close(fd)
+    return path
+
+
+def open_stop(name: str) -> tuple[str, int]:
+    """Open the stop pipe of the running service of this name to write; returns the runtime directory and the
+    descriptor. Raises NoService, InstanceError."""
+    doubts = []
+    for path in places(name):
+        try:
+            return path, place.opened(stop_path(path), os.O_WRONLY, pipe=True)
+        except place.Untrusted as error:
+            doubts.append(f"; {error.strerror}")
+        except OSError:
+            continue
+    raise no_service(name, "".join(doubts))
+
+
+def no_service(name: str, doubts: str = "") -> NoService:
+    """The refusal to a client of a service that does not run. `doubts`: what was found and is not believed."""
+    return NoService(f"no service named {name!r} is running: start it with `{start_command(name)}`{doubts}")
+
+
+def start_command(name: str) -> str:
+    """The command line that starts a service of this name as its last run was started."""
+    return last(name).command or f"failstop run{option(name)}"

@@ -1,0 +1,33 @@
+"""Root: below which the machine's own directories are for this process, and an instance's that outlives it."""
+
+from __future__ import annotations
+
+import os
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SYSTEM_BASE = "/var/lib/failstop"
+VARIABLE = "FAILSTOP_ROOT"
+"""Names another root than /: a run below it has nothing to do with what is installed, or runs, on the machine."""
+
+
+def at(path: str) -> str:
+    """Where an absolute path of the system's, as /run/failstop, is."""
+    return os.environ.get(VARIABLE, "") + path
+
+
+def state_directory(instance: str, environ: Mapping[str, str], configured: str = "") -> str:
+    """The directory for an instance's files, which need not be there yet: the configured one, systemd's
+    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state."""
+    if configured:
+        return configured
+    if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
+        return given
+    base = at(SYSTEM_BASE)
+    system = os.path.join(base, instance)
+    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
+        return system
+    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return os.path.join(home, "failstop", instance)

@@ -1,0 +1,25 @@
+"""The check of the robot's part in its fleet: whether a stop of the fleet would be obeyed here."""
+
+from __future__ import annotations
+
+from failstop.doctor.look import Finding, Look, ok, warn
+
+UNIT = "failstop-fleet.service"
+PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
+
+
+def check(look: Look) -> list[Finding]:
+    """The publisher's own words to systemd. One that runs in a shell tells its own terminal."""
+    said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
+    found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
+    active, enabled = found.get("ActiveState") == "active", found.get("UnitFileState", "").startswith("enabled")
+    if found.get("LoadState") != "loaded" or not (active or enabled):
+        return ok("the robot is in no fleet")
+    if not active:
+        text = f"{UNIT} is enabled and {found.get('ActiveState')}: the robot obeys no stop of the fleet"
+        return warn(text, f"journalctl -xeu {UNIT}")
+    if found.get("StatusErrno", "0") != "0":
+        return warn(
+            f"the robot {found.get('StatusText')}", f"journalctl -u {UNIT}", "docs/fleet.md has the access list"
+        )
+    return ok(f"the robot {found.get('StatusText') or 'is in a fleet'}")

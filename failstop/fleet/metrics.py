@@ -1,0 +1,220 @@
+"""Metrics: a state as families of samples, by a table. Pure.
+
+Each row is a metric as Prometheus has them: base units, the unit at the end of the name, `_total` for what only grows.
+A value that is not known has no sample; `failstop_up` alone is there without a service.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+
+from failstop.api import verdict
+from failstop.messages import blocks, records
+from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN
+from failstop.version import VERSION
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State
+
+    Labels = tuple[tuple[str, str], ...]
+    Sample = tuple[Labels, float]
+    Read = Callable[[State], Iterable[Sample]]
+
+GAUGE = "gauge"
+COUNTER = "counter"
+NAMESPACE = "failstop"
+LATCHED = "latched"
+BLOCKS = {blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command", blocks.NO_SCAN: "no_scan"}
+OTHER_BLOCK = "other"
+PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
+
+
+@dataclasses.dataclass(frozen=True)
+class Family:
+    """One metric: its name, what kind it is, what it says, and how it is read from a state."""
+
+    name: str
+    kind: str
+    doc: str
+    labels: tuple[str, ...]
+    read: Read
+
+
+def collect(state: State | None) -> Iterator[tuple[Family, list[Sample]]]:
+    """Every family that has samples now; None: no service runs, or it says nothing."""
+    yield UP, [((), float(state is not None))]
+    if state is not None:
+        for family in FAMILIES[1:]:
+            if samples := list(family.read(state)):
+                yield family, samples
+
+
+def _one(value: float | None) -> list[Sample]:
+    return [] if value is None else [((), float(value))]
+
+
+def _each(label: str, values: dict[str, float]) -> list[Sample]:
+    return [(((label, name),), float(value)) for name, value in values.items()]
+
+
+def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
+    """One sample for each word that there is, of which one is 1."""
+    return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
+
+
+def _blocked(state: State) -> list[Sample]:
+    now = LATCHED if state.cause else BLOCKS.get(state.blocked, OTHER_BLOCK) if state.blocked else ""
+    return _each("reason", {name: float(name == now) for name in (LATCHED, *BLOCKS.values(), OTHER_BLOCK)})
+
+
+def _processes(value: str) -> Read:
+    return lambda state: _each("process", {name: getattr(row, value) for name, row in state.processes.items()})
+
+
+def _living(value: str) -> Read:
+    return lambda state: _each(
+        "process", {name: getattr(row, value) for name, row in state.processes.items() if row.pid}
+    )
+
+
+def _process_states(state: State) -> list[Sample]:
+    return [
+        ((("process", name), ("state", word)), float(row.state == word))
+        for name, row in state.processes.items()
+        for word in dict.fromkeys((*PROCESS_STATES, row.state))
+    ]
+
+
+def _stop(value: str) -> Read:
+    return lambda state: _one(getattr(state.last_stop, value) if state.last_stop else None)
+
+
+def _stop_cause(state: State) -> list[Sample]:
+    stop = state.last_stop
+    return [((("cause", stop.cause.kind.name), ("noticed_by", stop.noticed_by)), 1.0)] if stop else []
+
+
+def _joints(value: str) -> Read:
+    def read(state: State) -> list[Sample]:
+        joints = state.arm.joints if state.arm else {}
+        known = {name: getattr(row, value) for name, row in joints.items()}
+        return _each("joint", {name: found for name, found in known.items() if found is not None})
+
+    return read
+
+
+def _rows() -> Iterator[Family]:
+    def row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
+        return Family(f"{NAMESPACE}_{name}", kind, doc, labels, read)
+
+    yield row("up", GAUGE, "1 while the service answers; the only one that is there when it does not", lambda _: ())
+    yield row(
+        "build_info", GAUGE, "Always 1; the version is the exporter's",
+        lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
+    )  # fmt: skip
+    yield row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled))
+    yield row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving))
+    yield row(
+        "wheels_may_turn", GAUGE, "1 while a stop is not known to reach the wheels: the POWER SWITCH is all there is",
+        lambda state: _one(bool(verdict.doubt(state))),
+    )  # fmt: skip
+    yield row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None))
+    yield row(
+        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/causes.md)",
+        lambda state: [((("cause", state.cause.kind.name),), 1.0)] if state.cause else [], "cause",
+    )  # fmt: skip
+    yield row("blocked", GAUGE, "1 for the reason why the wheels may not turn; all 0: they may", _blocked, "reason")
+    yield row(
+        "stops_total", COUNTER, "Stops since the service was started, those of its start included; no reset counts",
+        lambda state: _one(state.epoch),
+    )  # fmt: skip
+    yield row(
+        "last_stop_info", GAUGE, "Always 1; why the robot was stopped last, and who noticed it",
+        _stop_cause, "cause", "noticed_by",
+    )  # fmt: skip
+    yield row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t"))
+    yield row(
+        "last_stop_written_seconds", GAUGE, "From its cause to its bytes in the kernel; missing: NOT written",
+        _stop("written_s"),
+    )  # fmt: skip
+    yield row(
+        "last_stop_acknowledged_seconds", GAUGE, "From its cause to the board's answer; missing: none came",
+        _stop("acknowledged_s"),
+    )  # fmt: skip
+    yield row(
+        "last_stop_observed_seconds", GAUGE,
+        "From its cause to wheels that the IMU calls still; 0: nothing shook before it either; missing: not seen",
+        _stop("observed_s"),
+    )  # fmt: skip
+    yield row(
+        "velocity_meters_per_second", GAUGE, "Commanded now, x forward, y left",
+        lambda state: _each("axis", {"x": state.body_vel[0], "y": state.body_vel[1]}), "axis",
+    )  # fmt: skip
+    yield row(
+        "turn_radians_per_second", GAUGE, "Commanded now, counter-clockwise", lambda state: _one(state.body_vel[2])
+    )
+    yield row(
+        "port_state", GAUGE, "1 for what the port to the board is",
+        lambda state: _states("state", records.PORT_STATES, state.device.state), "state",
+    )  # fmt: skip
+    yield row(
+        "link_state", GAUGE, "1 for what the board's answers prove",
+        lambda state: _states("state", LINKS, state.device.link), "state",
+    )  # fmt: skip
+    yield row(
+        "speed_limit_ratio", GAUGE, "The share of the settings' speeds that drivers may use",
+        lambda state: _one(state.speed_limit),
+    )  # fmt: skip
+    yield row(
+        "battery_volts", GAUGE, "The battery's voltage",
+        lambda state: _one(state.battery_v),
+    )  # fmt: skip
+    yield row(
+        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
+        lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
+    )  # fmt: skip
+    yield row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s))
+    yield row(
+        "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
+        lambda state: _one(state.scan_age_s),
+    )  # fmt: skip
+    yield row("clients", GAUGE, "Programs that hold a client slot", lambda state: _one(len(state.clients)))
+    yield row("process_state", GAUGE, "1 for what each process is", _process_states, "process", "state")
+    yield row("process_restarts_total", COUNTER, "Restarts of each process", _processes("restarts"), "process")
+    yield row("process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _living("age_s"), "process")
+    yield row(
+        "process_longest_turn_seconds", GAUGE, "The longest time between two turns of its loop since its start",
+        _living("worst_s"), "process",
+    )  # fmt: skip
+    yield row(
+        "process_realtime", GAUGE, "1 with real-time rights, without which stops come later",
+        _processes("realtime"), "process",
+    )  # fmt: skip
+    yield row(
+        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
+        lambda state: _one(state.starved_times),
+    )  # fmt: skip
+    yield row(
+        "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
+        lambda state: _one(state.arm.moving if state.arm else None),
+    )  # fmt: skip
+    yield row(
+        "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
+    )
+    yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
+
+
+LINKS = (UNPROVEN, ALIVE, DEAF, UNASKED)
+FAMILIES = tuple(_rows())
+UP = FAMILIES[0]
+
+
+def markdown() -> list[str]:
+    """The table of docs/fleet.md."""
+    rows = ["| metric | kind | labels | what it says |", "|---|---|---|---|"]
+    for family in FAMILIES:
+        labels = ", ".join(f"`{label}`" for label in family.labels)
+        rows.append(f"| `{family.name}` | {family.kind} | {labels} | {family.doc} |")
+    return rows

@@ -1,0 +1,160 @@
+"""Obey: the stops of the fleet on the robot's side: which are obeyed, and what is answered when. Pure.
+
+A stop is asked for first and remembered after: what a crash between the two lets through is a stop too many.
+"""
+
+from __future__ import annotations
+
+from failstop.fleet import levels, replay, signed
+from failstop.fleet.levels import Answer, Order
+from failstop.policy.proofs import ALIVE, UNASKED
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State, Stop
+    from failstop.fleet.replay import Seen
+
+FOLLOWED_S = 6.0
+"""By then all is known that will be known of a stop."""
+AGAIN_EVERY_S = 0.25
+"""An id that comes again is answered this often at most."""
+MOST_DUTIES = 32
+UNWRITTEN = "latched, but NOT written: the board did not get it"
+FORGOTTEN = "asked for before its publisher was restarted, which does not know what became of it"
+
+
+class Duty:
+    """One stop that this robot carries out."""
+
+    def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
+        """It is in the stop pipe. `now_s`: monotonic; `before`: the service's state before that, None where that was
+        not to be read."""
+        self.id = order.id
+        self.reached: dict[str, float] = {levels.ASKED: 0.0}
+        self.why = ""
+        self.confirms = levels.ACKNOWLEDGED
+        self.told_s = now_s
+        self._since_s = now_s
+        self._unix_s = unix_s
+        self._epoch = before.epoch if before else None
+        self._latched = before.cause if before else None
+
+    def look(self, state: State | None, now_s: float) -> bool:
+        """True when something more has become known of it."""
+        stop = state.last_stop if state else None
+        if state is None or stop is None or not self._answers_it(state, stop):
+            return False
+        self.confirms = confirming(state)
+        known = {
+            levels.FAILED: stop.written_s is None,
+            levels.WRITTEN: stop.written_s is not None and stop.sent,
+            levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
+            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
+        }
+        new = {
+            level: round(now_s - self._since_s, 4) for level, so in known.items() if so and level not in self.reached
+        }
+        self.reached |= new
+        self.why = UNWRITTEN if known[levels.FAILED] else ""
+        return bool(new)
+
+    def _answers_it(self, state: State, stop: Stop) -> bool:
+        """A stop of before the request is no answer to it; whichever came after it is. So is the one that was latched
+        before, and is: the service has heard the request, follows the first stop alone, and still hears the board."""
+        if self._epoch is None:
+            return stop.t >= self._unix_s
+        was_latched = self._latched is not None and state.cause == self._latched
+        return stop.epoch > self._epoch or (
+            was_latched and state.epoch > self._epoch and state.device.link in (ALIVE, UNASKED)
+        )
+
+    def open(self, now_s: float) -> bool:
+        """More may become known of it."""
+        return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
+
+
+def confirming(state: State) -> str:
+    """The level that confirms a stop of this robot: what its board answers, or where that answers nothing by its nature
+    what its IMU sees, or where there is none that the stop was written."""
+    if state.device.link != UNASKED:
+        return levels.ACKNOWLEDGED
+    return levels.OBSERVED if state.imu else levels.WRITTEN
+
+
+class Obedience:
+    """The robot's duties by messages on the stop topic."""
+
+    def __init__(self, key: bytes, robot: str, seen: Seen) -> None:
+        self.forged = 0
+        """Messages that were not the fleet's."""
+        self.last_forged = ""
+        self._key = key
+        self._robot = robot
+        self._seen = seen
+        self._duties: dict[str, Duty] = {}
+        self._followed: list[Duty] = []
+        self._new: list[str] = []
+        """Asked for, and not told of yet."""
+        self._refused_s = -AGAIN_EVERY_S
+
+    def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, Answer | None]:
+        """A message came: the stop to carry out now, if it is a new one, or what to answer."""
+        try:
+            order = levels.read_order(self._key, message)
+        except signed.Forged as error:
+            self.forged += 1
+            self.last_forged = str(error)
+            return None, None
+        verdict = self._seen.judge(order.id, order.unix_s, unix_s)
+        if verdict == replay.NEW:
+            return order, None
+        if verdict == replay.AGAIN:
+            return None, self._again(order, now_s)
+        if now_s - self._refused_s < AGAIN_EVERY_S:
+            return None, None
+        self._refused_s = now_s
+        return None, Answer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
+
+    def _again(self, order: Order, now_s: float) -> Answer | None:
+        """The answer that was given before; of a stop from before a restart, that it was asked for."""
+        duty = self._duties.get(order.id)
+        if duty is None:
+            return Answer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
+        if now_s - duty.told_s < AGAIN_EVERY_S:
+            return None
+        return self._answer(duty, now_s)
+
+    def failed(self, order: Order, problem: str) -> Answer:
+        """It could not be asked for. It stays new: it is tried again when the sender repeats it."""
+        return Answer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
+
+    def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
+        """It was asked for, at `now_s`; `before`: the service's state before that."""
+        self._seen.obeyed(order.id, order.unix_s, unix_s)
+        duty = self._duties[order.id] = Duty(order, now_s, unix_s, before)
+        self._followed = [*self._followed, duty][-MOST_DUTIES:]
+        while len(self._duties) > MOST_DUTIES:
+            del self._duties[next(iter(self._duties))]
+        self._new.append(order.id)
+
+    def look(self, state: State | None, now_s: float) -> list[Answer]:
+        """Answers, as more has become known; the first time, that it was asked for."""
+        new, self._new = self._new, []
+        changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
+        return [self._answer(duty, now_s) for duty in changed]
+
+    def _answer(self, duty: Duty, now_s: float) -> Answer:
+        duty.told_s = now_s
+        return Answer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
+
+    def busy(self, now_s: float) -> bool:
+        """True while more is to be known of one."""
+        return bool(self._open(now_s))
+
+    def waits(self, now_s: float) -> bool:
+        """True while one is to be confirmed: the sender counts on that."""
+        return any(duty.confirms not in duty.reached for duty in self._open(now_s))
+
+    def _open(self, now_s: float) -> list[Duty]:
+        self._followed = [duty for duty in self._followed if duty.open(now_s)]
+        return self._followed

@@ -1,0 +1,293 @@
+"""Publisher: one robot on the broker - its connection, state and events, and its obedience to a stop of the fleet.
+
+Outside the stop path: the robot runs as well without it, and it holds nothing that moves the robot. It writes into the
+stop pipe, as every local user may, and reads what everybody may read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+
+from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError
+from failstop.api.events import EventLog
+from failstop.api.state import StateReader
+from failstop.cli import standard
+from failstop.files import durable
+from failstop.files.root import state_directory
+from failstop.fleet import FleetError, signed, topics, vda5050
+from failstop.fleet.broker import ANYHOW, Broker
+from failstop.fleet.obey import Obedience
+from failstop.fleet.replay import Seen
+from failstop.messages import records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any, Protocol
+
+    from failstop.api.events import Event
+    from failstop.api.state import State
+    from failstop.fleet.levels import Answer
+    from failstop.fleet.settings import FleetSettings
+
+    class Robot(Protocol):
+        """The robot that is published."""
+
+        def read(self) -> tuple[State | None, str]: ...
+        def events(self) -> list[Event]: ...
+        def stop(self, reason: str, by: str) -> str: ...
+
+
+LOOK_S = 0.2
+"""Between two looks at the state."""
+BUSY_LOOK_S = 0.02
+"""While a stop is to be confirmed."""
+LAST_LOOK_S = 0.1
+"""While the wheels of one that is confirmed are watched: that takes most of a second, and holds up nobody."""
+FIRST_LOOK_S = 0.003
+"""By then the service has written it: its first answer says so at once."""
+CHANGES_S = 1.0
+"""The shortest time between two messages on values that change all the time, as a velocity does."""
+MOST_EVENTS = 20
+"""At one look: the newest. The journal has all of them."""
+FORGED_S = 60.0
+"""How long a message that was not the fleet's is told of."""
+SEEN = "fleet-stops.json"
+NOT_LISTENING = "the broker has not answered the subscription yet"
+
+
+class Service:
+    """The service of this machine, whatever run of it is there."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._reader: StateReader | None = None
+        self._log: EventLog | None = None
+
+    def read(self) -> tuple[State | None, str]:
+        """The state now; None, and why."""
+        note = ""
+        for _ in range(2):  # a reader of a run that has ended, and then one of the next
+            try:
+                if self._reader is None or self._reader.over():
+                    self._reader, self._log = StateReader(self.name), None
+                return self._reader.read(), ""
+            except FailstopError as error:
+                self._reader, note = None, str(error)
+        return None, note
+
+    def events(self) -> list[Event]:
+        """Events since the last call."""
+        try:
+            self._log = self._log or EventLog(self.name)
+            return self._log.read()
+        except FailstopError:
+            self._log = None
+            return []
+
+    def stop(self, reason: str, by: str) -> str:
+        """Ask for one; returns what is wrong."""
+        try:
+            send_stop(self.name, reason, f"{records.FLEET_PREFIX}{by}")
+        except FailstopError as error:
+            return str(error)
+        return ""
+
+
+class Publisher:
+    """Call turn() for ever."""
+
+    def __init__(self, settings: FleetSettings, name: str, robot: Robot, robot_id: str, store: str) -> None:
+        """`store`: the folder in which obeyed stops are remembered. Raises FleetError."""
+        manufacturer = settings.text("robot.manufacturer")
+        self.robot_id = robot_id
+        self._robot = robot
+        self._manufacturer = manufacturer
+        self._publish_s = settings.number("robot.publish_s")
+        self._header = vda5050.Header(manufacturer, robot_id)
+        self._stop_topic = topics.stop(manufacturer)
+        self._key, self._off = _key(settings)
+        self._store = os.path.join(store, SEEN)
+        self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
+        self.obedience = Obedience(self._key, robot_id, self._seen)
+        """Judges what claims to be a stop of the fleet."""
+        self.unsaved = False
+        """Written after the answers have left: a disk may take its time."""
+        self._said_forged = 0
+        self._said_denied = ""
+        self._forged_s = -FORGED_S
+        self._look_at_s = self._published_s = self._built_s = 0.0
+        self._shown: tuple[object, object] = (None, None)
+        name = f"failstop-{robot_id}"
+        self.broker = Broker(settings, name, self._stop_topics(), self._hear, self._up, newest_first=True)
+        self._will()
+
+    def _stop_topics(self) -> tuple[str, str]:
+        return self._stop_topic, topics.stop(self._manufacturer, self.robot_id)
+
+    def turn(self, longest_s: float = LOOK_S) -> None:
+        """Wait for the broker, for as long as there is nothing else to do, then do that."""
+        was = self.broker.problem
+        self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
+        if self.broker.problem != was:
+            standard.say(self.broker.problem or f"the broker at {self.broker.where} knows this robot {self.robot_id}")
+        if (denied := self._denied()) != self._said_denied:
+            self._said_denied = denied
+            if denied:
+                standard.say(f"WARNING: no stop of the fleet is obeyed here: {denied}")
+        self.look(time.monotonic())
+
+    def look(self, now_s: float) -> None:
+        """Publish what is new, if it is time."""
+        if now_s < self._look_at_s:
+            return
+        busy = self.busy(now_s)
+        state, note = self._robot.read()
+        for answer in self.obedience.look(state, now_s):
+            self._answer(answer)
+        self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
+        if busy and now_s - self._built_s < LOOK_S:
+            return
+        self._built_s = now_s
+        self._publish(state, note, now_s)
+        if self.unsaved and not self.broker.wants_write():
+            self.unsaved = False
+            self._remember()
+        if not self.broker.problem:
+            for event in self._robot.events()[-MOST_EVENTS:]:
+                self._tell(event)
+
+    def deaf(self) -> str:
+        """Why no stop of the fleet is obeyed here now; empty: it would be."""
+        return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
+
+    def _denied(self) -> str:
+        denied = " and ".join(self.broker.denied)
+        return f"the broker does not let this robot read {denied}: see its access list" if denied else ""
+
+    def busy(self, now_s: float) -> bool:
+        """True while a stop of the fleet is carried out."""
+        return self.obedience.busy(now_s)
+
+    def _soon_s(self, now_s: float) -> float:
+        return BUSY_LOOK_S if self.obedience.waits(now_s) else LAST_LOOK_S
+
+    def close(self) -> None:
+        """In order: the robot is OFFLINE, which is not lost."""
+        self._connection(vda5050.OFFLINE)
+        self.broker.turn(0.0)
+        self.broker.close()
+
+    def _will(self) -> None:
+        body = vda5050.connection(vda5050.BROKEN)
+        topic = self._header.topic(topics.CONNECTION)
+        self.broker.will(topic, self._header.message(topics.CONNECTION, body, time.time()))
+
+    def _up(self) -> None:
+        self._connection(vda5050.ONLINE)
+        self._will()  # dated anew, for the next connection
+        self._shown = (None, None)
+        self._look_at_s = 0.0
+
+    def _connection(self, word: str) -> None:
+        payload = self._header.message(topics.CONNECTION, vda5050.connection(word), time.time())
+        self.broker.say(self._header.topic(topics.CONNECTION), payload, retain=True)
+
+    def _publish(self, state: State | None, note: str, now_s: float) -> None:
+        if self.broker.problem:
+            return
+        body = vda5050.body(state, note, self.own_errors(now_s))
+        steady = vda5050.steady(body)
+        age_s = now_s - self._published_s
+        new = steady != self._shown[0] or (body != self._shown[1] and age_s >= CHANGES_S)
+        if new or age_s >= self._publish_s:
+            self._shown, self._published_s = (steady, body), now_s
+            payload = self._header.message(topics.STATE, body, time.time())
+            self.broker.say(self._header.topic(topics.STATE), payload, qos=ANYHOW, retain=True)
+
+    def _tell(self, event: Event) -> None:
+        body = {"kind": event.kind, "level": event.level, "text": event.text, "t": vda5050.stamp(event.t)}
+        payload = self._header.message(topics.EVENT, {**body, "fields": event.fields}, time.time())
+        self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
+
+    def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
+        """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
+        found = []
+        if off := self._off or self._denied():
+            found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
+        if now_s - self._forged_s < FORGED_S:
+            text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
+            found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))
+        return tuple(found)
+
+    def _hear(self, _topic: str, payload: bytes, _retained: bool) -> None:
+        """A stop of the fleet, or what claims to be one."""
+        if self._off:
+            return
+        now_s, unix_s = time.monotonic(), time.time()
+        order, answer = self.obedience.hear(payload, now_s, unix_s)
+        if order:
+            state, _ = self._robot.read()
+            if problem := self._robot.stop(order.reason, order.by):
+                answer = self.obedience.failed(order, problem)
+            else:
+                self.obedience.begin(order, now_s, unix_s, state)
+                self._look_at_s, self.unsaved = now_s + FIRST_LOOK_S, True
+            standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
+        if answer:
+            self._answer(answer)
+        self._note_forged(now_s)
+
+    def _note_forged(self, now_s: float) -> None:
+        if self.obedience.forged > self._said_forged:
+            if now_s - self._forged_s > FORGED_S:
+                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.obedience.last_forged}")
+            self._said_forged, self._forged_s = self.obedience.forged, now_s
+
+    def _answer(self, answer: Answer) -> None:
+        topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
+        self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
+
+    def _remember(self) -> None:
+        """Save the orders that were obeyed, over a restart. A failure is said, and is no reason not to stop."""
+        draft = f"{self._store}.new"
+        try:
+            durable.write_draft(draft, self._seen.dump())
+            durable.publish(draft, self._store)
+        except OSError as error:
+            standard.say(f"{self._store} can't be written ({error.strerror}): a restart forgets what was obeyed")
+
+
+def _key(settings: FleetSettings) -> tuple[bytes, str]:
+    """The fleet's key, or why there is none."""
+    try:
+        return signed.read_key(settings.secret("stop.key_file", "fleet.key")), ""
+    except FleetError as error:
+        standard.say(f"no stop of the fleet is obeyed here: {error}")
+        return b"", str(error)
+
+
+def _remembered(path: str, tolerance_s: float) -> Seen:
+    """The stops that were obeyed before; of none, where that can't be read: then a stop that is as young as the
+    tolerance could be repeated, and no other."""
+    try:
+        fd = durable.open_own(path)
+        with contextlib.closing(os.fdopen(fd, "rb")) as file:
+            return Seen.load(file.read(), tolerance_s)
+    except FileNotFoundError:
+        return Seen(tolerance_s)
+    except (OSError, ValueError) as error:
+        standard.say(f"{path} can't be read ({error}): which stops were obeyed before is not known")
+        return Seen(tolerance_s)
+
+
+def store(name: str) -> str:
+    """The folder for what is remembered; made. Raises FleetError."""
+    path = state_directory(name, os.environ)
+    try:
+        os.makedirs(path, exist_ok=True)
+    except OSError as error:
+        raise FleetError(f"{path} can't be made: {error.strerror}") from None
+    return path

@@ -1,0 +1,127 @@
+"""Settings of the fleet: the broker, this robot's name there, the key. A file of their own.
+
+The service does not read them, so that nothing in them can keep it from starting; and they are needed where there is no
+robot: on the machine that somebody stops the fleet from.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+
+from failstop import config
+from failstop.files import root
+from failstop.files.instance import DEFAULT_NAME
+from failstop.fleet import FleetError
+from failstop.policy.setting import Setting, SettingError
+from failstop.policy.settings import SWITCH
+
+PLACE = f"{config.FOLDER}/fleet/fleet.toml"
+KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
+ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
+"""Characters that VDA 5050 allows in a serial number: no `/`, `+` and `#`, which mean something in a topic."""
+
+DECLARED = (
+    Setting("broker.host", "127.0.0.1", "", None, None, "where the MQTT broker is"),
+    Setting("broker.port", 1883, "", 1, 65535, "its port; 8883 is usual with TLS"),
+    Setting("broker.tls", "off", "", None, None, "encrypt, and check the broker's certificate", SWITCH),
+    Setting("broker.ca_file", "", "", None, None, "who has signed that certificate; empty: whom the machine trusts"),
+    Setting("broker.cert_file", "", "", None, None, "this client's own certificate, if the broker asks for one"),
+    Setting("broker.cert_key_file", "", "", None, None, "the key to it"),
+    Setting("broker.user", "", "", None, None, "the user's name at the broker; empty: none"),
+    Setting("broker.password_file", "", "", None, None, "a file that holds the password, and that nobody else reads"),
+    Setting("broker.keepalive_s", 10, "s", 2, 600, "silent for one and a half of these, a robot is lost"),
+    Setting("robot.id", "", "", None, None, "this robot's name in the fleet; empty: the host's name"),
+    Setting("robot.manufacturer", "failstop", "", None, None, "the same for all robots of the fleet"),
+    Setting("robot.publish_s", 5.0, "s", 0.5, 30.0, "its state is published at changes, and this often at least"),
+    Setting("stop.key_file", KEY_PLACE, "", None, None, "the fleet's key (`failstop fleet key`)"),
+    Setting("stop.tolerance_s", 10.0, "s", 1.0, 300.0, "a fleet stop dated further from this robot's clock is refused"),
+    Setting("stop.robots_file", "", "", None, None, "whom a fleet stop must reach, a name a line; empty: who was seen"),
+)
+BY_KEY = {row.key: row for row in DECLARED}
+
+
+class FleetSettings:
+    """Every setting with its value."""
+
+    def __init__(self, given: dict[str, object]) -> None:
+        """`given`: by whole key; the rest are defaults. Raises SettingError."""
+        if unknown := sorted(set(given) - set(BY_KEY)):
+            raise SettingError(f"{unknown[0]}: no such setting of the fleet; there are {', '.join(BY_KEY)}")
+        self._values = {row.key: row.check(given.get(row.key, row.default)) for row in DECLARED}
+        for key in ("robot.id", "robot.manufacturer"):
+            if (value := self.text(key)) and not ID.fullmatch(value):
+                raise SettingError(f"{key} = {value!r}: letters, digits, `_`, `.`, `:` and `-` are allowed, 64 at most")
+
+    def text(self, key: str) -> str:
+        """A text's value."""
+        return str(self._values[key])
+
+    def secret(self, key: str, credential: str) -> str:
+        """The path of a secret: what systemd has handed over under that name, else the one that is set."""
+        folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+        handed = os.path.join(folder, credential)
+        return handed if folder and os.path.exists(handed) else self.text(key)
+
+    def number(self, key: str) -> float:
+        """A number's value."""
+        return float(self._values[key])
+
+    def on(self, key: str) -> bool:
+        """A switch's."""
+        return self._values[key] == "on"
+
+    def robot_id(self, name: str) -> str:
+        """Of the service of this name. Raises SettingError for a host whose name can't be one."""
+        found = self.text("robot.id")
+        if not found:
+            found = socket.gethostname()
+            if not ID.fullmatch(found):
+                raise SettingError(f"this host's name {found!r} can't be a robot's: set robot.id")
+        return found if name == DEFAULT_NAME else f"{found}-{name}"
+
+
+def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSettings:
+    """Those of a file (none: of the installed one, if there is one) with `changed` over them. Raises SettingError."""
+    if path is None and os.path.exists(installed := root.at(PLACE)):
+        path = installed
+    return FleetSettings({**config.read(path), **(changed or {})})
+
+
+def robots(found: FleetSettings) -> frozenset[str] | None:
+    """The robots that a fleet stop must reach, if a file lists them. Raises FleetError."""
+    path = found.text("stop.robots_file")
+    if not path:
+        return None
+    try:
+        with open(path, encoding="utf-8") as file:
+            names = {line.partition("#")[0].strip() for line in file} - {""}
+    except (OSError, UnicodeError) as error:
+        raise FleetError(f"stop.robots_file {path}: {error}") from None
+    if wrong := sorted(name for name in names if not ID.fullmatch(name)):
+        raise FleetError(f"stop.robots_file {path}: {wrong[0]!r} can't be a robot's name")
+    return frozenset(names)
+
+
+def example() -> str:
+    """A complete file, every value its default."""
+    lines, table = ["# The robot in its fleet: docs/fleet.md. Every value here is the default."], ""
+    for row in DECLARED:
+        head, _, key = row.key.partition(".")
+        if head != table:
+            table = head
+            lines += ["", f"[{table}]"]
+        value = f'"{row.default}"' if isinstance(row.default, str) else f"{row.default}"
+        lines.append(f"{key} = {value}  # {row.doc}")
+    return "\n".join(lines) + "\n"
+
+
+def markdown() -> list[str]:
+    """The table of docs/fleet.md."""
+    rows = ["| setting | default | allowed | what it is |", "|---|---|---|---|"]
+    for row in DECLARED:
+        default = f"`{row.default}`" if row.default != "" else ""
+        unit = f" {row.unit}" if row.unit else ""
+        rows.append(f"| `{row.key}` | {default}{unit} | {row.range()} | {row.doc} |")
+    return rows

@@ -1,0 +1,105 @@
+"""Signed: messages with a proof that their sender has the fleet's key. Pure but for reading and making the key's file.
+
+{"body": "...", "mac": "..."}: the proof is HMAC-SHA256 of the body as it is written there, so that no two programs have
+to agree on how JSON is spelled, and of what it is for, so that an answer is never taken for a stop.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import stat
+
+from failstop.files import durable
+from failstop.fleet import FleetError
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+KEY_BYTES = 32
+MOST_BYTES = 4096
+"""Of a message: what is longer is refused unread."""
+STOP = "failstop fleet stop 1"
+ANSWER = "failstop fleet answer 1"
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class Forged(ValueError):
+    """A message that nobody with the fleet's key has made, or none at all."""
+
+
+def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
+    """The message."""
+    text = json.dumps(body, separators=(",", ":"), sort_keys=True)
+    return json.dumps({"body": text, "mac": _mac(key, purpose, text)}, separators=(",", ":")).encode()
+
+
+def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
+    """Its body. Raises Forged."""
+    if len(message) > MOST_BYTES:
+        raise Forged(f"{len(message)} bytes")
+    try:
+        outer = json.loads(message)
+        text, mac = outer["body"], outer["mac"]
+        if not (isinstance(text, str) and isinstance(mac, str)):
+            raise TypeError
+        expected = _mac(key, purpose, text)
+        genuine = hmac.compare_digest(expected.encode(), mac.encode())
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise Forged("no signed message") from None
+    if not genuine:
+        raise Forged("signed with another key")
+    body = json.loads(text)
+    if not isinstance(body, dict):
+        raise Forged("no message")
+    return body
+
+
+def _mac(key: bytes, purpose: str, text: str) -> str:
+    return hmac.new(key, f"{purpose}\n{text}".encode(), hashlib.sha256).hexdigest()
+
+
+def make_key(path: str) -> None:
+    """A new key, in a file that its owner alone reads and that was not there. Raises FleetError."""
+    try:
+        os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
+        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except FileExistsError:
+        raise FleetError(f"{path} is there already: a fleet has one key; for another, remove it") from None
+    except OSError as error:
+        raise FleetError(f"{path} can't be made: {error.strerror}") from None
+    with os.fdopen(fd, "w") as file:
+        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+
+
+def read_key(path: str) -> bytes:
+    """Raises FleetError: it is not there, others may read it, or it is no key."""
+    try:
+        fd = durable.open_regular(path)
+        try:
+            found, text = os.fstat(fd), os.read(fd, MOST_BYTES)
+        finally:
+            os.close(fd)
+    except OSError as error:
+        raise FleetError(
+            f"the fleet's key {path}: {error.strerror}; `failstop fleet key` makes one, and all robots need the same"
+        ) from None
+    if found.st_mode & OTHERS and not _handed_over(path):
+        raise FleetError(f"the fleet's key {path} may be read by others: chmod 600 {path}")
+    try:
+        key = bytes.fromhex(text.decode("ascii").strip())
+    except ValueError:
+        key = b""
+    if len(key) != KEY_BYTES:
+        raise FleetError(f"{path} is no fleet's key: {2 * KEY_BYTES} hexadecimal digits are expected")
+    return key
+
+
+def _handed_over(path: str) -> bool:
+    """By systemd, as a credential: in a folder of this service's own, with rights that look wider than they are."""
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+    return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

@@ -1,0 +1,59 @@
+"""Left: the memory of a run that died, as an answer to "why do the wheels stand?"."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from failstop.api import host, words
+from failstop.api.errors import NoService
+from failstop.api.events import Event, unpack
+from failstop.api.why import Why
+from failstop.incidents import memory
+from failstop.messages import layout, records, segments
+
+
+def left(name: str) -> tuple[Why, list[Event]] | None:
+    """The memory left by a run that was not ended in order, until the service is started again, or the machine: the
+    answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
+    dead = segments.dead_runs(name)
+    fds = segments.open_all(dead[-1]) if dead else {}
+    try:
+        if len(fds) < len(layout.PROCESSES):
+            return None
+        _, found = memory.copy(fds, name)
+    except (segments.AttachError, OSError):
+        return None
+    finally:
+        for fd in fds.values():
+            os.close(fd)
+    cause_ns, _, cause = memory.left_cause(found)
+    stop = memory.left_stop(found, cause_ns)
+    port = found[layout.PORT_OWNER]["latest"].get("port")
+    device = records.PORT.unpack(port[2])[3] if port else None
+    supervisor = found[layout.SUPERVISOR]
+    pid = supervisor["words"]["beat_pid"]
+    now_s = time.time()
+    ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9
+    what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
+    steps = [host.start(name), words.named("`failstop incident show last`, for what came before it", name)]
+    if stop:
+        proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
+    else:
+        what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
+        proof = "no stop is known to have been written"
+        steps.insert(0, f"{host.stop(device)} if the wheels turn")
+    also = ("its black box is in memory, and is saved as an incident when it is started again",)
+    return Why(what, proof, tuple(steps), also, ended_s), [
+        event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
+    ]
+
+
+def refusal(name: str, error: NoService) -> NoService:
+    """A better error for a service that does not run, where its last run left one."""
+    if found := left(name):
+        return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
+    if host.unit(name):
+        told = f"what it told is in {host.journal(name)}"
+        return NoService(f"no service named {name!r} is running: start it with {host.start(name)}; {told}")
+    return error

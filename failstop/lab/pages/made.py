@@ -1,0 +1,43 @@
+"""Made: every file that is made from the code, by its place in the checkout, with what renews its text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from failstop.cli.commands import config
+from failstop.lab.pages import catalog, causes, commands, fleet, reference, rooms, ros2, settings
+from failstop.lab.pages.marked import renewed
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def _fleet(text: str) -> str:
+    for name, lines in fleet.TABLES.items():
+        text = renewed(text, name, "\n".join(lines()))
+    return text
+
+
+FILES: dict[str, Callable[[str], str]] = {
+    "examples/failstop.toml": lambda _: config.example(),
+    "systemd/failstop.catalog": lambda _: catalog.text(),
+    "docs/configuration.md": lambda _: settings.page(),
+    "docs/causes.md": lambda _: causes.page(),
+    "docs/python-reference.md": lambda _: reference.page(),
+    "docs/commands.md": lambda _: commands.page(),
+    "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
+    "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
+    "docs/fleet.md": _fleet,
+    "docs/dev/architecture.md": lambda text: renewed(text, "rooms", rooms.picture()),
+}
+
+
+def differing(root: Path = ROOT) -> dict[str, str]:
+    """The files below a checkout that are not as the code has them, each with its text as it should be."""
+    found = {}
+    for name, renew in FILES.items():
+        path = root / name
+        text = path.read_text("utf-8") if path.exists() else ""
+        if (new := renew(text)) != text:
+            found[name] = new
+    return found

@@ -1,0 +1,116 @@
+"""The rooms of the package: what each is, what it may import, and the picture of them in docs/dev/architecture.md."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGE = Path(__file__).resolve().parents[2]
+ROOT = PACKAGE.parent
+LINKED = ("procs", "shm", "supervisor")
+"""Rooms at the top, linked into the package: what the service runs as."""
+
+
+class Room(NamedTuple):
+    """A folder or a module of the package."""
+
+    what: str
+    below: str
+    """Every room that it imports, for types too."""
+
+
+ROOMS = {
+    "lab": Room(
+        "breaks it on purpose: simulated board, faults, stand test; makes the pages",
+        "api board cli config doctor files fleet instances messages policy procs ros2 shm stopping supervisor",
+    ),
+    "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
+    "fleet": Room(
+        "the robots of a broker, and metrics", "api cli config doctor extras files messages policy supervisor"
+    ),
+    "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy procs"),
+    "cli": Room(
+        "the commands, and what they draw on a terminal",
+        "api board config doctor files incidents instances messages policy procs stopping supervisor",
+    ),
+    "doctor": Room(
+        "what on this weakens the promises",
+        "api board config discovery files instances messages policy procs shm stopping supervisor",
+    ),
+    "incidents": Room("the black box: each stop as a file", "api board extras files messages policy shm"),
+    "api": Room("the robot from Python, and what is shown of it", "board files instances messages policy shm"),
+    "config": Room("the settings file", "files policy"),
+    "instances": Room("the services of this machine, by name", "files shm"),
+    "stopping": Room("the stop without a service", "board"),
+    "discovery": Room("serial devices, for error messages", ""),
+    "extras": Room("packages that a part may lack", ""),
+    "supervisor": Room(
+        "starts and watches the processes; the latch, the stops, the events", "board files messages policy procs shm"
+    ),
+    "procs": Room("the four other processes", "board files messages policy shm"),
+    "policy": Room("settings, causes, the process table, kinematics: pure", "messages"),
+    "messages": Room("the records that processes exchange", "files shm"),
+    "board": Room("the wire and the port", ""),
+    "shm": Room("shared memory, futexes and lifelines", "files"),
+    "files": Room("files and folders that nobody can plant", ""),
+}
+"""The most important first: the picture's order within a level."""
+EVERYBODYS = ("__init__", "__main__", "data", "version")
+"""Modules beside the rooms: what a program imports first, and what everybody may import."""
+
+
+def folder(room: str) -> Path:
+    """The folder of a room of the package, or the module of that name."""
+    path = ROOT / room if room.partition("/")[0] in LINKED else PACKAGE / room
+    return path if path.exists() else path.with_suffix(".py")
+
+
+def modules(room: str) -> list[Path]:
+    """The files of a room, in order."""
+    place = folder(room)
+    return sorted(place.rglob("*.py")) if place.is_dir() else [place]
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The names after `failstop.` of all that a module imports, for types too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
+        elif isinstance(node, ast.Import):
+            names = [name.name for name in node.names]
+        else:
+            continue
+        yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
+
+
+@cache
+def arrows(room: str) -> frozenset[str]:
+    """The rooms that this one imports."""
+    found = {name.partition(".")[0] for path in modules(room) for name in imported(path)}
+    return frozenset(found - {room, *EVERYBODYS})
+
+
+def _reached(room: str) -> set[str]:
+    """Every room below this one."""
+    return set(arrows(room)).union(*map(_reached, arrows(room)))
+
+
+def _level(room: str) -> int:
+    return 1 + max(map(_level, arrows(room)), default=0)
+
+
+def picture() -> str:
+    """A line for each room, above all that it imports: its place, its arrows but for those that others imply, and what
+    it is."""
+    rows = []
+    for room in sorted(ROOMS, key=lambda room: (-_level(room), list(ROOMS).index(room))):
+        implied = set[str]().union(*map(_reached, arrows(room)))
+        nearest = " ".join(each for each in ROOMS if each in arrows(room) - implied)
+        place = f"{folder(room).relative_to(ROOT)}{'/' * folder(room).is_dir()}"
+        rows.append((place, f"-> {nearest}" if nearest else "", ROOMS[room].what))
+    first, second = (max(len(row[column]) for row in rows) for column in (0, 1))
+    lines = [f" {place:<{first}}  {to:<{second}}  {what}" for place, to, what in rows]
+    return "\n".join(["```text", *lines, "```"])

@@ -1,0 +1,161 @@
+"""The black box: the payloads of the rings `box`, in which each process but the stopper keeps about its last
+minute.
+
+One ring in each writer's own segment, so it outlives its writer, and whoever looks at it disturbs nobody. A put is one
+cell of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from failstop.messages import records
+from failstop.messages.blocks import DISABLED, NO_COMMAND, NO_SCAN
+from failstop.messages.records import Payload, Shape
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+SECONDS = 60
+"""The time that each ring covers, at the rates of its writer's defaults."""
+GATE_CELLS = 3072
+"""A tick each, 50 a second."""
+WIRE_CELLS = 4096
+"""Up to 50 motion frames, 2 pings and a few stops a second; a client that drives at 100 Hz has them last for 40 s."""
+BOARD_CELLS = 8192
+"""110 IMU samples, 20 gamepad frames and a battery reading a second."""
+ARM_CELLS = 640
+"""10 a second while somebody moves the arm, and one at each change."""
+BEATS_CELLS = 768
+"""10 a second, and one at each stop."""
+
+ARM_BYTES = 80
+SHORT_WHO_BYTES = 36
+
+DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
+"""The gate's decision: its index is in the record."""
+DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
+ENABLED = 1
+MANUAL = 2
+DRIVES = 4
+"""Flag: the newest command is the one that drives, and not one that waits behind a higher source."""
+
+WIRE_BURST = 1
+"""Wire: the stop burst."""
+WIRE_FRAME = 2
+"""Wire: one frame; its first bytes follow."""
+WIRE_REST = 3
+"""Wire: what the kernel had not taken of either before."""
+WIRE_HEAD = 35
+"""Bytes of a frame that are kept: a motor frame of four wheels is 27."""
+
+IMU_KIND = 1
+BATTERY_KIND = 2
+PAD_KIND = 3
+SERVO_KIND = 4
+
+ARM_MODES = ("", "trajectory", "follow", "jog")
+"""Of an arm's goal; empty: nobody moves it from here on."""
+
+BEATS = 1
+OWN_BURST = 2
+"""Supervisor: a burst on its own descriptor, written at the entry's time."""
+MOST_U32 = 0xFFFFFFFF
+
+TICK = Shape("<IBBBxI3f3f4f16s", records.rest(SHORT_WHO_BYTES))
+"""A tick of the gate, as unpack_gate() has it."""
+WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
+"""Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
+REPORTS: dict[int, Shape] = {
+    IMU_KIND: Shape("<6f"),
+    BATTERY_KIND: records.BATTERY,
+    PAD_KIND: records.PAD,
+    SERVO_KIND: records.SERVO,
+}
+"""Reports that telemetry has decoded, by the kind that is their first byte. An IMU sample is as it is published:
+corrected, the rate less its bias."""
+BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
+OF_BEATS = Shape("<B10I")
+_ARM = struct.Struct("<BB")
+_AIM = struct.Struct("<Bf")
+
+
+def single(value: float) -> float:
+    """The nearest value that a float of four bytes can hold: a client's command may be any double. NaN stays."""
+    return min(max(value, -3e38), 3e38)
+
+
+def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
+    """Bytes for the board: WIRE_BURST or another, and how many of them the kernel took (0: none, the port was full)."""
+    return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == WIRE_FRAME else b"")
+
+
+def pack_board(kind: int, *values: float | None) -> bytes:
+    """A report of the board, with the values of its kind in REPORTS."""
+    return bytes((kind,)) + REPORTS[kind].pack(*values)
+
+
+def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
+    """Return (kind, its values). Raises ValueError."""
+    if not payload or payload[0] not in REPORTS:
+        raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
+    return payload[0], REPORTS[payload[0]].unpack(payload[1:])
+
+
+def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
+    """The arm's aim, and whose it is: of each servo where it is to be in the end (trajectory), where now (follow), in
+    pulses, or its rate (jog), in pulses/s."""
+    aims = aims[: records.MOST_JOINTS]
+    head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
+    return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
+
+
+def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
+    """Return (mode, who, what each servo is to do). Raises ValueError."""
+    mode, count = _ARM.unpack_from(payload) if len(payload) >= _ARM.size else (255, 0)
+    end = _ARM.size + count * _AIM.size
+    if mode >= len(ARM_MODES) or len(payload) < end:
+        raise ValueError(f"a record of the arm of {len(payload)} bytes, of no known form")
+    aims = dict(_AIM.unpack_from(payload, at) for at in range(_ARM.size, end, _AIM.size))
+    return ARM_MODES[mode], payload[end:].decode("utf-8", "replace"), aims
+
+
+def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
+    """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
+    that was seen."""
+    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
+
+
+OWN_BURST_RECORD = bytes((OWN_BURST,))
+
+
+def unpack_gate(payload: bytes) -> dict[str, Any]:
+    """A tick of the gate: epoch, block (a word of DECISIONS), enabled, manual, drives, commands (since the tick
+    before), age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
+    epoch, block, flags, commands, age_us, *numbers, source, who = TICK.unpack(payload)
+    return {
+        "epoch": epoch,
+        "block": DECISIONS[block] if block < len(DECISIONS) else f"unknown {block}",
+        "enabled": bool(flags & ENABLED),
+        "manual": bool(flags & MANUAL),
+        "drives": bool(flags & DRIVES),
+        "commands": commands,
+        "age_us": None if age_us == MOST_U32 else age_us,
+        "command": tuple(numbers[:3]),
+        "velocity": tuple(numbers[3:6]),
+        "wheels_rps": tuple(numbers[6:]),
+        "source": source.rstrip(b"\0").decode("ascii", "replace"),
+        "who": who.decode("utf-8", "replace"),
+    }
+
+
+def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
+    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst of the supervisor's own. Raises
+    ValueError."""
+    if payload == OWN_BURST_RECORD:
+        return ()
+    kind, *times = OF_BEATS.unpack(payload)
+    if kind != BEATS:
+        raise ValueError(f"a record of beats of the kind {kind}")
+    return tuple(zip(times[:5], times[5:], strict=True))

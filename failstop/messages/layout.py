@@ -1,0 +1,203 @@
+"""The layout: every record of shared memory, declared once, with its writer, its payload and who reads it.
+
+One segment per writer, so that "one writer per record" is what the mapping permits and not a promise: a process maps
+its own segment for writing and every other one for reading only. Client segments are written by clients and never
+mapped by the service (see cell.py).
+"""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+from failstop.messages import box, records
+from failstop.messages.records import Shape
+from failstop.shm.futex import BLOCKS, PER_BLOCK
+from failstop.shm.segment import Record, SegmentSpec
+from failstop.shm.words import LINE_BYTES
+
+LAYOUT_VERSION = 9
+SUPERVISOR_BLOCK = 0
+"""The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
+CLIENT_SLOTS = 8
+NOTE_BYTES = 576
+"""The most that gate and telemetry tell people at once (packing.py)."""
+PINGS = 4
+"""Different pings in turn, so that an answer says which of them it answers."""
+PUBLIC = 0o644
+CLIENTS_WRITE = 0o660
+PRIVATE = 0o600
+
+SUPERVISOR = "supervisor"
+PORT_OWNER = "port_owner"
+GATE = "gate"
+TELEMETRY = "telemetry"
+STOPPER = "stopper"
+PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
+
+
+def _word(name: str, readers: str) -> Record:
+    return Record("word", name, readers)
+
+
+def _latest(name: str, payload: Shape | int, readers: str) -> Record:
+    """`payload`: the shape that says how large it is, or so many bytes."""
+    return Record("latest", name, readers, payload if isinstance(payload, int) else payload.most, 2)
+
+
+def _ring(name: str, payload: Shape | int, cells: int, readers: str) -> Record:
+    return Record("ring", name, readers, payload if isinstance(payload, int) else payload.most, cells)
+
+
+def _beat() -> tuple[Record, ...]:
+    """The heartbeat of a process (heartbeat.py)."""
+    return (
+        _word("beat_ns", "everyone"),  # CLOCK_MONOTONIC of the last turn of its loop
+        _word("beat_loops", "everyone"),  # turns since its start
+        _word("beat_worst_ns", "everyone"),  # longest time between two turns
+        _word("beat_pid", "everyone"),
+        _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
+        _word("beat_epoch", "everyone"),  # the epoch it saw last
+        _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
+        _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED | EARLY_NEWS
+    )
+
+
+FEWER: dict[str, int] = {"sensed": 64, "attended": 96}
+"""Bytes of a client's records that never fill their shape."""
+
+
+def _client(index: int) -> SegmentSpec:
+    return SegmentSpec(
+        f"client.{index}",
+        "the client that holds the slot's claim",
+        CLIENTS_WRITE,
+        (
+            _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
+            Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
+            _latest("hello", records.HELLO, "gate"),
+            *(_latest(name, FEWER.get(name, shape), "gate") for name, shape in records.OF_SESSION.items()),
+        ),
+    )
+
+
+SEGMENTS = (
+    SegmentSpec(
+        SUPERVISOR,
+        SUPERVISOR,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("epoch", "port_owner, gate, stopper, clients"),
+            _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
+            # Whom to watch (records.life): the newest of each that was started.
+            *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
+            _word("port_owner_life", "stopper"),
+            _word("written_ns", "everyone"),  # when it last wrote a burst itself
+            _latest("latch", records.LATCH, "gate, clients"),  # the latch, or the one before
+            _word("resets", "gate"),  # the number of the newest reset that was decided
+            _latest("reset", records.REPLY, "gate"),  # the answer to it (failstop/policy/reply.py)
+            _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
+            _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
+            _latest("processes", 2048, "clients"),  # the process table (msgpack)
+            _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
+            _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
+            _ring("events", 512, 256, "clients"),  # events for people (msgpack, supervisor/events.py)
+            _ring("box", box.OF_BEATS, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
+        ),
+    ),
+    SegmentSpec(
+        PORT_OWNER,
+        PORT_OWNER,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
+            _word("written_ns", "everyone"),  # when it last wrote a burst
+            # 1 from before the first motion frame is written until a whole burst is: what it may have told the wheels.
+            _word("moving", "supervisor, stopper"),
+            # When the ping of each index was last written; pings take the indices in turn (records.pong).
+            *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
+            _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
+            _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
+            _ring("received", 512, 512, "telemetry"),  # bytes from the board, in order; about 4 s of them
+            _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
+        ),
+    ),
+    SegmentSpec(
+        GATE,
+        GATE,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
+            _word("reset_asked_ns", "supervisor"),  # when that was asked for
+            _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
+            _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
+            _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
+            _latest("state", 4096, "telemetry, clients"),  # msgpack
+            _latest("said", 4096, "clients"),  # remarks of clients on themselves (msgpack, procs/gate/remarks.py)
+            *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
+            _ring("box", box.TICK, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
+            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # the arm's aims, and whose (box.py)
+        ),
+    ),
+    SegmentSpec(
+        TELEMETRY,
+        TELEMETRY,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
+            _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
+            _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
+            _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
+            _latest("battery", records.BATTERY, "clients"),
+            _latest("bias", records.BIAS, "its successor, clients"),
+            _latest("odometry", records.ODOMETRY, "its successor, clients"),
+            _latest("pad", records.PAD, "clients"),
+            _latest("pad_arm", records.PAD_ARM, "gate"),  # one a frame while the pad moves a joint
+            _latest("pad_command", records.PAD_COMMAND, "gate"),  # one a frame while the pad drives
+            _ring("causes", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
+            _ring("servos", records.SERVO, 64, "gate"),  # answers of the arm's servos, in order
+            _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
+            _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
+            _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # the reports that it decoded (box.py)
+        ),
+    ),
+    SegmentSpec(
+        STOPPER,
+        STOPPER,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("written_ns", "everyone"),  # when it last wrote a burst
+            _word("port_number", "supervisor"),  # of the port that it holds; 0: it holds none
+        ),
+    ),
+    SegmentSpec(
+        "lifelines",
+        "every process of the service, each its own block",
+        PRIVATE,
+        (Record("futexes", "held", "every process of the service", BLOCKS * PER_BLOCK * LINE_BYTES),),
+    ),
+    *(_client(i) for i in range(CLIENT_SLOTS)),
+)
+
+BY_NAME = {spec.name: spec for spec in SEGMENTS}
+
+
+def _fingerprint() -> int:
+    text = f"layout {LAYOUT_VERSION}\n" + "\n".join(
+        f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.cells} {spec.offsets[r.name]}"
+        for spec in SEGMENTS
+        for r in spec.records.values()
+    )
+    data = text.encode()
+    return crc32(data) << 32 | crc32(data, 0x5AFE)
+
+
+LAYOUT_HASH = _fingerprint()
+"""Of all declarations above: processes of different layouts refuse each other. Raise LAYOUT_VERSION when a payload
+format in records.py changes without any size changing."""

@@ -1,0 +1,76 @@
+"""Packing: msgpack for the service's own records, with one small buffer for each process; and the notes made of it."""
+
+from __future__ import annotations
+
+import msgpack
+
+from failstop.data import Data
+from failstop.messages.layout import NOTE_BYTES
+from failstop.messages.records import cut
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+Value = str | int | float
+Fields = dict[str, Value]
+NO_FIELDS: Fields = {}
+NEXT = "; next: "
+"""A text for people has this before the step that it names."""
+
+# msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
+pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
+"""The bytes of a value. Not for several threads. Raises TypeError, ValueError, OverflowError."""
+
+CUTS = ((280, 280), (280, 64))
+"""Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+
+
+def fitting(
+    room: int,
+    cuts: tuple[tuple[int, int], ...],
+    text: str,
+    fields: Mapping[str, Value],
+    whole: Callable[[str, dict[str, Value]], object],
+) -> bytes:
+    """Text and fields, made one by `whole` and packed into `room` bytes: texts are cut, as little as it takes, and
+    fields that still do not fit are left out."""
+    for text_bytes, value_bytes in cuts:
+        short = cut(text, text_bytes).decode()
+        given = {
+            key: cut(value, value_bytes).decode() if isinstance(value, str) else value for key, value in fields.items()
+        }
+        data = pack(whole(short, given))
+        if len(data) <= room:
+            return data
+    return pack(whole(short, {}))
+
+
+class Note(Data):
+    """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
+    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its
+    step; 0: it names none), fields."""
+
+    kind: str
+    text: str
+    fields: Fields = NO_FIELDS
+    level: str = ""
+    what: int = 0
+
+    def pack(self) -> bytes:
+        """For a ring of NOTE_BYTES."""
+        head, what = (self.kind, self.level), self.what
+        return fitting(NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
+
+    def parts(self) -> tuple[str, str]:
+        """The text, and the step that it ends with."""
+        return (self.text[: self.what], self.text[self.what + len(NEXT) :]) if self.what else (self.text, "")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Note:
+        """Raises ValueError."""
+        found = msgpack.unpackb(payload)
+        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, int, dict]:
+            raise ValueError("a payload that is no note")
+        kind, level, text, what, fields = found
+        return cls(kind, text, fields, level, what)

@@ -1,0 +1,354 @@
+"""Records: the payloads of fixed shape, each declared once: its values, how they become bytes and bytes become them.
+
+Payloads of variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any, Generic
+
+    from typing_extensions import TypeVarTuple, Unpack
+
+    Values = TypeVarTuple("Values")
+    Rows = Sequence[tuple[float, Sequence[float]]]
+
+MOTION = 1
+"""Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
+WRITE_BURST = 2
+"""Frame kind: write the stop burst now (latched or not)."""
+OTHER = 3
+"""Frame kind: a frame that is not motion, the buzzer's, in order."""
+ARM = 4
+"""Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
+ASKED_BYTES = 180
+"""Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
+WHO_BYTES = 64
+FLEET_PREFIX = "fleet:"
+"""The begin of the asker's name where a stop of the whole fleet is passed on."""
+CAUSE = "{cause}"
+"""In the text of a reply: the place of the cause's own."""
+REPLY_BYTES = 290
+LEFT_OUT = b" ..."
+"""The end of such words where they were cut."""
+
+NOBODY = 0
+"""No client's session."""
+SOURCE_BYTES = 16
+HELD_BYTES = 200
+PATH_BYTES = 300
+SAID_BYTES = 190
+WIRE_BYTES = 260
+"""The longest frame on the wire."""
+CAUSE_BYTES = 282
+"""A cause, packed (failstop/policy/causes.py)."""
+
+PORT_CLOSED = 0
+PORT_OPEN = 1
+PORT_LOST = 2
+PORT_STATES = ("closed", "open", "lost")
+
+ENABLE = 1
+DISABLE = 2
+RESET = 3
+ARM_MOVE = 4
+ARM_DRIVE = 5
+ARM_TUCK = 6
+ARM_HOLD = 7
+ARM_RELEASE = 8
+ARM_READ = 9
+LIMIT = 10
+
+REFUSED = 0
+DONE = 1
+UNDER_WAY = 2
+"""A reply that is not the last one, which follows."""
+ARM_FOLLOW = 1
+ARM_JOG = 2
+MOST_JOINTS = 8
+MOST_ROWS = 200
+
+PAD_RESET = 1
+PAD_FRAME = 2
+PLUGGED = ("unknown", "plugged", "unplugged")
+PAD_MODES = ("locked", "drive", "joint")
+
+
+class Tail(Data):
+    """The part behind the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
+    many bytes there are, at most and at least."""
+
+    pack: Callable[..., bytes]
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    most: int
+    least: int = 0
+
+
+NOTHING = Tail(bytes, lambda data: (), 0)
+
+
+class Shape:
+    """Numbers in the form of `struct`, and the tail's values after them. `pack` takes what `unpack` returns; `unpack`
+    raises ValueError for bytes of another shape, so that a reader takes them for damage. `most`: bytes."""
+
+    __slots__ = ("_count", "_numbers", "_tail", "most", "pack")
+
+    def __init__(self, form: str, tail: Tail = NOTHING) -> None:
+        self._numbers = struct.Struct(form)
+        self._count = len(self._numbers.unpack(bytes(self._numbers.size)))
+        self._tail = tail
+        self.most = self._numbers.size + tail.most
+        self.pack: Callable[..., bytes] = self._numbers.pack if tail is NOTHING else self._pack_with_tail
+
+    def _pack_with_tail(self, *values: Any) -> bytes:
+        return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
+
+    def unpack(self, payload: bytes) -> tuple[Any, ...]:
+        """The values of these bytes. Raises ValueError."""
+        size, tail = self._numbers.size, self._tail
+        if not size + tail.least <= len(payload) <= self.most:
+            raise ValueError(f"payload of {len(payload)} bytes, {size + tail.least} to {self.most} expected")
+        return (*self._numbers.unpack_from(payload), *tail.unpack(payload[size:]))
+
+
+if TYPE_CHECKING:
+
+    class Payload(Shape, Generic[Unpack[Values]]):
+        """A shape of these values, as the type checker sees it."""
+
+        pack: Callable[[Unpack[Values]], bytes]
+
+        def unpack(self, payload: bytes) -> tuple[Unpack[Values]]: ...
+
+else:
+    Payload = Shape
+
+
+def life(pid: int, block: int) -> int:
+    """A word that says whom to watch: the pid, and the block of futexes that it holds."""
+    return block << 32 | pid
+
+
+def unpack_life(word: int) -> tuple[int, int]:
+    """Return (pid, block)."""
+    return word & 0xFFFFFFFF, word >> 32
+
+
+def pong(arrival_ns: int, index: int) -> int:
+    """A word that says when the board answered a ping, and the ping of which index."""
+    return arrival_ns << 2 | index
+
+
+def unpack_pong(word: int) -> tuple[int, int]:
+    """Return (arrival_ns, index); (0, 0) before the first answer."""
+    return word >> 2, word & 3
+
+
+def printable(text: str) -> str:
+    """A text of somebody else's, safe to show: what cannot be printed becomes a question mark."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def asking(words: str, who: str = "", pid: int = 0) -> bytes:
+    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks, with tabs between them."""
+    text, name = (" ".join(given.split()) for given in (words, who))
+    kept = cut(text, ASKED_BYTES)
+    if len(kept) < len(text.encode("utf-8", "replace")):
+        kept = cut(text, ASKED_BYTES - len(LEFT_OUT)) + LEFT_OUT
+    return kept + (b"\t%s\t%d" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
+
+
+def cut(text: str, room: int) -> bytes:
+    """UTF-8 of at most `room` bytes, cut between characters."""
+    return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
+
+
+def _whole(text: str, room: int) -> bytes:
+    data = text.encode("utf-8", "replace")
+    if len(data) > room:
+        raise ValueError(f"{text!r} is longer than {room} bytes")
+    return data
+
+
+def rest(most: int) -> Tail:
+    """Bytes, as they are."""
+    return Tail(bytes, lambda data: (data,), most)
+
+
+def _text(room: int) -> Tail:
+    """A text, cut to `room` bytes."""
+    return Tail(lambda text: cut(text, room), lambda data: (data.decode("utf-8", "replace"),), room)
+
+
+def _pack_lines(*texts: str) -> bytes:
+    return b"\n".join(cut(text, SAID_BYTES).replace(b"\n", b" ") for text in texts)
+
+
+def _unpack_lines(data: bytes) -> tuple[str, str]:
+    first, _, second = data.decode("utf-8", "replace").partition("\n")
+    return first, second.replace("\n", " ")
+
+
+def _unpack_names(data: bytes) -> tuple[list[str]]:
+    return (data.decode("utf-8", "replace").split("\n") if data else [],)
+
+
+def _pack_reply(text: str, cause: bytes) -> bytes:
+    said = cut(text, REPLY_BYTES)
+    return _LENGTH.pack(len(said)) + said + cause
+
+
+def _unpack_reply(data: bytes) -> tuple[str, bytes]:
+    end = _LENGTH.size + _LENGTH.unpack_from(data)[0]
+    return data[_LENGTH.size : end].decode("utf-8", "replace"), data[end:]
+
+
+def _pack_goal(values: dict[int, float]) -> bytes:
+    if not 0 < len(values) <= MOST_JOINTS:
+        raise ValueError(f"{len(values)} joints, must be 1 to {MOST_JOINTS}")
+    return bytes((len(values),)) + b"".join(map(_VALUE.pack, values, values.values()))
+
+
+def _unpack_goal(data: bytes) -> tuple[dict[int, float]]:
+    if not data or not 0 < data[0] <= MOST_JOINTS or len(data) != 1 + data[0] * _VALUE.size:
+        raise ValueError(f"a goal of joints in {len(data)} bytes")
+    return ({int(servo): value for servo, value in _VALUE.iter_unpack(data[1:])},)
+
+
+def _pack_rows(servos: list[int], rows: Rows) -> bytes:
+    if not 0 < len(servos) <= MOST_JOINTS or not 0 < len(rows) <= MOST_ROWS:
+        raise ValueError(f"{len(servos)} joints and {len(rows)} points: at most {MOST_JOINTS} and {MOST_ROWS} fit")
+    form = struct.Struct(f"<d{len(servos)}f")
+    head = _COUNTS.pack(len(servos), len(rows)) + bytes(servos)
+    return head + b"".join(form.pack(t_s, *values) for t_s, values in rows)
+
+
+def _unpack_rows(data: bytes) -> tuple[list[int], Rows]:
+    count, length = _COUNTS.unpack_from(data) if len(data) >= _COUNTS.size else (0, 0)
+    form = struct.Struct(f"<d{count}f")
+    start = _COUNTS.size + count
+    if not 0 < count <= MOST_JOINTS or len(data) != start + length * form.size:
+        raise ValueError(f"a trajectory of {count} joints and {length} points in {len(data)} bytes")
+    rows = [(row[0], tuple(row[1:])) for row in form.iter_unpack(data[start:])]
+    return list(data[_COUNTS.size : start]), rows
+
+
+def _pack_answer(value: int | None) -> bytes:
+    return _ANSWER.pack(value is not None, value or 0)
+
+
+def _unpack_answer(data: bytes) -> tuple[int | None]:
+    answered, value = _ANSWER.unpack(data)
+    return (value if answered else None,)
+
+
+_LENGTH = struct.Struct("<H")
+_ANSWER = struct.Struct("<?i")
+_VALUE = struct.Struct("<Bd")
+_COUNTS = struct.Struct("<BH")
+
+FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
+"""An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, WRITE_BURST nothing."""
+STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
+"""A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not), its
+cause, packed."""
+LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
+"""The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch was
+raised last; the cause that is latched, else that of the last stop, packed."""
+PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
+"""The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another, its path."""
+COMMAND: Payload[int, float, float, float, bool, str] = Payload(
+    "<Q3d?",
+    Tail(
+        lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"),
+        lambda data: (data.rstrip(b"\0").decode("ascii", "replace"),),
+        SOURCE_BYTES,
+        least=SOURCE_BYTES,
+    ),
+)
+"""A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
+counter-clockwise), whether a person drives, the source, which is never cut: it could be another one."""
+ASSERTED: Payload[int, list[str]] = Payload(
+    "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
+)
+"""The assertions of a client session: names of interlocks, never cut, or none for "the sensor delivered"."""
+SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
+"""A line of a client session on itself: what it sees, and what is wrong, which may be nothing."""
+HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
+"""The holder of a client slot: a random session number, the pid it says it has and in which namespace of pids
+(lifeline.pid_namespace), its name."""
+LEFT: Payload[int] = Payload("<Q")
+"""The goodbye of the session that has left a client slot in order."""
+REQUEST: Payload[int, int, int] = Payload("<QQB")
+"""A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
+SPEED_LIMIT: Payload[int, int] = Payload("<QB")
+"""The speed limit that a session's request is about, in percent of the settings' speeds."""
+SEEN: Payload[int, int] = Payload("<QQ")
+"""The epoch that a session's person had seen who asks for a reset; 0: the asking itself is all that is known."""
+REPLY: Payload[int, int, int, str, bytes] = Payload(
+    "<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
+)
+"""The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
+text; where that says CAUSE, this cause is meant, packed."""
+ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
+    "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
+)
+"""A session's goal that is renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, ARM_JOG with its rate
+(rad/s); MOST_JOINTS at most."""
+ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
+    "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
+)
+"""A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
+(MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
+OF_SESSION: dict[str, Shape] = {
+    "command": COMMAND,
+    "sensed": ASSERTED,  # its time is that of the obstacle sensor's last delivery
+    "interlocks": ASSERTED,  # the conditions that this client says hold, at its time
+    "attended": ASSERTED,  # the operator who was there at its time; 0: who is there no more
+    "request": REQUEST,
+    "speed_limit": SPEED_LIMIT,  # the limit that a request is about
+    "seen": SEEN,  # the newest stop that the person knew of who asks for a reset
+    "arm_goal": ARM_GOAL,  # follow or jog, renewed
+    "arm_path": ARM_PATH,  # the trajectory that a request is about
+    "said": SAID,  # in a line, what the client sees and what is wrong
+}
+"""The records that a client writes into its slot after its hello: each begins with its session."""
+SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
+"""An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
+none."""
+IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
+"""A sample: acceleration (m/s2), then rate (rad/s); x forward, y left, z up."""
+RATE_VARIANCE = 0.0012**2
+"""(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
+BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
+"""The gyro's bias (rad/s on x, y, z), whether it follows the reading now, whether a calibration ever found it."""
+ODOMETRY: Payload[float, float, float, float, float, float, float, float] = Payload("<8d")
+"""Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the standard deviation
+told with it: m/s of vx and vy, rad/s of wz."""
+POSE_VARIANCE = 1e3
+"""m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
+BATTERY: Payload[int, int] = Payload("<IB")
+"""The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
+PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
+"""The gamepad's last frame: a bit a button, the hat, raw axes lx, ly, rx, ry of -128..127; its mode, an index of
+PAD_MODES."""
+PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
+"""The command of the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
+PAD_ARM: Payload[int, float] = Payload("<Bd")
+"""The gamepad's wish for the arm: a joint, by its place in the settings, and a share of its speed, -1 to 1."""
+PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
+"""A request of telemetry to the gate: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
+
+
+def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
+    """The state of the port with this number by the port owner's record; PORT_CLOSED when that is about another."""
+    if entry is None:
+        return PORT_CLOSED
+    told, _, state, _ = PORT.unpack(entry[2])
+    return state if told == number else PORT_CLOSED

@@ -1,0 +1,270 @@
+"""The segments of a run: shared memory objects of POSIX, on Linux files. The supervisor creates them, others attach.
+
+/dev/shm is everyone's to write. So each run has names of its own that nobody can know before (`memory`: the instance's
+name and the run's incarnation), which the runtime directory tells (instance.run), and what is attached must be the
+service's own: attaching checks the owner, and then size, magic, layout and the run's incarnation, and refuses with a
+message that says what to do. A restart of the service makes new segments; nothing is ever repaired.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import mmap
+import os
+import stat
+import struct
+
+from failstop.files import place
+from failstop.messages import layout
+from failstop.messages.layout import BY_NAME, LAYOUT_HASH, SUPERVISOR
+from failstop.shm import cell, claim
+from failstop.shm.segment import HEADER_BYTES, Segment, SegmentSpec
+from failstop.version import VERSION
+
+SHM = "/dev/shm"
+MAGIC = b"failstop"
+_FLAGS = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+_HEADER = struct.Struct("<8sQQQ24s24s")
+_HEADER_SEED = cell.seed("header", 0)
+
+
+class AttachError(Exception):
+    """A segment was refused; the message says why and what to do. `kind`: absent, permission, owner, damaged, version,
+    or descriptors (this process has none left)."""
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def memory(instance: str, incarnation: int) -> str:
+    """The name that a run's segments share."""
+    return f"{instance}.{incarnation:016x}"
+
+
+def path_of(memory: str, segment: str, folder: str = SHM) -> str:
+    """Where a segment's file is."""
+    return f"{folder}/failstop.{memory}.{segment}"
+
+
+def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
+    """Create a segment of this run, whose supervisor alone does it, and holds the lock on its own as long as it lives.
+    Raises AttachError, and leaves nothing then."""
+    import posix_ipc  # here and in unlink() alone: whoever attaches loads nothing for it
+
+    spec, path = BY_NAME[name], path_of(memory, name)
+    try:
+        shared = posix_ipc.SharedMemory(path.removeprefix(SHM), posix_ipc.O_CREX, mode=0o600)
+    except (posix_ipc.Error, OSError) as error:
+        raise AttachError("damaged", f"{path} can't be made: {error}") from None
+    fd: int = shared.fd
+    try:
+        if name == SUPERVISOR:
+            claim.take(fd, 0)
+        # Found at the first touch it would be a SIGBUS.
+        os.posix_fallocate(fd, 0, spec.size)
+        header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
+        os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES), 0)
+        if spec.mode & 0o020 and client_gid >= 0:
+            os.fchown(fd, -1, client_gid)
+        os.fchmod(fd, spec.mode)
+    except OSError as error:
+        os.close(fd)
+        unlink(memory, name)
+        doubt = "`ulimit -f`" if error.errno == errno.EFBIG else f"`df {SHM}`"
+        raise AttachError(
+            "damaged", f"no room in {SHM} for {spec.size} bytes ({error.strerror}): look at {doubt}"
+        ) from None
+    return Segment(spec, incarnation, fd=fd)
+
+
+def unlink(memory: str, name: str) -> None:
+    """Remove a segment's name; one that is not there, or is another user's, is fine: nobody needs the name again."""
+    import posix_ipc
+
+    with contextlib.suppress(posix_ipc.Error, OSError):
+        posix_ipc.unlink_shared_memory(path_of(memory, name).removeprefix(SHM))
+
+
+def unlink_all(memory: str) -> None:
+    """Remove every segment of a run."""
+    for spec in layout.SEGMENTS:
+        unlink(memory, spec.name)
+
+
+def living(memory: str) -> bool:
+    """True while the supervisor of this run lives."""
+    try:
+        fd = os.open(path_of(memory, SUPERVISOR), os.O_RDONLY | _FLAGS)
+    except OSError:
+        return False
+    try:
+        return lives(fd)
+    except OSError:  # no regular file
+        return False
+    finally:
+        os.close(fd)
+
+
+def open_life(memory: str, owner: int) -> int:
+    """A descriptor by which lives() tells of this run's supervisor, for whoever wants to know it more than once.
+    Raises AttachError."""
+    return _open(memory, SUPERVISOR, False, owner)
+
+
+def lives(fd: int) -> bool:
+    """True while the supervisor of the run lives: it holds the lock on its segment, of which this is a descriptor, from
+    the moment when it has made it; others may only read it. One system call; it needs no pid, so it tells the same in
+    every container. Raises OSError when this is no regular file."""
+    return claim.held(fd, 0, by_writer=True)
+
+
+def version(memory: str) -> str:
+    """The version of failstop that made a run's segments; empty where that can't be read."""
+    try:
+        with open(path_of(memory, SUPERVISOR), "rb") as file:
+            header = _header(file.read(HEADER_BYTES))
+    except OSError:
+        return ""
+    return _version(header[-1]) if header else ""
+
+
+def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
+    """Layout, size, incarnation, name and version, as a segment's first bytes say; None: they are no header."""
+    entry = cell.check(raw, _HEADER_SEED)
+    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+        return None
+    _, fingerprint, size, incarnation, name, version = _HEADER.unpack(entry[2])
+    return fingerprint, size, incarnation, name.rstrip(b"\0"), version
+
+
+def _version(told: bytes) -> str:
+    return told.rstrip(b"\0").decode("ascii", "replace")
+
+
+def dead_runs(instance: str) -> list[str]:
+    """The runs of this name and user that have ended and left segments, by their `memory`, the newest last."""
+    found: dict[str, int] = {}
+    prefix = f"failstop.{instance}."
+    for file in os.listdir(SHM):
+        run, dot, name = file.removeprefix(prefix).partition(".")
+        if file.startswith(prefix) and dot and name in BY_NAME:
+            try:
+                made = os.lstat(os.path.join(SHM, file))
+            except FileNotFoundError:
+                continue
+            if made.st_uid == os.geteuid():
+                found[f"{instance}.{run}"] = max(made.st_ctime_ns, found.get(f"{instance}.{run}", 0))
+    return [run for run in sorted(found, key=found.__getitem__) if not living(run)]
+
+
+def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
+    """A segment to read, or to write when this process is its declared writer. Mapped, but for what more than one
+    process writes, clients or the lifelines' holders: reached through its file, one that somebody truncates costs no
+    SIGBUS.
+
+    `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
+    this process's. Raises AttachError.
+    """
+    spec = BY_NAME[name]
+    fd = _open(memory, name, write, owner)
+    mapped = None
+    try:
+        found = _check_header(fd, memory, spec, incarnation)
+        if spec.mode == layout.PUBLIC:
+            prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
+            mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
+    except BaseException:
+        os.close(fd)
+        raise
+    if mapped is None:
+        return Segment(spec, found, fd=fd)
+    os.close(fd)
+    return Segment(spec, found, mapped)
+
+
+def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
+    """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
+    and each record carries the incarnation in its CRC."""
+    name = f"client.{index}"
+    return Segment(BY_NAME[name], incarnation, fd=_open(memory, name, False))
+
+
+def no_client_slot(index: int, incarnation: int) -> Segment:
+    """In the place of a client's segment that can't be opened: nothing is ever in it."""
+    return Segment(BY_NAME[f"client.{index}"], incarnation, fd=os.open(os.devnull, os.O_RDONLY))
+
+
+def open_all(memory: str) -> dict[str, int]:
+    """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
+    still be read through them. Only files of this user's."""
+    found = {}
+    for name in layout.PROCESSES:
+        try:
+            found[name] = _open_file(memory, name, os.O_RDONLY, os.geteuid())
+        except OSError:
+            continue
+    return found
+
+
+def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
+    """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
+    return _check_header(fd, memory, BY_NAME[name], None), os.pread(fd, BY_NAME[name].size, 0)
+
+
+def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
+    """A segment's descriptor; a pipe that somebody has put there is not waited for. Raises OSError; place.Untrusted for
+    one that is not `owner`'s."""
+    path = path_of(memory, name)
+    fd = os.open(path, flags | _FLAGS)
+    found = os.fstat(fd)
+    if stat.S_ISREG(found.st_mode) and found.st_uid == owner:
+        return fd
+    os.close(fd)
+    if stat.S_ISREG(found.st_mode):
+        raise place.Untrusted(path, f"belongs to {place.user(found.st_uid)}, the service to {place.user(owner)}")
+    raise OSError(errno.EINVAL, "not a regular file", path)
+
+
+def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
+    where = _told(memory, name)
+    try:
+        return _open_file(memory, name, os.O_RDWR if write else os.O_RDONLY, os.geteuid() if owner < 0 else owner)
+    except FileNotFoundError:
+        raise AttachError("absent", f"{where} is not there: start the service with `failstop run`") from None
+    except PermissionError:
+        raise AttachError(
+            "permission", f"no permission on {where}: join the group `failstop`, or run as its user"
+        ) from None
+    except place.Untrusted as error:
+        raise AttachError("owner", f"{where} is not the service's: {error.strerror}; remove it") from None
+    except OSError as error:
+        raise AttachError(
+            "descriptors" if error.errno == errno.EMFILE else "damaged",
+            f"{where} can't be opened ({error.strerror}): restart the service",
+        ) from None
+
+
+def _told(memory: str, name: str) -> str:
+    """A segment as people are told of it."""
+    return f"shared memory {name} of {memory.partition('.')[0]!r}"
+
+
+def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
+    """Return the segment's incarnation, or raise AttachError."""
+    header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _told(memory, spec.name)
+    if header is None:
+        raise AttachError("damaged", f"{where} has no whole header: restart the service")
+    fingerprint, size, found, name, version = header
+    if fingerprint != LAYOUT_HASH:
+        raise AttachError(
+            "version",
+            f"{where} is of failstop {_version(version)}, this program is {VERSION} with another layout: "
+            "use the service's own version, or restart the service after the upgrade",
+        )
+    if name != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
+        raise AttachError("damaged", f"{where} has the wrong size or name: restart the service")
+    if incarnation is not None and found != incarnation:
+        raise AttachError("damaged", f"{where} is of another run: restart the service")
+    return found

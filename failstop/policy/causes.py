@@ -1,0 +1,301 @@
+"""Causes: everything that stops the robot, declared once: its words, who notices it, what clears it, what people do.
+
+A cause travels as the number of its row with its arguments (`pack`), from whoever notices it to whoever tells of it;
+its text is made at the end (`str`). In a template, what stands in brackets is left out when its arguments are empty.
+Every cause latches.
+
+`what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
+`remedy` continues "first ..." and takes no arguments.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from failstop.data import Data
+from failstop.messages import records
+from failstop.messages.records import cut, printable
+
+Value = str | int | float
+ROOM = 280
+"""Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
+BETWEEN = "\x1f"
+LONGEST_PID = 10
+NOT_KNOWN = "not known yet"
+"""The place of a name that is not known yet: the asker completes its cause by asking once more."""
+A_RESET = "a reset"
+NEW_RUN = "a new start of the service"
+CLIENTS = "gate"
+"""The process that notices the acts of clients."""
+NUMBER_BYTES = 2
+_TYPES = {"": str, "d": int, "X": int, "f": float}
+
+_TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
+_AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
+_BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
+_POWER = "turn the robot's POWER SWITCH off and on, since a stop may not have reached the wheels"
+
+
+class Kind(Data):
+    """One row. `number`: never given to another row; `template`: what stands in braces are the parameters, none of
+    which is "name"; `noticed_by`: processes."""
+
+    number: int
+    name: str
+    template: str
+    noticed_by: str
+    what: str
+    remedy: str
+    cleared_by: str = A_RESET
+
+    @cached_property
+    def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
+        """Name and type of each: looked for once, as causes are made in front of a burst."""
+        fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
+        return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
+
+    def __call__(self, *arguments: Value) -> Cause:
+        """A cause of this kind. Raises ValueError for arguments that are not those of the row."""
+        if len(arguments) != len(self.parameters):
+            raise ValueError(f"{self.name} takes {len(self.parameters)} arguments, not {len(arguments)}")
+        return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
+
+
+class Cause:
+    """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
+
+    __slots__ = ("arguments", "kind")
+
+    def __init__(self, kind: Kind, arguments: tuple[Value, ...]) -> None:
+        self.kind = kind
+        self.arguments = arguments
+
+    def named(self) -> dict[str, Value]:
+        """The arguments by name."""
+        return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
+
+    def as_map(self) -> dict[str, Value]:
+        """For programs: the name of its row, and its arguments."""
+        return {"name": self.kind.name, **self.named()}
+
+    def fields(self) -> dict[str, str]:
+        """Of an event: for people, and for programs."""
+        return {"reason": str(self), "cause": self.kind.name}
+
+    def __str__(self) -> str:
+        return filled(self.kind.template, self.named())
+
+    def __repr__(self) -> str:
+        return f"{self.kind.name}{self.arguments!r}"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Cause) and (self.kind, self.arguments) == (other.kind, other.arguments)
+
+    def __hash__(self) -> int:
+        return hash((self.kind.number, self.arguments))
+
+    def pack(self) -> bytes:
+        """ROOM + 2 bytes at most."""
+        texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
+        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ROOM)
+
+
+def unpack(payload: bytes) -> Cause:
+    """Raises ValueError."""
+    number = int.from_bytes(payload[:NUMBER_BYTES], "little")
+    if len(payload) < NUMBER_BYTES or number not in BY_NUMBER:
+        raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
+    kind = BY_NUMBER[number]
+    texts = payload[NUMBER_BYTES:].decode("utf-8", "replace").split(BETWEEN)
+    # Parameters that were cut off are empty.
+    texts += [""] * (len(kind.parameters) - len(texts))
+    pairs = zip(kind.parameters, texts, strict=False)
+    return Cause(kind, tuple(text if of is str else of(text or 0) for (_, of), text in pairs))
+
+
+def filled(template: str, arguments: dict[str, Value]) -> str:
+    """A text of a row with its arguments; every other part of it stands in brackets."""
+    parts = template.replace("]", "[").split("[")
+    return "".join(
+        part.format_map(arguments)
+        for at, part in enumerate(parts)
+        if not at % 2 or any(value for name, value in arguments.items() if f"{{{name}" in part)
+    )
+
+
+def read(payload: bytes) -> Cause:
+    """A cause of packed bytes, UNKNOWN where they are damaged: a stop is one whatever its cause."""
+    try:
+        return unpack(payload)
+    except ValueError:
+        return UNKNOWN()
+
+
+def of(name: str, arguments: dict[str, Value]) -> Cause:
+    """The cause that a program was told of by its name and its arguments; UNKNOWN where this version has no such."""
+    kind = BY_NAME.get(name)
+    if kind is None or {key for key, _ in kind.parameters} - set(arguments):
+        return UNKNOWN()
+    return kind(*(arguments[key] for key, _ in kind.parameters))
+
+
+def requested(line: bytes) -> Cause:
+    """The cause of a stop that was asked for with this line in the stop pipe (records.asking): whatever it says, it is
+    somebody's words."""
+    text = line.decode("utf-8", "replace")
+    words, _, rest = text.partition("\t")
+    who, _, pid = rest.partition("\t")
+    if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
+        if who.startswith(records.FLEET_PREFIX):
+            return FLEET(printable(words), printable(who.removeprefix(records.FLEET_PREFIX)))
+        return REQUESTED(printable(words), printable(who), int(pid))
+    return PIPED(printable(text))
+
+
+def completed(latched: Cause, later: Cause) -> bool:
+    """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
+    said at first that something is not known yet. It happens once, as nothing is lacking then."""
+    if not latched.kind is later.kind is REQUESTED:
+        return False
+    (words, *who), (more, *same) = latched.arguments, later.arguments
+    return who == same and NOT_KNOWN in str(words) and NOT_KNOWN not in str(more)
+
+
+DIED = Kind(
+    1, "died", "{process} died", "port_owner supervisor",
+    "the process {process} died, which {role}", _AGAIN,
+)  # fmt: skip
+HANGS = Kind(
+    2, "hangs", "{process} hangs: {ms:d} ms silent", "port_owner gate supervisor",
+    "the process {process}, which {role}, gave no sign of life for {ms} ms", _BUSY,
+)  # fmt: skip
+STARVED = Kind(
+    3, "starved", "{process} hangs: {ms:d} ms silent (the machine is starved)", "supervisor",
+    "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
+    "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
+)  # fmt: skip
+HELD_UP = Kind(
+    4, "held_up", "supervisor was held up for {ms:d} ms", "supervisor",
+    "the supervisor could not run for {ms} ms, so nobody watched the others", _BUSY,
+)  # fmt: skip
+MUTE = Kind(
+    5, "mute", "gate beats but sends nothing: {ms:d} ms", "port_owner",
+    "the gate was alive, but sent no motor frame for {ms} ms while the wheels turned", _TELL,
+)  # fmt: skip
+BAD_FRAME = Kind(
+    6, "bad_frame", "the gate's frame was refused: {fault}", "port_owner",
+    "the gate made a frame that must not reach the board ({fault}), and the port owner refused it", _TELL,
+)  # fmt: skip
+DEFECT = Kind(
+    28, "defect", "{process}: {event} while {state}, which cannot happen", "supervisor",
+    "an event of the process {process}, which {role}, came while it was {state} and cannot come then: {event}", _TELL,
+)  # fmt: skip
+SUSPENDED = Kind(
+    7, "suspended", "the machine was suspended for {s:.1f} s", "port_owner",
+    "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",
+    "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
+)  # fmt: skip
+SUPERVISOR_SUSPENDED = Kind(
+    27, "supervisor_suspended", "supervisor was suspended for {s:.1f} s by a signal", "port_owner gate supervisor",
+    "somebody suspended the supervisor for {s:.1f} s, as Ctrl-Z in its terminal does, so nobody watched the others",
+    "leave the service running in its terminal, or end it with Ctrl-C",
+)  # fmt: skip
+REMOVED = Kind(
+    8, "removed", "{what} was removed: restart the service", "supervisor",
+    "{what}, which others need to find the service, was removed while it ran",
+    "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
+    NEW_RUN,
+)  # fmt: skip
+DEVICE_LOST = Kind(
+    9, "device_lost", "device lost", "port_owner",
+    "the board's USB connection was lost; the stop was to be written the moment that it is back",
+    "look at the cable, the plug and the board's power",
+)  # fmt: skip
+STUCK = Kind(
+    10, "stuck", "port does not drain: use the POWER SWITCH", "port_owner",
+    "the port took bytes, but they did not leave for the board within 0.1 s", _POWER,
+)  # fmt: skip
+DEAF = Kind(
+    11, "deaf", "the board is deaf: use the POWER SWITCH", "supervisor",
+    "the board had answered before and then answered no ping for a second, so it may not hear anything", _POWER,
+)  # fmt: skip
+UNSTILL = Kind(
+    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor",
+    "the IMU saw the robot shake on after a stop, as it does while wheels turn",
+    f"{_POWER}; a robot that somebody carries or pushes looks the same",
+)  # fmt: skip
+NOT_FINITE = Kind(
+    13, "not_finite", "command from {who} is not finite", CLIENTS,
+    "{who} commanded a velocity that is not a number",
+    "mend that program, a division by zero for one, before it drives again",
+)  # fmt: skip
+TWO_PUBLISHERS = Kind(
+    14, "two_publishers", "multiple {source} publishers: {who}, {rival}", CLIENTS,
+    "{who} and {rival} both commanded as {source}",
+    "end one of them, or give it a source of its own in the settings ([sources.NAME])",
+)  # fmt: skip
+BUTTON = Kind(
+    15, "button", "gamepad button 0x{buttons:04X}", "telemetry",
+    "somebody pressed {names} on the gamepad", "ask whoever holds it",
+)  # fmt: skip
+KEY = Kind(
+    16, "key", "key{key:d}", "telemetry",
+    "somebody pressed key {key} on the board", "ask whoever stands by the robot",
+)  # fmt: skip
+REQUESTED = Kind(
+    17, "requested", "stop request[: {words}] ({who}, pid {pid:d})", "port_owner",
+    '{who} (pid {pid}) asked for a stop[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+PIPED = Kind(
+    18, "piped", "stop request[: {words}]", "port_owner",
+    'somebody wrote to the stop pipe[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+FLEET = Kind(
+    24, "fleet", "fleet stop[: {words}] (by {who})", "port_owner",
+    '{who} stopped the whole fleet[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+BATTERY = Kind(
+    23, "battery", "the battery is at {volts:.2f} V", "telemetry",
+    "the battery was at {volts:.2f} V, below the setting battery.stop_mv",
+    "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge",
+)  # fmt: skip
+STOPPING = Kind(
+    19, "stopping", "service is stopping", "supervisor",
+    "the service was told to end", "start it again",
+    NEW_RUN,
+)  # fmt: skip
+ALL_DIED = Kind(
+    20, "all_died", "all of the service died", "",
+    "every process of the service died at once", _AGAIN,
+    NEW_RUN,
+)  # fmt: skip
+SILENT = Kind(
+    21, "silent", "the supervisor is silent", "",
+    "the supervisor, which starts and watches the others, is silent past its lease", _BUSY,
+)  # fmt: skip
+UNKNOWN = Kind(
+    22, "unknown", "stopped by the supervisor", "",
+    "the supervisor stopped the wheels, and why can't be read any more",
+    "look at `failstop events`, which may still know",
+)  # fmt: skip
+DRIVER_DIED = Kind(
+    41, "driver_died", "driver died: {who}", CLIENTS,
+    "the program {who}, which had driven, ended without a word: it crashed or was killed",
+    "look at that program's own log",
+)  # fmt: skip
+OPERATOR_GONE = Kind(
+    40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,
+    "the operator {who}, without whom this robot may not move, {how}",
+    "see to it that somebody attends again, by the page or by `failstop attend`",
+)  # fmt: skip
+TWO_MOVE_THE_ARM = Kind(
+    30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", CLIENTS,
+    "{who} and {rival} both moved the arm",
+    "end one of them: one program at a time moves the arm",
+)  # fmt: skip
+
+BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
+BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}

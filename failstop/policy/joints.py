@@ -1,0 +1,122 @@
+"""Joints: what the settings say of each, and where each one is. Pure. Positions are pulses, fractional where they are
+commanded: rounding is the frame's affair, since 0.3 rad/s are 2.9 pulses a move, and slower moves fractions of one."""
+
+from __future__ import annotations
+
+from math import copysign, isfinite, pi, sqrt
+
+from failstop.policy.settings import Settings
+
+PULSES_PER_REVOLUTION = 1500
+"""Of a bus servo: a pulse is 0.24 degrees."""
+PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
+MOST_MISSES = 4
+"""Questions in a row without an answer: it counts as silent."""
+
+
+class Joint:
+    """One joint: its bounds, and what is known of it."""
+
+    def __init__(self, name: str, table: dict[str, float | str]) -> None:
+        number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
+        self.name = name
+        self.servo = int(number["servo"])
+        self.zero = number["zero"]
+        self.sign = number["sign"]
+        self.low, self.high = number["low"], number["high"]
+        self.speed = number["speed_radps"] * PULSES_PER_RAD
+        self.acceleration = number["acceleration_radps2"] * PULSES_PER_RAD
+        self.tuck, self.drive = int(number["tuck"]), int(number["drive"])
+        self.judged = table["judged"] == "on"
+        self.position = 0.0
+        """Commanded, fractional; means something only while `known`."""
+        self.velocity = 0.0
+        self.known = False
+        """Where it is has been read, and nothing but its own stream has moved it since."""
+        self.loaded: bool | None = None
+        """Its torque was switched on, and nothing since says that it is off; None: neither switched nor read yet."""
+        self.measured: int | None = None
+        self.measured_ns = 0
+        self.unpaired: int | None = None
+        """A reading that another one must equal before it counts."""
+        self.misses = 0
+        """Questions in a row without an answer."""
+        self.temperature_c = self.supply_mv = 0
+        self.stepped_ns = 0
+
+    @property
+    def silent(self) -> bool:
+        """Its servo does not answer."""
+        return self.misses >= MOST_MISSES
+
+    def pulses(self, angle_rad: float) -> float:
+        """An angle as pulses."""
+        return self.zero + self.turned(angle_rad)
+
+    def turned(self, angle_rad: float) -> float:
+        """A change of the angle, or a rate of it, as one in pulses."""
+        return self.sign * angle_rad * PULSES_PER_RAD
+
+    def rad(self, pulses: float) -> float:
+        """Pulses as an angle."""
+        return (pulses - self.zero) * self.sign / PULSES_PER_RAD
+
+    def range_rad(self) -> tuple[float, float]:
+        """The angles that it may be sent to, the smaller first."""
+        low, high = sorted((self.rad(self.low), self.rad(self.high)))
+        return low, high
+
+    def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
+        """The joint as people and programs see it."""
+        position = round(self.position, 2) if self.known else None
+        read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
+        return (self.name, self.servo, position, *read)
+
+    def forget(self) -> None:
+        """It was stopped, or let go, on its way: where it is must be read again."""
+        self.known = False
+        self.velocity = 0.0
+        self.unpaired = None
+
+    def follow(self, target: float, share: float, elapsed_s: float) -> None:
+        """Move on toward a position, with at most `share` of its speed, so that it can still stop there."""
+        gap = target - self.position
+        wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
+        self._step(copysign(wanted, gap), elapsed_s)
+
+    def jog(self, rate: float, elapsed_s: float) -> None:
+        """Move on at a rate (pulses/s), which ends at its bounds."""
+        room = (self.high - self.position) if rate > 0 else (self.position - self.low)
+        wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
+        self._step(copysign(wanted, rate), elapsed_s)
+
+    def _stops_within(self, way: float, elapsed_s: float) -> float:
+        """The speed from which it can still stop in steps of this length, within this way."""
+        ramp = self.acceleration * elapsed_s
+        return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
+
+    def _step(self, wanted: float, elapsed_s: float) -> None:
+        most = self.acceleration * elapsed_s
+        self.velocity += max(-most, min(most, wanted - self.velocity))
+        # Turned by hand beyond its bounds it comes back at its speed, and not in one leap.
+        low, high = min(self.low, self.position), max(self.high, self.position)
+        self.position = max(low, min(high, self.position + self.velocity * elapsed_s))
+
+
+def from_settings(settings: Settings) -> list[Joint]:
+    """The arm's joints in the order of the settings; none without an arm."""
+    joints = [Joint(name, table) for name, table in settings.named["joints"].items()]
+    for joint in joints:
+        if joint.servo == int(settings["arm.base_servo"]):
+            pan = int(settings["arm.drive_pan"])
+            joint.drive, joint.judged = pan, pan >= 0
+    return joints
+
+
+def too_far(angles: dict[Joint, float]) -> str:
+    """A joint that may not be sent there, with its range; empty: each may."""
+    for joint, angle in angles.items():
+        low, high = joint.range_rad()
+        if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
+            return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
+    return ""

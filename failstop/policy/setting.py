@@ -1,0 +1,71 @@
+"""Setting: one declaration of a value, and whether a value is allowed by it."""
+
+from __future__ import annotations
+
+from failstop.data import Data
+
+MOST_SHOWN = 160
+"""Characters of a value in a message."""
+LONGEST_TEXT = 255
+
+
+class SettingError(ValueError):
+    """A value is not allowed; the message names the key, the value and what is."""
+
+
+def shortened(text: str) -> str:
+    """The text as a part of one line for people."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+
+
+def shown(value: object) -> str:
+    """A value of whatever type, likewise."""
+    try:
+        return shortened(repr(value))
+    except (ValueError, RecursionError):  # a number of thousands of digits, a list within lists within lists
+        return f"{type(value).__name__} beyond all bounds"
+
+
+class Setting(Data):
+    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
+
+    A text whose default is empty may be empty.
+    """
+
+    key: str
+    default: float | str
+    unit: str
+    low: float | None
+    high: float | None
+    doc: str
+    allowed: tuple[int, ...] | tuple[str, ...] = ()
+
+    def check(self, value: object, key: str = "") -> float | str:
+        """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
+        if problem := self._problem(value):
+            raise SettingError(f"{key or self.key} = {shown(value)}: {problem}")
+        return type(self.default)(value)  # type: ignore[arg-type]
+
+    def _problem(self, value: object) -> str:
+        if self.allowed:
+            fits = type(value) is type(self.default) and value in self.allowed
+            return "" if fits else f"allowed is {self.range()}"
+        if isinstance(self.default, str):
+            fits = isinstance(value, str) and value.isprintable() and len(value) <= LONGEST_TEXT
+            return "" if fits and (value or not self.default) else f"a text is expected, {self.range()}"
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            return f"a number is expected, {self.range()}"
+        if self.low is not None and self.high is not None and not self.low <= value <= self.high:
+            return f"allowed is {self.range()}"
+        if isinstance(self.default, int) and value != int(value):
+            return f"a whole number is expected, {self.range()}"
+        return ""
+
+    def range(self) -> str:
+        """The allowed values, in words."""
+        if self.allowed:
+            return " or ".join(f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed)
+        if isinstance(self.default, str):
+            return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()

@@ -1,0 +1,110 @@
+"""Diagnostics: the state as diagnostic_msgs/DiagnosticStatus, in plain dictionaries. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from failstop.api import steps, verdict
+from failstop.api.state import Process, State
+from failstop.ros2 import report, words
+
+OK = 0
+WARN = 1
+ERROR = 2
+STALE = 3
+
+Status = dict[str, Any]
+LINKS = {
+    "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
+    "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
+}
+
+
+def statuses(
+    node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str], lacks: Sequence[str] = ()
+) -> list[Status]:
+    """Every status. `problem`: why there is no state; `sees`, `wrong` and `lacks`: the bridge's own."""
+    if state is None:
+        rows = [_status("stop layer", ERROR, problem)]
+    else:
+        rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state), _rights(state)]
+    rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
+    rows += [_status("not offered", OK, line) for line in lacks]
+    return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
+
+
+def _status(name: str, level: int, message: str, **values: object) -> Status:
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    return {"name": name, "level": level, "message": message, "values": pairs}
+
+
+def _stop_layer(state: State) -> Status:
+    """Why it is blocked, and the next command."""
+    level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
+    if state.age_s > verdict.STALE_S:
+        level = STALE
+    step = steps.line(state)
+    blocked = report.blocked(state)
+    what = f"blocked: {blocked}" if blocked else verdict.headline(state)
+    message = f"{verdict.proven_word(state)}: {what}" + (f"; next: {step}" if step else "")
+    return _status(
+        "stop layer",
+        level,
+        message,
+        enabled=state.enabled,
+        estop=words.plain(state.cause),
+        blocked=report.blocked(state) or "",
+        waiting_for=state.waiting_for or "",
+    )
+
+
+def _processes(state: State) -> Iterator[Status]:
+    for name, process in state.processes.items():
+        yield _status(
+            f"process {name}",
+            _level(process),
+            process.state,
+            pid=process.pid,
+            age_ms=round(process.age_s * 1e3, 1),
+            worst_ms=round(process.worst_s * 1e3, 1),
+            restarts=process.restarts,
+            last_exit=process.last_exit or "",
+        )
+
+
+def _level(process: Process) -> int:
+    if process.state == "running":
+        return WARN if process.age_s > verdict.LATE_BEAT_S else OK
+    return WARN if process.state in ("starting", "waiting") else ERROR
+
+
+def _port(state: State) -> Status:
+    found = state.device.state
+    return _status("port", OK if found == "open" else ERROR, found, path=state.device.path)
+
+
+def _link(state: State) -> Status:
+    link = state.device.link
+    return _status("link", *LINKS.get(link, (OK, f"{link}: {verdict.LINKS[link]}")))
+
+
+def _battery(state: State) -> Status:
+    if not state.battery_v:
+        return _status("battery", WARN, "not known yet")
+    level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
+    return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
+
+
+def _rights(state: State) -> Status:
+    without = [name for name, process in state.processes.items() if process.pid and not process.realtime]
+    if without:
+        return _status("real-time rights", WARN, f"missing for {', '.join(without)}: stops come later under load")
+    return _status("real-time rights", OK, "granted")
+
+
+def changed(before: Sequence[Status], now: Sequence[Status]) -> bool:
+    """Whether anything but ages and counts is new."""
+    return [(row["name"], row["level"], row["message"]) for row in before] != [
+        (row["name"], row["level"], row["message"]) for row in now
+    ]

@@ -1,0 +1,187 @@
+"""Report: the service's state as the bridge tells it in ~/state and ~/status, and its own line for people. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import degrees, nan
+from typing import Any
+
+from failstop.api import steps
+from failstop.api.state import State
+from failstop.messages import blocks
+from failstop.policy.proofs import NOT_SENT, wheels_seen
+from failstop.ros2 import words
+from failstop.ros2.contract import STATE_KEYS
+
+PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
+NOBODY = "nobody publishes cmd_vel"
+
+
+def blocked(state: State) -> str | None:
+    """Why the wheels may not turn, in the words of the driver before."""
+    return f"{blocks.LATCHED}{words.plain(state.cause)}" if state.cause else state.blocked
+
+
+def driver(state: State) -> str | None:
+    """The program that drives."""
+    return next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), None)
+
+
+NO_ARM: dict[str, Any] = {
+    "arm_enabled": False,
+    "arm_moving": False,
+    "arm_pose": {},
+    "servo_silent": [],
+    "arm_holding": False,
+    "auto_tuck_in_s": None,
+    "pad_joint": None,
+}
+
+
+def arm(state: State) -> dict[str, Any]:
+    """The arm's keys of ~/state."""
+    found = state.arm
+    if found is None:
+        return NO_ARM
+    joints = found.joints.values()
+    return {
+        "arm_enabled": not found.closed,
+        "arm_moving": found.moving,
+        "arm_pose": {str(joint.servo): joint.pulses for joint in joints if joint.pulses is not None},
+        "servo_silent": list(found.silent),
+        "arm_holding": not found.moving and any(joint.torque for joint in joints),
+        "auto_tuck_in_s": found.auto_tuck_s,
+        "pad_joint": found.pad_joint,
+    }
+
+
+def busy(state: State | None) -> bool:
+    """~/arm_busy: it moves, or is about to."""
+    return bool(state and state.arm and state.arm.mode)
+
+
+def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> dict[str, Any]:
+    """The values of ~/state, by the keys of contract.STATE_KEYS."""
+    bias = state.gyro_bias
+    stop = state.last_stop
+    found = {
+        "enabled": state.enabled,
+        "estop": words.plain(state.cause) or None,
+        "plugged": PLUGGED[state.plugged],
+        **arm(state),
+        "blocked": blocked(state),
+        "body_vel": [round(value, 3) for value in state.body_vel],
+        "scan_age": None if state.scan_age_s is None else round(state.scan_age_s, 2),
+        "gyro_bias_dps": [round(degrees(value), 4) for value in (bias.bias_radps if bias else (0.0, 0.0, 0.0))],
+        "gyro_bias_tracking": bool(bias and bias.tracking),
+        "pad_mode": state.pad_mode or "locked",
+        "next": steps.typed(state),
+        "driver": driver(state),
+        "publishers": list(publishers),
+        "wrong": "; ".join(wrong) or None,
+        "link": state.device.link,
+        "port": state.device.state,
+        "processes": {
+            name: {"pid": row.pid, "state": row.state, "age_ms": round(row.age_s * 1e3, 1), "restarts": row.restarts}
+            for name, row in state.processes.items()
+        },
+        "last_stop": stop
+        and {
+            "reason": words.plain(stop.cause),
+            "written_us": _times(stop.written_s, 1e6),
+            "acknowledged_us": _times(stop.acknowledged_s, 1e6),
+            "observed_ms": _times(stop.observed_s, 1e3),
+        },
+        "state_age_ms": round(state.age_s * 1e3, 1),
+    }
+    return {key: found[key] for key in STATE_KEYS}
+
+
+def without_service(problem: str) -> dict[str, Any]:
+    """The report while there is no service: nothing is enabled, and why."""
+    found = {
+        "enabled": False,
+        "estop": None,
+        "plugged": None,
+        **NO_ARM,
+        "blocked": problem,
+        "body_vel": [0.0, 0.0, 0.0],
+        "scan_age": None,
+        "gyro_bias_dps": [0.0, 0.0, 0.0],
+        "gyro_bias_tracking": False,
+        "pad_mode": "locked",
+        "next": [steps.NO_SERVICE.typed],
+        "driver": None,
+        "publishers": [],
+        "wrong": None,
+        "link": "unproven",
+        "port": "closed",
+        "processes": {},
+        "last_stop": None,
+        "state_age_ms": None,
+    }
+    return {key: found[key] for key in STATE_KEYS}
+
+
+def status(state: State) -> dict[str, Any]:
+    """The fields of failstop_msgs/Status but for its stamp; what is not known is NaN or empty."""
+    stop = state.last_stop
+    return {
+        "enabled": state.enabled,
+        "blocked": blocked(state) or "",
+        "latched": state.estop is not None,
+        "estop": words.plain(state.cause),
+        "driver": driver(state) or "",
+        "state_age_s": state.age_s,
+        "scan_age_s": _known(state.scan_age_s),
+        "link": state.device.link,
+        "last_stop": words.plain(stop.cause) if stop else "",
+        "last_stop_written_s": _known(stop.written_s if stop else None),
+        "last_stop_acknowledged_s": _known(stop.acknowledged_s if stop else None),
+        "last_stop_observed_s": _known(stop.observed_s if stop else None),
+    }
+
+
+def _seen(observed_s: float | None) -> str:
+    """The IMU's word of a stop."""
+    if observed_s is None:
+        return "not seen still yet"
+    return f"observed after {observed_s * 1e3:.0f} ms" if observed_s else wheels_seen(observed_s)
+
+
+def _known(value: float | None) -> float:
+    return nan if value is None else value
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else round(value * factor, 1)
+
+
+def latched(state: State | None) -> bool:
+    """Whether ~/emergency_stop is true: without a state nobody knows that nothing is latched."""
+    return state is None or state.estop is not None
+
+
+def says(names: str, scan: str) -> str:
+    """The bridge's view, for `status` and `why`."""
+    return f"cmd_vel: {names}; {scan}" if names else f"{NOBODY}; {scan}"
+
+
+def proof(before: State | None, now: State | None, *, final: bool = False) -> tuple[bool, str] | None:
+    """Whether the stop that was asked for after `before` is known to be written, and what is known of it; None while
+    more may become known. `final`: no more is waited for."""
+    stop = now.last_stop if now else None
+    if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
+        return (False, "asked for a stop; the service has not told of it yet") if final else None
+    if stop.written_s is None:
+        return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
+    if stop.observed_s is None and not final:
+        return None
+    told = [f"written after {stop.written_s * 1e3:.1f} ms" if stop.sent else NOT_SENT]
+    told.append(
+        "not acknowledged yet"
+        if stop.acknowledged_s is None
+        else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
+    )
+    told.append(_seen(stop.observed_s))
+    return stop.sent, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

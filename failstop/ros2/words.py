@@ -1,0 +1,60 @@
+"""Words: the service's answers in those of the driver before it, to the letter, which tools compare. Pure."""
+
+from __future__ import annotations
+
+from failstop.api.errors import FailstopError, Refused
+from failstop.messages.records import CAUSE
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.ros2.contract import ARM_ACTION, CLIENT
+
+LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
+TOPIC_CAUSE = "estop topic"
+SERVICE_CAUSE = "stop service"
+NO_ANSWER = "no answer from the gate in 0.5 s: wheels stopped"
+ENABLED = "enabled"
+DISABLED = "disabled"
+HELD = "wheels held: no LiDAR scan for {:.1f} s while commanded"
+RELEASED = "LiDAR scan back: wheels released"
+
+
+def plain(cause: Cause | None) -> str:
+    """A cause of the bridge's own without what the service adds to every request; empty: none."""
+    if cause and cause.kind is causes.REQUESTED and cause.named()["who"] == CLIENT:
+        return str(cause.named()["words"])
+    return str(cause or "")
+
+
+def refused(error: FailstopError) -> str:
+    """The answer to what was not done."""
+    if not isinstance(error, Refused):
+        return f"refused: {error}"
+    return f"refused: {error.template.replace(LATCHED, LATCHED_BEFORE).replace(CAUSE, plain(error.cause))}"
+
+
+def reset(was: Cause | None) -> str:
+    """The answer to a reset that was done; `was`: what had been latched."""
+    return f"e-stop cleared (was: {plain(was) or None}); motion still disabled"
+
+
+def waited(waited_s: float) -> str:
+    """Why a message that came late to its callback is refused."""
+    return f"it waited {waited_s:.3f} s here; is the machine overloaded?"
+
+
+def repaired(late_s: float) -> str:
+    """Why a message that was under way for longer than others is refused."""
+    return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"
+
+
+def unwatched(takes_s: float, most_s: float) -> str:
+    """Why a goal of the topic arm/goal is refused for its length."""
+    return (
+        f"it takes {takes_s:g} s, and nobody can see whether its sender lives: {most_s:g} s at most "
+        f"(arm.unwatched_s), or send it to {ARM_ACTION.name}"
+    )
+
+
+def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:
+    """A command as people read it."""
+    return f"{linear_x:g} m/s forward, {linear_y:g} m/s left, {angular_z:g} rad/s"

@@ -1,0 +1,99 @@
+"""`failstop web`: the operator's page, for a phone or a desk, and the devices that may do more than see and stop."""
+
+from __future__ import annotations
+
+import os
+from argparse import ArgumentParser, Namespace
+
+from failstop import config, extras
+from failstop.api.errors import FailstopError
+from failstop.cli.commands import add_name
+from failstop.files import instance
+from failstop.policy.settings import Settings
+
+EXAMPLES = """\
+failstop web                          # http://127.0.0.1:8477/
+failstop web --listen 0.0.0.0         # https, for the network
+failstop web pair                     # a code, and as a picture to photograph
+failstop web devices                  # which devices are paired
+failstop web revoke 1a2b3c4d          # not that one any more
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop web`."""
+    add = parser.add_argument
+    add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help="what to do (default: serve)")
+    add("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
+    add("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
+    add("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
+    add("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Carry out one action. Raises FailstopError, SettingError."""
+    instance.check_name(arguments.name)
+    try:
+        import tornado  # noqa: F401  # what every action needs
+    except ImportError:
+        raise FailstopError(extras.missing("the page needs tornado", "web")) from None
+    return ACTIONS[arguments.action](arguments)
+
+
+def _serve(arguments: Namespace) -> int:
+    """Until it is ended."""
+    import asyncio
+
+    from failstop.web import server
+
+    settings = _settings(arguments)
+    try:
+        asyncio.run(server.serve(arguments.name, settings))
+    except OSError as error:
+        where = f"{settings.text('web.address')}, port {int(settings['web.port'])}"
+        raise FailstopError(f"the page can't listen at {where}: {error.strerror}") from None
+    return 0
+
+
+def _settings(arguments: Namespace) -> Settings:
+    installed = config.installed(arguments.name)
+    path = arguments.config or (installed if os.path.exists(installed) else None)
+    given = {"web.address": arguments.listen, "web.port": arguments.port}
+    return config.load(path, {key: value for key, value in given.items() if value is not None})
+
+
+def _pair(arguments: Namespace) -> int:
+    from failstop.web import control, whereabouts
+
+    found = control.ask(arguments.name, os.environ, "POST", "/pair")
+    print(whereabouts.told(found))
+    return 0
+
+
+def _devices(arguments: Namespace) -> int:
+    import time
+
+    from failstop.web import control
+
+    rows = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
+    for row in rows:
+        print(f"{row['id']}  {time.strftime('%Y-%m-%d %H:%M', time.localtime(row['made']))}  {row['name']}")
+    if not rows:
+        print("no device is paired: `failstop web pair`")
+    return 0
+
+
+def _revoke(arguments: Namespace) -> int:
+    from failstop.web import control
+
+    if not arguments.device:
+        raise FailstopError("revoke which device? `failstop web devices` lists them")
+    name = control.ask(arguments.name, os.environ, "POST", "/devices", {"id": arguments.device})["revoked"]
+    if not name:
+        raise FailstopError(f"no device {arguments.device!r}: `failstop web devices` lists them")
+    print(f"{name} may see and stop, and nothing else any more")
+    return 0
+
+
+ACTIONS = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}

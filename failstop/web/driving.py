@@ -1,0 +1,111 @@
+"""Driving: the thumb stick of a device that is paired and attends. A command comes with an answer to a nonce, and is as
+old as that nonce by the robot's clock: the gate lets it count for the source's timeout, 0.3 s, and limits it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from math import isfinite
+
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
+from failstop.policy.settings import FIRST_SOURCE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State
+    from failstop.policy.settings import Settings
+    from failstop.web.sockets import Live
+
+SOURCE = "page"
+"""Commands are given as this source where the settings declare it, else as the one that is always there."""
+OTHER_S = 0.5
+"""The pause between one person's driving with the stick and another's."""
+OFF = "driving from the page is off (web.drive, attend.required)"
+LIMIT_FIRST = "choose the speed limit first"
+DISABLED = "motion is not enabled: enable it, then take the stick again"
+
+
+def share(said: str) -> tuple[float, float] | None:
+    """Forward and to the left, each -1 to 1, of a command's text; None for what is none."""
+    try:
+        forward, turn = (float(word) for word in said.split())
+    except ValueError:
+        return None
+    return (forward, turn) if isfinite(forward + turn) and max(abs(forward), abs(turn)) <= 1.0 else None
+
+
+class Driving:
+    """The stick of one viewer at a time."""
+
+    def __init__(self, name: str, settings: Settings) -> None:
+        self.on = settings.on("web.drive") and settings.on("attend.required")
+        self._name = name
+        self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
+        self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
+        self._robot: Robot | None = None
+        self._driver: tuple[Live, str] | None = None
+        self._last_s = 0.0
+        self._chosen: set[str] = set()
+        """Devices that have chosen a speed limit since they last began to attend."""
+        self._spent: set[Live] = set()
+        """Viewers whose stick counts only after it was let go: motion was not enabled while they held it."""
+
+    def chose(self, device: str) -> None:
+        """A device has chosen the speed limit."""
+        self._chosen.add(device)
+
+    def command(self, viewer: Live, said: str, proven_ns: int, state: State | None) -> str:
+        """A proven command of a viewer that attends; returns what stands in its way."""
+        device, wanted = viewer.device(), share(said)
+        if not self.on or device is None or wanted is None or state is None:
+            return OFF
+        if device.id not in self._chosen:
+            return LIMIT_FIRST
+        if self._driver and self._driver[0] is not viewer and time.monotonic() - self._last_s < OTHER_S:
+            return f"{self._driver[1]} drives"
+        if not state.enabled:
+            self._spent.add(viewer)
+        if viewer in self._spent:
+            return DISABLED
+        if self._driver is None or self._driver[0] is not viewer:
+            self._close()
+            self._driver = viewer, device.name
+        self._last_s = time.monotonic()
+        vx_mps, wz_radps = (part * full * state.speed_limit for part, full in zip(wanted, self._full, strict=True))
+        return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
+
+    def _drive(self, who: str, vx_mps: float, wz_radps: float, proven_ns: int | None) -> str:
+        try:
+            if self._robot is None:
+                self._robot = Robot(self._name, client=who, disable_on_exit=False)
+            self._robot.drive(vx_mps, 0.0, wz_radps, manual=True, source=self._source, wait_s=0, proven_ns=proven_ns)
+        except (FailstopError, ValueError) as error:
+            self._close()
+            return str(error)
+        return ""
+
+    def release(self, viewer: Live) -> None:
+        """The stick is let go: to zero along the ramp. That takes no proof, as it moves nothing."""
+        self._spent.discard(viewer)
+        if self._driver and self._driver[0] is viewer:
+            self._driver = None
+            self._drive(viewer.who(), 0.0, 0.0, None)
+
+    def end(self, viewer: Live) -> None:
+        """A viewer attends no more: zero at once; when it comes back it has to choose the limit again."""
+        if device := viewer.device():
+            self._chosen.discard(device.id)
+        self._spent.discard(viewer)
+        if self._driver and self._driver[0] is viewer:
+            self._close()
+
+    def _close(self) -> None:
+        robot, self._robot, self._driver = self._robot, None, None
+        if robot:
+            with contextlib.suppress(FailstopError):
+                robot.close()
+
+    def close(self) -> None:
+        """The page ends."""
+        self._close()

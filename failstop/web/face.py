@@ -1,0 +1,148 @@
+"""Face: what the page shows of a state, as plain values. Pure: the times are arguments.
+
+The word is for arm's length; the reason is one sentence; the next step is what a person does, by the buttons of the
+page and not by commands.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from failstop.api import steps, verdict, words
+from failstop.api.steps import Purpose
+from failstop.api.why import HOLDS, meaning, since, troubles
+from failstop.policy import proofs
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.api.events import Event
+    from failstop.api.state import State, Stop
+
+BAD = "bad"
+"""The role that colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
+ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "free", verdict.STOPPED: "stopped"}
+MOST_EVENTS = 40
+
+
+def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
+    """Everything that changes seldom. `events`: of this run, oldest first."""
+    return {
+        "name": state.name,
+        "word": verdict.large_word(state),
+        "role": _role(state),
+        "why": _why(state),
+        "since": since(state, events, now_s)[0],
+        "epoch": state.epoch,
+        "next": steps.pressed(state),
+        "next_unpaired": steps.pressed(state, steps.ELSEWHERE),
+        "latched": state.estop is not None,
+        "enabled": state.enabled,
+        "can": _obstacles(state),
+        "stop": stop_of(state.last_stop),
+        "limit": round(100 * state.speed_limit),
+        "driver": f"{driver.who} as {driver.source}" if (driver := state.driver) else "",
+        "battery_v": state.battery_v,
+        "plugged": state.plugged,
+        "port": f"{state.device.path} {state.device.state}",
+        "link": state.device.link,
+        "clients": [f"{client.name} (pid {client.pid})" for client in state.clients],
+        "attended": state.attended_by,
+        "processes": [
+            {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
+            for name, process in state.processes.items()
+        ],
+        "troubles": [words.sentence(text) for text in troubles(state, events)],
+        "events": [
+            {"seq": event.seq, "t": event.t, "kind": event.kind, "level": event.level, "text": words.plain(event.text)}
+            for event in events[-MOST_EVENTS:]
+        ],
+    }
+
+
+def live(state: State, vibration_radps: float | None) -> list[Any]:
+    """Values that change all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the
+    gate's word (ms)."""
+    shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
+    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3)]
+
+
+def absent(note: str) -> dict[str, Any]:
+    """A `face` for where no service runs."""
+    return {
+        "name": "",
+        "word": verdict.NO_SERVICE,
+        "role": BAD,
+        "why": words.sentence(note),
+        "since": None,
+        "epoch": 0,
+        "next": steps.NO_SERVICE.pressed,
+        "next_unpaired": steps.NO_SERVICE.pressed,
+        "latched": False,
+        "enabled": False,
+        "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
+        "stop": None,
+        "limit": 100,
+        "driver": "",
+        "battery_v": None,
+        "plugged": "unknown",
+        "port": "",
+        "link": "",
+        "clients": [],
+        "attended": None,
+        "processes": [],
+        "troubles": [],
+        "events": [],
+    }
+
+
+def stop_of(stop: Stop | None) -> dict[str, Any] | None:
+    """The last stop with its three times in words; an empty text: not known (yet)."""
+    if stop is None:
+        return None
+    return {
+        "reason": stop.reason,
+        "t": stop.t,
+        "written": "" if stop.written_s is None else words.took(stop.written_s),
+        "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
+        "observed": "" if stop.observed_s is None else proofs.seen(stop.observed_s, "<"),
+    }
+
+
+def _role(state: State) -> str:
+    """The role that colours the word."""
+    return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
+
+
+def _why(state: State) -> str:
+    if doubt := verdict.doubt(state):
+        return words.sentence(doubt)
+    unproven = verdict.unproven(state)
+    return f"{words.sentence(unproven)} {_held(state)}" if unproven else _held(state)
+
+
+def _held(state: State) -> str:
+    """The reason why the wheels stand, or how they move."""
+    if state.cause:
+        return words.sentence(meaning(state.cause)[0])
+    if state.block:
+        return HOLDS[state.block][1]
+    return words.sentence(words.velocity(*state.body_vel) or "The command is zero")
+
+
+def _obstacles(state: State) -> dict[str, str]:
+    """Why a reset, an enable or a disable would be refused, as a clause; empty: it would not."""
+    return {
+        "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
+        "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
+        "disable": "" if state.enabled else "motion is disabled already",
+    }
+
+
+def _first(state: State, goal: Purpose) -> str:
+    """The first step without which a request is refused."""
+    first = next(iter(steps.before(state, goal)), None)
+    if first is None:
+        return ""
+    return "a stop is latched: reset first" if first.purpose is Purpose.RESET else first.clause or ""

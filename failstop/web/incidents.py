@@ -1,0 +1,134 @@
+"""Incidents: the black box's files as cards. Stories and pictures are made by the command of that name, in a process of
+its own: matplotlib is several times as large as all of the page."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import logging
+import os
+import re
+import sys
+import tempfile
+import time
+from typing import Any
+
+from failstop.incidents import files, memory
+
+MOST_SHOWN = 20
+FRESH_S = 2.0
+MAKE_S = 60.0
+MOST_PICTURES = 24
+LINES = 40
+NEAR_MS = 3000.0
+ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
+
+
+@dataclasses.dataclass
+class Made:
+    """The story and picture of an incident. None: not made yet."""
+
+    story: list[dict[str, Any]] | None = None
+    picture: bytes | None = None
+    """As PNG; empty: nothing draws it."""
+
+
+class Incidents:
+    """Of one service. One story or picture is made at a time, for the one who asked when nothing was being made: nobody
+    waits in a line, and no request waits at all."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._pictures = tempfile.TemporaryDirectory(prefix="failstop-web-")
+        self._made: dict[str, Made] = {}
+        self._making: asyncio.Task[None] | None = None
+        self._cards: list[dict[str, Any]] = []
+        self._looked_s = float("-inf")
+
+    async def cards(self) -> list[dict[str, Any]]:
+        """The newest first."""
+        if time.monotonic() - self._looked_s > FRESH_S:
+            self._looked_s = time.monotonic()
+            found = await asyncio.get_running_loop().run_in_executor(None, self._heads)
+            self._cards = [_card(head) for head in found[: -MOST_SHOWN - 1 : -1]]
+        return self._cards
+
+    def _heads(self) -> list[dict[str, Any]]:
+        return files.heads(self._name, files.folders(self._name, os.environ))[0]
+
+    async def known(self, identity: str) -> bool:
+        """There is such an incident among the cards."""
+        return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
+
+    def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
+        """The story, line by line, in ms from the cause, and whether there is a picture. None: not yet."""
+        made = self._of(identity)
+        return made.story, None if made.picture is None else bool(made.picture)
+
+    def picture(self, identity: str) -> bytes | None:
+        """As PNG; empty where nothing draws it; None: not yet."""
+        return self._of(identity).picture
+
+    def _of(self, identity: str) -> Made:
+        made = self._made.get(identity) or Made()
+        if made.picture is None and self._making is None:
+            self._made[identity] = made
+            if len(self._made) > MOST_PICTURES:
+                self._made.pop(next(iter(self._made)))
+            self._making = asyncio.ensure_future(self._make(identity, made))
+            self._making.add_done_callback(self._ready)
+        return made
+
+    async def _make(self, identity: str, made: Made) -> None:
+        said = await self._command("show", identity, "--json")
+        made.story = _near(json.loads(said)["story"] if said else [])
+        path = os.path.join(self._pictures.name, f"{identity}.png")
+        await self._command("plot", identity, "-o", path)
+        try:
+            with open(path, "rb") as file:
+                made.picture = file.read()
+            os.unlink(path)
+        except OSError:
+            made.picture = b""
+
+    def _ready(self, done: asyncio.Task[None]) -> None:
+        self._making = None
+        if not done.cancelled() and (error := done.exception()):
+            logging.getLogger(__name__).error("a story was not made: %r", error)
+
+    async def _command(self, *words: str) -> bytes:
+        """The output of a command on incidents; nothing when it failed."""
+        command = (sys.executable, "-m", "failstop", "incident", *words, "--name", self._name)
+        made = await asyncio.create_subprocess_exec(
+            *("nice", "-n", "10", *command),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            env={**os.environ, "MPLBACKEND": "Agg", "MPLCONFIGDIR": self._pictures.name},
+        )
+        try:
+            said, _ = await asyncio.wait_for(made.communicate(), MAKE_S)
+        except asyncio.TimeoutError:
+            return b""
+        finally:
+            if made.returncode is None:
+                made.kill()
+        return said if made.returncode == 0 else b""
+
+    def close(self) -> None:
+        """Give up what is being made; the pictures go."""
+        if self._making:
+            self._making.cancel()
+        self._pictures.cleanup()
+
+
+def _card(head: dict[str, Any]) -> dict[str, Any]:
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": memory.proven(head)}
+
+
+def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The lines of the seconds around the cause, those nearest to it if they are too many, in order."""
+    near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
+    kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
+    return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

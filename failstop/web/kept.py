@@ -1,0 +1,170 @@
+"""Kept: what the page has on disk - the paired devices, its certificate - and where the commands find it."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import ssl
+import subprocess
+import time
+from hashlib import sha256
+from typing import NoReturn
+
+from failstop.api.errors import FailstopError
+from failstop.files import durable, root
+from failstop.web.devices import Devices
+from failstop.web.whereabouts import own_addresses
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SYSTEM_BASE = "/var/lib/failstop-web"
+DEVICES = "devices.json"
+KEY = "key.pem"
+CERTIFICATE = "certificate.pem"
+CONTROL = "control"
+DAYS = 825
+"""As long as a browser accepts a certificate for."""
+RENEW_S = 30 * 86400.0
+OPENSSL_S = 30.0
+
+
+def folder(name: str, environ: Mapping[str, str]) -> str:
+    """Where the page of a service keeps things: systemd's $STATE_DIRECTORY, else under $XDG_STATE_HOME or
+    ~/.local/state."""
+    if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
+        return given
+    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return os.path.join(home, "failstop", name, "web")
+
+
+def folders(name: str, environ: Mapping[str, str]) -> list[str]:
+    """Where a page of that service may be: one that was started from here, or the system's."""
+    return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
+
+
+class Kept:
+    """The folder of a page that runs; it alone writes there."""
+
+    def __init__(self, place: str) -> None:
+        """Raises FailstopError."""
+        self.place = place
+        try:
+            os.makedirs(place, exist_ok=True)
+            os.chmod(place, 0o700)
+        except OSError as error:
+            _fail(place, error)
+
+    def path(self, name: str) -> str:
+        """Of a file in it."""
+        return os.path.join(self.place, name)
+
+    def devices(self) -> Devices:
+        """Those that were paired. Raises FailstopError for a file that can't be read: nobody is to be shut out, or let
+        in, without a word."""
+        try:
+            with open(durable.open_own(self.path(DEVICES)), "rb") as file:
+                return Devices.load(file.read())
+        except FileNotFoundError:
+            return Devices()
+        except OSError as error:
+            _fail(self.path(DEVICES), error)
+        except ValueError as error:
+            raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair anew") from None
+
+    def keep(self, devices: Devices) -> None:
+        """Whole or not at all. Raises FailstopError."""
+        self._write(DEVICES, devices.dump())
+
+    def keep_fewer(self, devices: Devices) -> None:
+        """After one was revoked. On a full disk the old file is overwritten, which takes no room; a crash in the middle
+        of that leaves a damaged file, which lets nobody in. Raises FailstopError."""
+        try:
+            self.keep(devices)
+        except FailstopError as error:
+            try:
+                fd = durable.open_own(self.path(DEVICES), os.O_WRONLY)
+                try:
+                    data = devices.dump().ljust(os.fstat(fd).st_size)
+                    if os.pwrite(fd, data, 0) != len(data):
+                        raise error
+                    os.fsync(fd)
+                finally:
+                    os.close(fd)
+            except OSError:
+                raise error from None
+
+    def _write(self, name: str, data: bytes) -> None:
+        draft = f"{self.path(name)}.{secrets.token_hex(4)}"
+        before = os.umask(0o077)
+        try:
+            durable.write_draft(draft, data)
+            durable.publish(draft, self.path(name))
+        except OSError as error:
+            _fail(self.path(name), error)
+        finally:
+            os.umask(before)
+
+    def tls(self, names: list[str]) -> ssl.SSLContext:
+        """For HTTPS with a certificate of its own, made at the first start and anew before it ends. Raises
+        FailstopError."""
+        if not self._valid():
+            self._make(names, own_addresses())
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            context.load_cert_chain(self.path(CERTIFICATE), self.path(KEY))
+        except (OSError, ssl.SSLError) as error:
+            raise FailstopError(f"{self.path(CERTIFICATE)}: {error}: remove it, and a new one is made") from None
+        return context
+
+    def fingerprint(self) -> str:
+        """SHA-256 of the certificate, as browsers show it; empty where there is none."""
+        try:
+            with open(self.path(CERTIFICATE), encoding="ascii") as file:
+                found = sha256(ssl.PEM_cert_to_DER_cert(file.read())).hexdigest().upper()
+        except (OSError, ValueError):
+            return ""
+        return ":".join(found[at : at + 2] for at in range(0, len(found), 2))
+
+    def _valid(self) -> bool:
+        """There is one, and for a while yet."""
+        if not (os.path.exists(self.path(KEY)) and os.path.exists(self.path(CERTIFICATE))):
+            return False
+        words = ("x509", "-in", self.path(CERTIFICATE), "-noout", "-checkend", str(int(RENEW_S)))
+        return _openssl(*words).returncode == 0
+
+    def _make(self, names: list[str], addresses: list[str]) -> None:
+        others = ",".join([*(f"DNS:{name}" for name in names), *(f"IP:{address}" for address in addresses)])
+        draft = self.path(f"{KEY}.{secrets.token_hex(4)}")
+        before = os.umask(0o077)
+        try:
+            made = _openssl(
+                *("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-sha256"),
+                *("-days", str(DAYS), "-subj", f"/CN=failstop {time.strftime('%Y-%m-%d')}"),
+                *("-addext", f"subjectAltName={others}", "-addext", "basicConstraints=critical,CA:FALSE"),
+                *("-addext", "extendedKeyUsage=serverAuth", "-keyout", draft, "-out", f"{draft}.crt"),
+            )
+            if made.returncode:
+                raise FailstopError(f"openssl made no certificate: {made.stderr.strip()[-300:]}")
+            durable.publish(draft, self.path(KEY))
+            durable.publish(f"{draft}.crt", self.path(CERTIFICATE))
+        except OSError as error:
+            _fail(self.path(CERTIFICATE), error)
+        finally:
+            os.umask(before)
+
+
+def _openssl(*words: str) -> subprocess.CompletedProcess[str]:
+    """Raises FailstopError where it is missing."""
+    try:
+        return subprocess.run(("openssl", *words), capture_output=True, text=True, timeout=OPENSSL_S, check=False)
+    except FileNotFoundError:
+        raise FailstopError("HTTPS needs the program openssl (Debian, Ubuntu: apt install openssl)") from None
+    except subprocess.TimeoutExpired:
+        raise FailstopError(f"openssl did not end within {OPENSSL_S:g} s") from None
+
+
+def _fail(path: str, error: OSError) -> NoReturn:
+    raise FailstopError(f"{path}: {error.strerror}") from None

@@ -1,0 +1,78 @@
+"""Stopping: a stop that the page asks for, through the stop pipe that every local user may write."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from typing import Any
+
+from failstop.api.client import attach, run, send_stop
+from failstop.api.errors import FailstopError, NoService
+from failstop.messages import layout
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.web.server import Page
+
+WRITTEN_S = 0.3
+"""How long a request is watched; the page repeats one that was not written by then."""
+LOOK_S = 0.001
+MOST_IDS = 64
+MOST_OF_AN_ID = 32
+REASON = "STOP on the page"
+
+
+class Asked:
+    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
+
+    def __init__(self) -> None:
+        self._ids: dict[str, int] = {}
+
+    def ask(self, name: str, who: str, identity: object) -> int:
+        """Ask for a stop, unless that was done for this id; returns when it was (CLOCK_MONOTONIC ns). Raises NoService,
+        FailstopError, and then it was not."""
+        known = str(identity)[:MOST_OF_AN_ID] if identity else ""
+        if known in self._ids:
+            return self._ids[known]
+        asked_ns = time.monotonic_ns()
+        send_stop(name, REASON, who)
+        if known:
+            self._ids[known] = asked_ns
+            if len(self._ids) > MOST_IDS:
+                del self._ids[next(iter(self._ids))]
+        return asked_ns
+
+
+async def stop(page: Page, who: str, identity: object) -> tuple[int, dict[str, Any]]:
+    """Ask for a stop, then wait until it is written, for WRITTEN_S at most: an HTTP status, and what the page is
+    told."""
+    asked = time.time()
+    try:
+        asked_ns = page.asked.ask(page.name, who, identity)
+        is_written = await written(page.name, asked_ns)
+    except FailstopError as error:
+        return 503 if isinstance(error, NoService) else 500, {"error": str(error)}
+    page.look()
+    return 200, {"asked": asked, "written": is_written, "face": page.watcher.shown}
+
+
+async def written(name: str, asked_ns: int) -> bool:
+    """Wait for a stop that was asked for then; True once one is written to the board, by the word of the port owner, or
+    of the supervisor, which writes where no port owner can. While there is no board there is none."""
+    with contextlib.ExitStack() as opened:
+        try:
+            found = run(name)
+            parts = [
+                opened.enter_context(contextlib.closing(attach(name, each, found)))
+                for each in (layout.PORT_OWNER, layout.SUPERVISOR)
+            ]
+        except FailstopError:
+            return False
+        words = [part.word("written_ns") for part in parts]
+        until_s = time.monotonic() + WRITTEN_S
+        while max(word.get() for word in words) < asked_ns:
+            if time.monotonic() >= until_s:
+                return False
+            await asyncio.sleep(LOOK_S)
+    return True

@@ -1,0 +1,83 @@
+"""Watcher: reads the service's state for all viewers at once, while there are any."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from failstop.api.errors import FailstopError
+from failstop.api.follow import Follower, Vibration
+from failstop.web import face
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State
+
+PERIOD_S = 0.1
+SLOW_S = 0.5
+"""The time between two looks at things that people read, not watch, unless something that matters has changed."""
+AGAIN_S = 0.5
+"""How often a service that is not there is looked for."""
+
+
+class Watcher:
+    """The newest state, and what the page shows of it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.state: State | None = None
+        self.shown: dict[str, Any] = face.absent("")
+        """The things that the page shows."""
+        self.values: list[Any] | None = None
+        """Values that change all the time; None while no service runs."""
+        self.number = 0
+        """Counts the changes of `shown`."""
+        self._follower: Follower | None = None
+        self._note = f"no service named {name!r} is running"
+        self._vibration = Vibration()
+        self._key: object = None
+        self._drawn_s = self._tried_s = float("-inf")
+        self._text = ""
+
+    def look(self, now_s: float, unix_s: float) -> None:
+        """Read the state. `now_s`: a monotonic clock; call it every PERIOD_S, or when somebody asks."""
+        self.state = self._read(now_s)
+        if self.state is None:
+            self.values = None
+            self._show(face.absent(self._note))
+            self._key = None
+            return
+        imu = self.state.imu
+        self.values = face.live(self.state, self._vibration.add(imu.rate_radps if imu else None))
+        key = self._what_matters(self.state)
+        if key != self._key or now_s - self._drawn_s >= SLOW_S:
+            self._key, self._drawn_s = key, now_s
+            assert self._follower is not None
+            self._show(face.face(self.state, self._follower.events, unix_s))
+
+    @staticmethod
+    def _what_matters(state: State) -> object:
+        moves, board = any(state.wheels_radps), (state.device, state.last_stop)
+        return state.blocked, state.enabled, state.epoch, state.waiting_for, *board, moves, state.speed_limit
+
+    def _show(self, shown: dict[str, Any]) -> None:
+        text = json.dumps(shown, sort_keys=True)
+        if text != self._text:
+            self._text = text
+            self.shown = shown
+            self.number += 1
+
+    def _read(self, now_s: float) -> State | None:
+        if self._follower is None:
+            if now_s - self._tried_s < AGAIN_S:
+                return None
+            self._tried_s = now_s
+            try:
+                self._follower = Follower(self.name)
+            except FailstopError as error:
+                self._note = str(error)
+                return None
+        state = self._follower.read(now_s)
+        if state is None:
+            self._note = self._follower.note
+        return state

@@ -1,0 +1,59 @@
+"""Rings: frames for the port owner, and the gate's part of the black box."""
+
+from __future__ import annotations
+
+from failstop.messages import box, records
+from failstop.procs.context import Context
+from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.sources import Command
+from failstop.shm.cell import RingWriter
+
+NONE_YET = Command(records.NOBODY, "", -(2**62), (0.0, 0.0, 0.0), source="")
+
+
+class Frames:
+    """The ring of frames; each put wakes the port owner."""
+
+    def __init__(self, context: Context) -> None:
+        self._ring = context.own.ring_writer("frames")
+        self._port_owner_bell = context.bell("port_owner_bell")
+        self.epoch = 0
+        """The newest, which every frame carries but one of motion."""
+
+    def put(self, kind: int, body: bytes, now_ns: int, epoch: int | None = None) -> None:
+        """A frame of the newest epoch, or of the one that motion was enabled in."""
+        self._ring.put(records.FRAME.pack(self.epoch if epoch is None else epoch, kind, body), now_ns)
+        self._port_owner_bell.ring()
+
+    def stop(self, now_ns: int) -> None:
+        """Have the stop burst written now."""
+        self.put(records.WRITE_BURST, b"", now_ns)
+
+
+class GateBox:
+    """The gate's part of the black box: one record a tick, of the newest command and of what became of it."""
+
+    def __init__(self, ring: RingWriter) -> None:
+        self._ring = ring
+        self._newest = NONE_YET
+        self._count = 0
+
+    def command(self, command: Command) -> None:
+        """A command came, good or bad."""
+        self._newest = command
+        self._count += 1
+
+    def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
+        """The end of a tick."""
+        command = self._newest
+        flags = (
+            (box.ENABLED if core.enabled else 0)
+            | (box.MANUAL if command.manual else 0)
+            | (box.DRIVES if core.sources.driving(now_ns) is command else 0)
+        )
+        age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
+        source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
+        block = box.DECISION.get(core.blocked(now_ns), 1)
+        numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds)
+        count, self._count = min(self._count, 255), 0
+        self._ring.put(box.TICK.pack(epoch & box.MOST_U32, block, flags, count, age_us, *numbers, source, who), now_ns)

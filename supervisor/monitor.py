@@ -1,0 +1,257 @@
+"""Monitor: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
+IMU's verdict - and the link.
+
+What counts for a stop is decided in stops.py and proof.py; here are the words of shared memory that it is made of.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from time import monotonic_ns, time
+
+from failstop.board.interface import BOARD
+from failstop.messages import layout, records
+from failstop.messages.packing import pack
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN
+from failstop.shm.words import Barrier
+from failstop.supervisor import starter
+from failstop.supervisor.latch import Latch
+from failstop.supervisor.proof import UNSTILL, Link, Proof
+from failstop.supervisor.run import Run
+from failstop.supervisor.stops import BY_SUPERVISOR, Stop
+
+MOST_SAID = 64
+
+
+class Monitor:
+    """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
+    answered, when it was sent, and when the answer came."""
+
+    def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
+        """`holds`: whether the kernel holds bytes for the board."""
+        self._run = run
+        self._holds = holds
+        port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
+        self._record = run.own.latest_writer("stop")
+        self._link_record = run.own.latest_writer("link")
+        self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._pong = telemetry.word("pong")
+        self._still = telemetry.word("still_ns")
+        self._judged = telemetry.word("judged_ns")
+        self._barrier = Barrier()
+        self._latch = latch
+        self._after_ns = run.settings.ns("still.after_s")
+        self._command = run.settings.text("still.command")
+        self._command_pids: list[int] = []
+        """Those that have not ended, the newest last."""
+        self._command_ran = False
+        self._seen_pong = 0
+        self.heard = (0, 0)
+        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(BOARD.pings))
+        self._published = ""
+        self._last: Proof | None = None
+        self._said: set[Cause] = set()
+        """Those that were told of since the latch."""
+
+    def latched(self, stop: Stop) -> None:
+        """A cause is the first since a reset: everything that follows may be news again."""
+        self._said = {stop.cause}
+
+    def _news_of(self, cause: Cause) -> bool:
+        """True when this cause was not told of since the latch; several processes notice the same. Of more causes
+        than are remembered the older may be told of again."""
+        if cause in self._said:
+            return False
+        if len(self._said) >= MOST_SAID:
+            self._said.clear()
+        self._said.add(cause)
+        return True
+
+    def also(self, stop: Stop) -> None:
+        """A cause that came together with others, or before their stop was answered."""
+        if self._news_of(stop.cause):
+            fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
+            self._run.events.tell("stop_also", f"also: {stop.cause}", fields)
+
+    def answered(self, stop: Stop, *, ending: bool) -> None:
+        """A stop was answered, written or not. `ending`: it is that of the service's end."""
+        self._follow_next(stop)
+        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
+        held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
+        written_us = max(0, stop.written_ns - stop.t_ns) / 1000
+        how = f"by the {stop.by} after {written_us:.0f} us"
+        if not stop.written_ns:
+            wrote, level = "stop frame NOT written", "critical"
+        elif held:
+            wrote, level = f"stop frame handed over {how}, {NOT_SENT}", "critical"
+        else:
+            wrote, level = f"stop frame written {how}", ""
+        fields = {
+            **stop.cause.fields(),
+            "noticed_by": stop.noticed_by,
+            "written_by": stop.by if stop.written_ns else "nobody",
+            "latency_us": round(written_us, 1) if stop.written_ns else None,
+            "epoch": stop.epoch,
+        }
+        if ending:
+            self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
+        elif stop.behind is None:
+            todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
+            text = f"STOP latched: {stop.cause}; {wrote}"
+            self._run.events.tell("stop", text, fields, level=level, step=todo)
+        elif self._news_of(stop.cause):
+            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            if stop.behind.cause == stop.cause:
+                text = f"the cause of what is latched is known better: {stop.cause}"
+                if self._last:
+                    self._publish(self._last)
+            self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
+
+    def _follow_next(self, stop: Stop) -> None:
+        """From now on, unless one is latched: what comes then belongs to that, the one that people look for."""
+        last = self._last
+        if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
+            return
+        if last and not last.told:
+            self._tell_outcome(last)  # with what is known
+        self._last = Proof(stop, self._after_ns, monotonic_ns(), time())
+        self._publish(self._last)
+
+    def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
+        """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
+        answers, and so does the port owner, which asks."""
+        stops = []
+        self._take_answer()
+        newest_ns = max(word.get() for word in self._pings)
+        if not listening:
+            self.link.listen(newest_ns)
+        elif self.link.silent(newest_ns, now_ns):
+            stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
+        self._reap_command()
+        if self._last and self._unstill(self._last, now_ns):
+            stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
+        if self._last and self._last.complete(now_ns):
+            self._tell_outcome(self._last)
+        if self.link.state != self._published:
+            self._tell_link(self._published, self.link.state)
+            self._published = self.link.state
+            self._link_record.write(self._published.encode())
+        return stops
+
+    def opened(self, written_ns: int) -> None:
+        """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
+        self.link.opened()
+        last = self._last
+        if last and not last.stop.written_ns and written_ns > last.stop.t_ns:
+            last.written_at_last(written_ns, BY_SUPERVISOR)
+            self._publish(last)
+
+    def _take_answer(self) -> None:
+        word = self._pong.get()
+        if word == self._seen_pong:
+            return
+        self._seen_pong = word
+        arrival_ns, index = records.unpack_pong(word)
+        sent_ns = self._pings[index].get()
+        if not sent_ns or sent_ns > arrival_ns:
+            return  # an answer to a question that nobody has asked, or that was asked again meanwhile
+        self.link.answered(sent_ns)
+        self.heard = max(self.heard, (sent_ns, arrival_ns))
+        if self._last and self._last.ponged(sent_ns, arrival_ns):
+            self._publish(self._last)
+
+    def _unstill(self, last: Proof, now_ns: int) -> bool:
+        """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
+        stop = last.stop
+        if self._latch.reset_epoch >= stop.epoch:
+            self._command_ran = False
+            return False
+        known = last.observed_ns is not None
+        judged_ns = self._judged.get()
+        self._barrier()
+        still_ns = self._still.get()
+        self._barrier()
+        if self._judged.get() != judged_ns:
+            return False  # judged again meanwhile: next time
+        unstill = last.judged(still_ns, judged_ns, now_ns)
+        if last.observed_ns is not None and not known:
+            self._command_ran = False
+            self._publish(last)
+        if unstill:
+            text = f"CRITICAL: {causes.UNSTILL()} ({stop.cause}; {(now_ns - stop.t_ns) / 1e9:.1f} s ago)"
+            self._run.events.tell("unstill", text, {"reason": str(stop.cause), "epoch": stop.epoch})
+            if self._command and not self._command_ran:
+                self._run_command()
+        return unstill
+
+    def _run_command(self) -> None:
+        """Once, until the wheels have been seen still or people have reset. What an earlier stop has run and has not
+        ended hangs, and must not keep this stop from its own."""
+        for pid in self._command_pids:
+            try:
+                os.kill(-pid, signal.SIGKILL)
+                how = "killed"
+            except OSError as error:  # of another user's rights, by sudo
+                how = f"cannot be killed ({error.strerror})"
+            text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
+            self._tell_command(text, "hangs", pid=pid)
+        self._command_ran = True
+        try:
+            pid = starter.spawn(["/bin/sh", "-c", self._command], os.environ)
+        except OSError as error:
+            self._tell_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
+        else:
+            self._command_pids.append(pid)
+            self._tell_command(f"still.command runs (pid {pid}): {self._command}", "runs", pid=pid)
+
+    def _reap_command(self) -> None:
+        for pid in tuple(self._command_pids):
+            if (code := starter.reap(pid)) is not None:
+                self._command_pids.remove(pid)
+                self._tell_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
+
+    def _tell_command(self, text: str, state: str, **fields: str | int) -> None:
+        level = "error" if state in ("hangs", "failed") else ""
+        self._run.events.tell("command", text, {"state": state, **fields}, level=level)
+
+    def _tell_outcome(self, proof: Proof) -> None:
+        link = self.link.state
+        proof.held = proof.stop.written_ns > 0 and proof.acknowledged_ns is None and self._holds()
+        if proof.held:
+            self._publish(proof)
+        level = "error" if proof.held or proof.wheels == UNSTILL else ""
+        self._run.events.tell("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
+
+    def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
+        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
+        as of proof.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        told = "the stop was written twice" if sent else "the second stop could NOT be written"
+        if written and not sent:
+            told = f"the second stop was handed over, {NOT_SENT}"
+        fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        if heard_ns:
+            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+        elif link == UNPROVEN:
+            heard, level = "whether the board hears is not known (link unproven)", "warning"
+        elif link == UNASKED:
+            heard, level = "this board acknowledges nothing (link unasked)", ""
+        else:
+            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+        self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
+
+    def _tell_link(self, before: str, state: str) -> None:
+        if state == DEAF:
+            self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
+        elif state == ALIVE:
+            again = " again" if before == DEAF else ""
+            self._run.events.tell("link", f"the board answers{again}", {"state": state})
+        elif before and state == UNPROVEN:
+            text = "whether the board hears is not known until it answers"
+            self._run.events.tell("link", text, {"state": state}, level="info")
+
+    def _publish(self, proof: Proof) -> None:
+        self._record.write(pack(proof.as_record()))

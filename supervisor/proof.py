@@ -1,0 +1,197 @@
+"""The proof of a stop: what can be known of it once it was answered; and the link, which is what the board's answers
+prove. Pure.
+
+    acknowledged   the board answered a ping that was written after it: its receiver was in step by then
+    observed       the IMU says that the wheels are still (unstill: they are not)
+    told           nothing more will be known of it
+
+Levels of proof are kept apart everywhere: the board may be silent while the IMU sees the wheels come to rest.
+"""
+
+from __future__ import annotations
+
+from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN, wheels_seen
+from failstop.supervisor.stops import Stop
+
+# The wheels after a stop, as the IMU sees them.
+UNKNOWN = "unknown"
+UNSTILL = "unstill"  # they should be still and are not, and were not seen still since
+STILL = "still"
+ANSWER_NS = 20_000_000
+"""A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
+ACKNOWLEDGE_NS = 1_500_000_000
+"""A stop that the board has not acknowledged by then is told of without."""
+JUDGED_AFTER_NS = 800_000_000
+"""The IMU's word is of the time after the cause once it was judged this long after it: longer than a window of the
+judgement and its hold (procs/telemetry/still.py)."""
+JUDGED_WITHIN_NS = 500_000_000
+"""A judgement older than this is none: the IMU, or who decodes it, is silent."""
+LEAST_NS = 1_000_000
+"""The shortest time to rest: 0 means that there was nothing to come to rest."""
+LATE_LOOK_NS = 200_000_000
+"""A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
+
+
+class Proof:
+    """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
+
+    def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float) -> None:
+        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. A supervisor that was
+        held up follows late: the stop has the time of its cause, and the board and the wheels have the usual time from
+        now on."""
+        self.stop = stop
+        self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
+        """The wall clock when its cause was noticed, for people."""
+        self.acknowledged_ns: int | None = None
+        """From the cause to the board's answer."""
+        self.observed_ns: int | None = None
+        """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
+        self.wheels = UNKNOWN
+        self.held = False
+        """Its bytes were still in the kernel when it was told of: the board takes none."""
+        self.told = False
+        """All that can be known of it was told."""
+        self._was_still = True
+        self._looked_ns = 0
+        self._after_ns = after_ns
+        self._again_ns = stop.t_ns + after_ns
+        self._since_ns = now_ns
+        """The time from which the board's obedience and its answer are counted."""
+
+    def written_at_last(self, written_ns: int, by: str) -> None:
+        """It could not be written, and now it was: the port is back."""
+        self.stop.written_ns, self.stop.by = written_ns, by
+        self.told = False
+        self._since_ns = written_ns
+        self._again_ns = written_ns + self._after_ns
+
+    def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
+        """A ping was answered; True when this acknowledges the stop."""
+        if self.acknowledged_ns is not None or sent_ns < self.stop.written_ns or not self.stop.written_ns:
+            return False
+        self.acknowledged_ns = arrival_ns - self.stop.t_ns
+        return True
+
+    def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
+        """Take the IMU's word: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
+        True when they should be still and are not, and again each time they have had as long: stop again."""
+        self._looked_ns = self._looked_ns or now_ns
+        if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
+            return False
+        late = self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
+        if not still_ns:
+            self._was_still = False
+            if now_ns >= self._again_ns:
+                self._again_ns = now_ns + self._after_ns
+                self.wheels = UNSTILL
+                return True
+        elif not self._was_still or (late and still_ns > self.stop.t_ns):
+            # A window may begin before the cause: they turned all the same.
+            self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
+        elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
+            self.observed_ns = 0
+        self.wheels = self.wheels if self.observed_ns is None else STILL
+        return False
+
+    def complete(self, now_ns: int) -> bool:
+        """True, once, when nothing more will be known of it: the time to tell people."""
+        age_ns = now_ns - self._since_ns
+        if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
+            return False
+        if self.observed_ns is None and self.wheels != UNSTILL and age_ns < self._after_ns + JUDGED_WITHIN_NS:
+            return False
+        self.told, before = True, self.told
+        return not before
+
+    def outcome(self, link: str) -> str:
+        """The outcome, for the journal; `link`: what the board's answers prove."""
+        heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
+        heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
+        if self.observed_ns is None:
+            seen = "wheels NOT seen still" if self.wheels == UNSTILL else "not observed"
+        else:
+            seen = wheels_seen(self.observed_ns / 1e9)
+        return f"{self.stop.cause}: {heard}, {seen}"
+
+    def fields(self, link: str) -> dict[str, str | float | None]:
+        """The outcome, for programs."""
+        return {
+            **self.stop.cause.fields(),
+            "epoch": self.stop.epoch,
+            "link": link,
+            "sent": not self.held,
+            **self._proofs(),
+            "wheels": self.wheels,
+        }
+
+    def as_record(self) -> dict[str, object]:
+        """The stop as clients see it."""
+        return {
+            "cause": self.stop.cause.pack(),
+            "latched": (self.stop.behind or self.stop).cause.pack(),
+            "noticed_by": self.stop.noticed_by,
+            "written_by": self.stop.by,
+            "t": self.unix_s,
+            "epoch": self.stop.epoch,
+            "sent": not self.held or self.acknowledged_ns is not None,
+            "written_us": max(0, self.stop.written_ns - self.stop.t_ns) / 1e3 if self.stop.written_ns else None,
+            **self._proofs(),
+        }
+
+    def _proofs(self) -> dict[str, float | None]:
+        return {
+            "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
+            "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
+        }
+
+
+class Link:
+    """Link: whether the board at one opened port hears what is written to it. Pure.
+
+    unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
+    alive      it answers
+    deaf       it has answered before and is silent: a stop cause, once, until it answers again
+    unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
+
+    A board can go deaf while its telemetry goes on, so only answers count.
+    """
+
+    def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
+        """`asked`: the board has pings."""
+        self._deaf_ns = deaf_ns
+        self._opened = UNPROVEN if asked else UNASKED
+        self.state = self._opened
+        self._answered_ns = 0
+        """When the newest answered ping was sent."""
+        self._asked_ns = 0
+        """When the oldest ping after it was sent; 0: none yet."""
+
+    def opened(self) -> None:
+        """Another port, perhaps another board: nothing is known of it."""
+        self.state = self._opened
+        self._answered_ns = self._asked_ns = 0
+
+    def listen(self, newest_ping_ns: int) -> None:
+        """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
+        self._asked_ns = 0
+        self._answered_ns = max(self._answered_ns, newest_ping_ns)
+
+    def answered(self, sent_ns: int) -> None:
+        """A ping that was sent at `sent_ns` was answered."""
+        self.state = ALIVE
+        self._answered_ns = max(self._answered_ns, sent_ns)
+        self._asked_ns = 0
+
+    def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
+        """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
+        if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
+            self._asked_ns = newest_ping_ns
+        if self.state != ALIVE or not self._asked_ns:
+            return False
+        # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
+        if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
+            return False
+        if now_ns - newest_ping_ns < ANSWER_NS:
+            return False
+        self.state = DEAF
+        return True

@@ -1,0 +1,181 @@
+"""The stop of every board, against the state machine of its receiver: whatever came before it, whoever else writes, and
+with the gaps that a USB adapter forgets. A board in a folder of its own is judged here without a line for it."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations, cycle, islice
+
+import pytest
+
+from failstop.board.hoverboard import codec
+from failstop.board.kinds import KINDS, wire_of
+from failstop.board.wire import Stop, Wire
+from failstop.lab.boards.hoverboard import Hoverboard
+from failstop.lab.boards.line import (
+    AT_ONCE,
+    Model,
+    Receiver,
+    Tick,
+    TimedWrite,
+    arrivals,
+    model_of,
+    play,
+    stop_writes,
+)
+from tests.support.amounts import LONG, amount
+
+MS = 1_000_000
+BEGIN_NS = 20 * MS
+BAR_NS = 12 * MS
+"""For one writer and for two."""
+CROWD_BAR_NS = 40 * MS
+"""For three at once, and where a frame of motion that was already on its way comes between."""
+ADAPTER_BAR_NS = 150 * MS
+APART_NS = 5 * MS
+"""Writers begin within this: they learn of a death within 0.2 ms, and may be late."""
+ADAPTER_NS = MS
+STALL_NS = 300 * MS
+END_NS = BEGIN_NS + 2 * STALL_NS
+
+every_board = pytest.mark.parametrize("kind", KINDS)
+
+
+class Trial:
+    """One board that drives and is stopped."""
+
+    def __init__(self, kind: str, stop: Stop | None = None) -> None:
+        self.wire: Wire = wire_of(kind)
+        self.model: Model = model_of(kind)
+        self.stop = stop or self.wire.stop
+        self.fastest = self.wire.motion.apart / 2
+        self.motion = [self.wire.motion.frame(speeds, self.fastest) for speeds in self._speeds()]
+        self.frames = [
+            *self.motion,
+            *(question.ask for question in self.wire.questions),
+            *(write.data for write in self.stop.writes),
+            *self.wire.port.opening,
+        ]
+
+    def _speeds(self) -> Iterator[tuple[float, float]]:
+        for share in (1.0, 0.37, 0.1, 0.012):
+            speed = self.fastest * share
+            yield from ((speed, speed), (-speed, -speed), (speed, -speed / 2), (0.0, speed))
+
+    def cuts(self) -> list[bytes]:
+        """What may stand before a stop: nothing, every frame cut anywhere or whole, and the receiver's own."""
+        cut = {frame[:end] for frame in self.frames for end in range(len(frame) + 1)}
+        return sorted(cut | set(self.model.before))
+
+    def stopped_ns(
+        self,
+        receiver: Receiver,
+        before: bytes,
+        writers: Sequence[tuple[int, int]],
+        late: Sequence[TimedWrite] = (),
+        tick: Tick = AT_ONCE,
+    ) -> int:
+        """When the wheels are told to stop for good, after the stop began and the last other byte was written.
+
+        The board drives. The stops of the writers, (index, when each begins), follow `before` without a gap; `late` is
+        what others write meanwhile. -1: they were not stopped.
+        """
+        byte_ns = self.wire.port.byte_ns
+        writes = [(0, self.motion[0]), (BEGIN_NS - len(before) * byte_ns, before), *late]
+        for writer, begin_ns in writers:
+            writes += stop_writes(self.stop, writer, begin_ns, byte_ns)
+        play(receiver, arrivals(writes, byte_ns, tick), END_NS)
+        assert self.model.fuses or all(
+            abs(speed) <= self.fastest for _, speeds in receiver.commands for speed in speeds
+        )
+        moving = [index for index, (_, speeds) in enumerate(receiver.commands) if any(speeds)]
+        stops = receiver.commands[moving[-1] + 1 if moving else 0 :]
+        if not stops or any(receiver.wheels):
+            return -1
+        return max(0, stops[0][0] - max(BEGIN_NS, *(at_ns for at_ns, _ in late), 0))
+
+
+def random_trial(trial: Trial, rng: random.Random, cuts: list[bytes], writers: Sequence[int], tick: Tick) -> int:
+    """Writers that begin some time apart, behind any cut; among three one still writes a frame of motion."""
+    begins = [BEGIN_NS, *(BEGIN_NS + rng.randrange(APART_NS) for _ in writers[1:])]
+    late = [(BEGIN_NS + rng.randrange(MS), rng.choice(trial.motion))] if len(writers) > 2 else []
+    receiver = trial.model.any_state(rng)
+    return trial.stopped_ns(receiver, rng.choice(cuts), list(zip(writers, begins, strict=True)), late, tick)
+
+
+@every_board
+def test_one_writer_stops_the_wheels_after_every_cut(kind: str) -> None:
+    trial = Trial(kind)
+    rng = random.Random(kind)
+    writers = range(len(trial.stop.repeats_ns))
+    for before, writer in zip(trial.cuts() * len(writers), cycle(writers), strict=False):
+        stopped_ns = trial.stopped_ns(trial.model.any_state(rng), before, [(writer, BEGIN_NS)])
+        assert 0 <= stopped_ns <= BAR_NS, (before, writer)
+
+
+@every_board
+def test_one_writer_stops_the_wheels_in_every_state_of_the_receiver(kind: str) -> None:
+    """Short: some of the states, each with the next cut; long: each state with a dozen of them."""
+    trial = Trial(kind)
+    cuts = trial.cuts()
+    pairs: Iterable[tuple[Receiver, bytes]]
+    if LONG:
+        few = cuts[:: max(1, len(cuts) // 12)]
+        pairs = ((receiver, cut) for cut in few for receiver in trial.model.every_state())
+    else:
+        pairs = zip(islice(trial.model.every_state(), 0, None, 17), cycle(cuts), strict=False)
+    for receiver, before in pairs:
+        assert 0 <= trial.stopped_ns(receiver, before, [(0, BEGIN_NS)]) <= BAR_NS, before
+
+
+@every_board
+@pytest.mark.parametrize("adapter", [False, True], ids=["wire", "adapter"])
+def test_writers_that_do_not_see_each_other_stop_the_wheels(kind: str, adapter: bool) -> None:
+    trial = Trial(kind)
+    rng = random.Random(f"{kind} {adapter}")
+    cuts = trial.cuts()
+    groups = [*combinations(range(len(trial.stop.repeats_ns)), 2), tuple(range(len(trial.stop.repeats_ns)))]
+    for _ in range(amount(400, 60_000)):
+        tick = Tick(ADAPTER_NS, rng.randrange(ADAPTER_NS)) if adapter else AT_ONCE
+        writers = rng.choice(groups)
+        bar_ns = ADAPTER_BAR_NS if adapter else BAR_NS if len(writers) == 2 else CROWD_BAR_NS
+        assert 0 <= random_trial(trial, rng, cuts, writers, tick) <= bar_ns
+
+
+@every_board
+def test_a_stop_holds_behind_any_backlog(kind: str) -> None:
+    """As many frames as may be unanswered, and all writers' repeats; where that is proved, sent at once after a stall,
+    which shows in the time since its end."""
+    trial = Trial(kind)
+    rng = random.Random(kind)
+    others = [*trial.motion, *(question.ask for question in trial.wire.questions)]
+    writers = [(writer, BEGIN_NS) for writer in range(len(trial.stop.repeats_ns))]
+    for _ in range(amount(200, 10_000)):
+        frames = [rng.choice(others) for _ in range(rng.randint(0, trial.wire.pace.unanswered or 8))]
+        backlog = b"".join(frames)
+        cut = backlog[: rng.randint(0, len(backlog))] if rng.random() < 0.5 else backlog
+        tick = Tick(STALL_NS, BEGIN_NS + STALL_NS - 1) if trial.model.stalls and rng.random() < 0.5 else AT_ONCE
+        allowed_ns = CROWD_BAR_NS if tick is AT_ONCE else STALL_NS + CROWD_BAR_NS
+        assert 0 <= trial.stopped_ns(trial.model.any_state(rng), cut, writers, tick=tick) <= allowed_ns
+
+
+@every_board
+def test_control_a_stop_that_looks_enough_is_lost(kind: str) -> None:
+    trial = Trial(kind, model_of(kind).not_enough)
+    rng = random.Random(kind)
+    cuts = trial.cuts()
+    lost = 0
+    for _ in range(200):
+        begins = [(writer, BEGIN_NS + rng.randrange(MS // 5)) for writer in range(len(trial.stop.repeats_ns))]
+        lost += trial.stopped_ns(trial.model.any_state(rng), rng.choice(cuts), begins) < 0
+    assert lost > 20
+
+
+def test_control_two_pieces_pass_the_hoverboard_s_xor_as_one_frame() -> None:
+    """A cut stop, the first half of another, and then the end of a feedback frame, which makes the receiver look."""
+    receiver = Hoverboard()
+    for value in codec.STOP[:4] + codec.STOP[:4]:
+        receiver.received(value)
+    receiver.look()
+    assert receiver.commands == [(0, (-1000.0, -1000.0))]

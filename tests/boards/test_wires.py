@@ -1,0 +1,165 @@
+"""The wires of other boards: vectors from the firmware's sources, the checks before the wire against the receivers,
+readings, and the boards' own watchdogs."""
+
+from __future__ import annotations
+
+import random
+from math import inf, nan, pi
+
+import pytest
+
+from failstop.board.arduino import codec as arduino
+from failstop.board.framing import FrameError
+from failstop.board.hoverboard import codec as hoverboard
+from failstop.board.hoverboard import feedback
+from failstop.board.kinds import KINDS, wire_of
+from failstop.board.ugv import codec as ugv
+from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels
+from failstop.lab.boards.line import arrivals, model_of, play
+from tests.support.amounts import amount
+from tests.support.rooms import PACKAGE
+
+MS = 1_000_000
+every_board = pytest.mark.parametrize("kind", KINDS)
+
+
+def fields(samples: list[Sample]) -> list[tuple]:
+    return [(type(sample), *vars(sample).values()) for sample in samples]
+
+
+def test_frames_are_the_ones_that_the_firmware_s_own_algorithm_makes() -> None:
+    assert bytes.fromhex("cdab00000000cdab") == hoverboard.STOP
+    assert hoverboard.seal(0, 100) == bytes.fromhex("cdab00006400a9ab")
+    assert hoverboard.seal(-50, 200) == bytes.fromhex("cdabceffc800cb54")
+    assert arduino.motion((100, -7), 999) == b"m +100 -7\r"
+    assert ugv.motion((0.2, -0.29), 2.0) == b'{"T":1,"L":0.200,"R":-0.290}\n'
+    assert ugv.watchdog(500 * MS) == b'\n{"T":136,"cmd":500}\n'
+
+
+@every_board
+def test_every_board_keeps_what_the_vocabulary_promises(kind: str) -> None:
+    wire = wire_of(kind)
+    motion = wire.motion
+    assert motion.rest == motion.frame((0.0, -0.0), 0.0)
+    assert motion.check(motion.rest, 0.0) == ""
+    assert all(row[0] == 0 and list(row) == sorted(set(row)) for row in wire.stop.repeats_ns)
+    assert len(set(wire.stop.repeats_ns)) == len(wire.stop.repeats_ns) == 3
+    for question in wire.questions:
+        assert motion.check(question.ask, motion.limit)
+    for bad in (nan, inf, -inf, motion.limit * 1.01):
+        with pytest.raises(FrameError):
+            motion.frame((0.0, bad), motion.limit)
+    with pytest.raises(FrameError):
+        motion.frame((0.0,), motion.limit)
+    assert sum(len(path.read_text().splitlines()) for path in (PACKAGE / "board" / kind).glob("*.py")) < 400
+
+
+def test_an_unknown_kind_of_board_is_refused() -> None:
+    with pytest.raises(ValueError, match="it must be one of arduino, hoverboard, ugv"):
+        wire_of("os")
+
+
+@every_board
+def test_speeds_are_sent_within_a_step_and_never_larger(kind: str) -> None:
+    motion = wire_of(kind).motion
+    rng = random.Random(kind)
+    for _ in range(200):
+        limit = motion.apart / 2
+        speeds = (rng.uniform(-limit, limit), rng.uniform(-limit, limit))
+        frame = motion.frame(speeds, limit)
+        assert motion.check(frame, limit) == ""
+        receiver = model_of(kind).any_state(rng)
+        byte_ns = wire_of(kind).port.byte_ns
+        play(receiver, arrivals([(MS, frame), (13 * MS, frame)], byte_ns), 30 * MS)
+        for sent, obeyed in zip(speeds, receiver.commands[-1][1], strict=True):
+            assert abs(obeyed) <= abs(sent)
+            assert abs(obeyed - sent) < 2 * motion.step
+
+
+@every_board
+def test_what_the_check_lets_through_moves_no_wheel_beyond_the_limit(kind: str) -> None:
+    motion, byte_ns = wire_of(kind).motion, wire_of(kind).port.byte_ns
+    rng = random.Random(kind)
+    passed = 0
+    for _ in range(amount(300, 20_000)):
+        full = motion.apart / 2
+        frame = bytearray(motion.frame((rng.uniform(-full, full), rng.uniform(-full, full)), full))
+        if rng.random() < 0.7:
+            frame[rng.randrange(len(frame))] = rng.choice((0x30, 0x39, 0x2D, rng.randrange(256)))
+        limit = full * rng.choice((0.3, 1.0))
+        if motion.check(bytes(frame), limit):
+            continue
+        passed += 1
+        receiver = model_of(kind).any_state(rng)
+        play(receiver, arrivals([(MS, bytes(frame)), (13 * MS, bytes(frame))], byte_ns), 30 * MS)
+        assert all(abs(speed) <= limit for _, speeds in receiver.commands for speed in speeds)
+    assert passed > 5
+
+
+@every_board
+def test_the_board_s_own_watchdog_stops_the_wheels_when_the_host_is_gone(kind: str) -> None:
+    wire = wire_of(kind)
+    full = wire.motion.apart / 2
+    receiver = model_of(kind).any_state(random.Random(kind))
+    arm_ns = wire.watchdog.after_ns
+    writes = [(MS, wire.motion.frame((full, full), full)), (12 * MS, wire.motion.frame((full, full), full))]
+    if wire.watchdog.arm:
+        arm_ns = 500 * MS
+        writes.append((MS - 1, wire.watchdog.arm(arm_ns)))
+    play(receiver, arrivals(writes, wire.port.byte_ns), 12 * MS + arm_ns - 20 * MS)
+    assert any(receiver.wheels)
+    receiver.until(20 * MS + arm_ns + 40 * MS)
+    assert not any(receiver.wheels)
+
+
+def test_glued_arduino_lines_never_fuse_into_a_larger_speed() -> None:
+    """A line that was cut anywhere, and a whole one behind it: both carry signs, so atoi ends at the second."""
+    for left, right, other in ((999, -999, 999), (12, 34, -12), (-7, 250, 99)):
+        line, after = arduino.motion((left, right), 999), arduino.motion((other, other), 999)
+        for end in range(len(line)):
+            receiver = model_of("arduino").any_state(random.Random(0))
+            play(receiver, arrivals([(0, line[:end] + after)], 175_000), 20 * MS)
+            assert all(abs(speed) <= 999 for _, speeds in receiver.commands for speed in speeds)
+
+
+@every_board
+def test_a_reader_takes_any_pieces_and_any_bytes(kind: str) -> None:
+    rng = random.Random(kind)
+    said = {
+        "arduino": b"OK\r\n-12 7\r\n57600\r\n",
+        "hoverboard": feedback.seal(100, 200, -50, 40, 3650, 30) * 2,
+        "ugv": b'{"T":1001,"L":0.1,"R":0.2,"odl":3,"odr":4,"v":1200}\r\n{"T":139,"L":1,"R":1}\r\n',
+    }[kind]
+    whole = fields(wire_of(kind).reader().feed(said))
+    assert len(whole) > 2
+    reader = wire_of(kind).reader()
+    assert [each for value in said for each in fields(reader.feed(bytes((value,))))] == whole
+    for _ in range(100):
+        reader.feed(rng.randbytes(rng.randrange(200)))
+
+
+def test_readings_are_the_same_few_samples_for_all() -> None:
+    read = wire_of("hoverboard").reader().feed(b"\xcd" + feedback.seal(100, 200, -50, 40, 3650, 30))
+    assert fields(read) == [(Obeyed, (250.0, 150.0)), (Wheels, (40.0, 50.0), ()), (Battery, 36.5)]
+    assert fields(wire_of("arduino").reader().feed(b"-12 7\r\nOK\r\n")) == [
+        (Wheels, (), (-12.0, 7.0)),
+        (Answer, "OK"),
+    ]
+    report = b'{"T":1001,"L":0.1,"R":0,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":1640,"odl":3,"odr":4,"v":1200}\r\n'
+    wheels, imu, battery = wire_of("ugv").reader().feed(report)
+    assert fields([wheels, battery]) == [(Wheels, (0.1, 0.0), (3.0, 4.0)), (Battery, 12.0)]
+    assert isinstance(imu, Imu)
+    assert imu.accel == pytest.approx((0, 0, 9.80665))
+    assert imu.gyro == pytest.approx((0, 0, 100 * pi / 180))
+    with_arm = report.replace(b'"v"', b'"ab":1,"v"')
+    assert not any(isinstance(sample, Imu) for sample in wire_of("ugv").reader().feed(with_arm))
+
+
+@pytest.mark.parametrize(
+    ("kind", "answers"), [("arduino", [b"57600\r\n", b"1 2\r\n"]), ("ugv", [b'{"T":139}\n', b'{"T":1002}\n'])]
+)
+def test_a_question_knows_its_answer_from_the_others(kind: str, answers: list[bytes]) -> None:
+    wire = wire_of(kind)
+    samples = [wire.reader().feed(answer)[0] for answer in answers]
+    for index, question in enumerate(wire.questions):
+        assert [question.answered_by(sample) for sample in samples] == [index == at for at in range(len(samples))]

@@ -1,0 +1,212 @@
+"""After a stop: the first is the one that is followed, wheels that do not rest are stopped for again, until a reset."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.lab.machine.kernel import Process
+from failstop.messages import layout, records
+from failstop.policy import causes
+from failstop.procs.loop import GONE
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene
+from tests.support.why import why
+
+UNSTILL = str(causes.UNSTILL())
+DEAF_REASON = str(causes.DEAF())
+FIRST = str(why("the first"))
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene(layout.PORT_OWNER)
+
+
+def shake(scene: Scene, seconds: float) -> None:
+    """The IMU shows wheels that turn; every stop is answered."""
+    for _ in range(round(seconds / 0.05)):
+        scene.judge(still=False)
+        scene.turn(50 * MS)
+        scene.answers(written_ns=scene.now_ns)
+
+
+def follow(scene: Scene, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
+    """Monitor's own turn; returns the causes that it brought."""
+    scene.now_ns += elapsed_ns
+    stops = scene.supervisor.monitor.follow(scene.now_ns, listening=listening)
+    return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
+
+
+def test_of_two_stops_the_first_is_followed_until_a_reset(scene: Scene) -> None:
+    scene.stops("the first")
+    scene.stops("the second")
+    assert scene.told()["reason"] == "the first"
+    scene.reset()
+    scene.stops("the third")
+    assert scene.told()["reason"] == "the third"
+
+
+def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once() -> None:
+    scene = Scene(layout.PORT_OWNER, settings={"still.command": "ring the bell"})
+    ran: list[tuple[int, list[str]]] = []
+
+    def shell(process: Process, argv: list[str]) -> int:
+        ran.append((process.machine.now_ns, argv))
+        return 0
+
+    scene.machine.programs["sh"] = shell
+    scene.stops("the first")
+    shake(scene, 1.4)
+    assert (scene.supervisor.epoch, ran) == (2, [])
+    shake(scene, 4.8)
+    assert scene.supervisor.epoch == 6, "after 1.5, 3, 4.5 and 6 s"
+    shake(scene, 1.5)
+    assert [argv for _, argv in ran] == [["/bin/sh", "-c", "ring the bell"]]
+    scene.reset()
+    epoch = scene.supervisor.epoch
+    shake(scene, 5.0)
+    assert scene.supervisor.epoch == epoch, "a reset ends the question"
+
+
+def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Scene) -> None:
+    sent_ns = scene.now_ns
+    scene.pings(0)
+    scene.turn(2 * MS)
+    assert scene.supervisor.monitor.heard == (sent_ns, sent_ns + MS)
+
+
+def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
+    scene.pings(0)
+    scene.turn(2 * MS)
+    assert scene.read("link") == b"alive"
+    scene.supervisor.monitor.opened(scene.now_ns)
+    scene.turn(2 * MS)
+    assert scene.read("link") == b"unproven"
+
+
+def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene: Scene) -> None:
+    """The words of the questions are used in turn: a late answer must not be taken for one to the newest."""
+    scene.stops("the first")
+    asked = scene.port_owner.word("ping_0")
+    pong = scene.telemetry.word("pong")
+    asked.set(scene.now_ns + 2 * MS)
+    pong.set(records.pong(scene.now_ns + MS, 0))
+    scene.turn(3 * MS)
+    assert scene.read("link") == b"unproven"
+    assert scene.table("stop")["acknowledged_us"] is None
+    pong.set(records.pong(scene.now_ns + MS, 0))
+    scene.turn(2 * MS)
+    assert scene.read("link") == b"alive"
+    assert scene.table("stop")["acknowledged_us"] > 0
+
+
+def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> None:
+    """Its two words may be of different moments: still of before, judged of now."""
+    look = "still_ns = self._still.get()"
+    meanwhile = f"{look}; self._run.meanwhile and self._run.meanwhile.pop()()"
+    scene = Scene(layout.PORT_OWNER, patches=(("failstop.supervisor.monitor", look, meanwhile),))
+    scene.run.meanwhile = []
+    scene.stops("the first")
+    shake(scene, 0.1)
+    scene.judge(still=True)
+    scene.run.meanwhile.append(lambda: scene.telemetry.word("judged_ns").set(scene.now_ns))
+    scene.turn(MS)
+    assert scene.table("stop")["observed_ms"] is None
+    assert scene.supervisor.epoch == 2
+    scene.turn(MS)
+    assert scene.table("stop")["observed_ms"] is not None
+    written = scene.number("stop")
+    scene.turn(MS)
+    assert scene.number("stop") == written, "what is known is not written again"
+
+
+def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
+    scene.pings(0)
+    assert follow(scene, 2 * MS) == []
+    assert scene.said() == [("link", "notice", "the board answers", {"state": "alive"})]
+    scene.now_ns += 500 * MS
+    scene.pings(1, answered=False)
+    assert follow(scene, 600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)]
+    assert scene.said() == [("link", "critical", "the board answers no more", {"state": "deaf"})]
+    assert follow(scene, 600 * MS) == [], "once"
+    scene.pings(3)
+    follow(scene, 2 * MS)
+    assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
+    scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
+    scene.supervisor.monitor.link.opened()
+    scene.said()
+    follow(scene, MS)
+    text = "whether the board hears is not known until it answers"
+    assert scene.said() == [("link", "info", text, {"state": "unproven"})]
+
+
+def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
+    scene.pings(0)
+    follow(scene, 2 * MS)
+    scene.now_ns += 500 * MS
+    scene.pings(1, answered=False)
+    assert follow(scene, 600 * MS, listening=False) == []
+    assert follow(scene, 600 * MS) == [], "nor for the ping whose answer nobody could hear"
+
+
+def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
+    scene.stops("the first")
+    scene.said()
+    scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
+    assert follow(scene, 1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
+    told = {"reason": FIRST, "epoch": 2}
+    outcome = {**told, "cause": "piped", "link": "unproven", "sent": True, "wheels": "unstill"}
+    assert scene.said() == [
+        ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
+        ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
+    ]
+    scene.telemetry.word("still_ns").set(scene.now_ns)
+    scene.telemetry.word("judged_ns").set(scene.now_ns + MS)
+    assert follow(scene, MS) == []
+    assert scene.said() == [], "it was told of"
+
+
+def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene) -> None:
+    scene.stops("the first")
+    scene.said()
+    scene.pings(0)
+    scene.turn(2 * MS)
+    scene.reset()
+    scene.stops("the second")
+    outcome = next(event for event in scene.said() if event[0] == "stop_outcome")
+    acknowledged_us = outcome[3].pop("acknowledged_us")
+    assert acknowledged_us == 2_000.0
+    text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
+    fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "sent": True, "wheels": "unknown"}
+    assert outcome == ("stop_outcome", "notice", text, fields)
+
+
+def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -> None:
+    opened = scene.supervisor.monitor.opened
+    stop = scene.made_stop(why("the first"), layout.GATE)
+    stop.answered_by("supervisor", 0, stop, 1)
+    scene.supervisor.monitor.answered(stop, ending=False)
+    assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
+    for burst_ns in (0, stop.t_ns):
+        opened(burst_ns)
+        assert scene.told()["written_us"] is None, "no burst was written since"
+    for late_ms in (1, 2):
+        opened(stop.t_ns + late_ms * MS)
+        told = {"reason": "the first", "written_by": "supervisor", "written_us": 1_000.0}
+        assert scene.told() == told, "once"
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_the_monitor_tells_of_a_stop_that_the_kernel_holds_unless_the_board_answered(
+    scene: Scene, answered: bool
+) -> None:
+    scene.wire.hold()  # of a later write, where the board has answered
+    scene.stops("the first")
+    scene.said()
+    scene.pings(0, answered=answered)
+    scene.turn(2 * MS)
+    scene.reset()
+    scene.stops("the second")
+    [(_, level, text, fields)] = [event for event in scene.said() if event[0] == "stop_outcome"]
+    assert (fields["sent"], level) == ((True, "notice") if answered else (False, "error"))
+    assert ("handed over, NOT sent" in text) is not answered

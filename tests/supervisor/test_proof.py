@@ -1,0 +1,267 @@
+"""What a stop has proved (acknowledged, observed, told); and the link: unproven, alive, deaf."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN, still_after
+from failstop.supervisor.proof import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Link, Proof
+from failstop.supervisor.stops import Stop
+from tests.support.why import why
+
+MS = 1_000_000
+T0 = 10_000 * MS
+AFTER = 1_500 * MS
+
+
+def proof(written_ms: float = 0.5) -> Proof:
+    stop = Stop(T0, "gate", why("gate died"))
+    stop.answered_by("port owner", T0 + round(written_ms * MS) if written_ms else 0, stop, 2)
+    return Proof(stop, AFTER, T0, 1.0)
+
+
+def test_a_stop_that_is_followed_late_has_its_cause_s_time_and_a_whole_wait() -> None:
+    stop = Stop(T0, "port_owner", why("gate died"))
+    late_ns = T0 + 6_000 * MS
+    stop.answered_by("port owner", T0 + MS, stop, 2)
+    found = Proof(stop, AFTER, late_ns, 100.0)
+    assert found.as_record()["t"] == 94.0
+    assert not found.complete(late_ns + ACKNOWLEDGE_NS - 1)
+    assert found.complete(late_ns + AFTER + JUDGED_WITHIN_NS)
+
+
+def test_written() -> None:
+    record = proof().as_record()
+    assert record["written_us"] == 500.0
+    assert record["acknowledged_us"] is None
+    assert record["observed_ms"] is None
+    assert proof(0).as_record()["written_us"] is None
+
+
+def test_a_ping_from_before_the_stop_proves_nothing() -> None:
+    last = proof()
+    assert not last.ponged(T0 + MS // 2 - 1, T0 + 2 * MS)
+    assert last.ponged(T0 + MS // 2, T0 + 3 * MS)
+    assert last.as_record()["acknowledged_us"] == 3_000.0
+    assert not last.ponged(T0 + 5 * MS, T0 + 6 * MS), "the first answer counts"
+
+
+def test_what_was_not_written_is_not_acknowledged() -> None:
+    assert not proof(0).ponged(T0 + 100 * MS, T0 + 101 * MS)
+
+
+def test_wheels_that_come_to_rest() -> None:
+    last = proof()
+    for ms in range(0, 900, 10):
+        assert not last.judged(0, T0 + ms * MS, T0 + ms * MS)
+    assert not last.judged(T0 + 380 * MS, T0 + 900 * MS, T0 + 900 * MS)
+    assert last.as_record()["observed_ms"] == 380.0
+    assert "wheels still after about 0.4 s" in last.outcome("alive")
+
+
+def test_the_judgement_from_before_the_stop_does_not_count() -> None:
+    last = proof()
+    still_ns = T0 - 5_000 * MS
+    assert not last.judged(still_ns, T0 + JUDGED_AFTER_NS - 1, T0 + JUDGED_AFTER_NS)
+    assert last.observed_ns is None
+    last.judged(still_ns, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
+    assert last.observed_ns == 0
+    assert "no shaking seen" in last.outcome("alive")
+
+
+def test_a_supervisor_that_was_held_up_takes_the_imu_s_word_for_what_it_missed() -> None:
+    last = proof()
+    assert not last.judged(T0 + 150 * MS, T0 + 700 * MS, T0 + 705 * MS)
+    assert last.as_record()["observed_ms"] == 150.0
+
+
+def test_wheels_that_stood_while_the_supervisor_was_held_up_did_not_shake() -> None:
+    last = proof()
+    last.judged(T0 - 5_000 * MS, T0 + 900 * MS, T0 + 905 * MS)
+    assert last.observed_ns == 0
+
+
+def test_a_verdict_that_only_began_anew_is_no_shaking() -> None:
+    """Telemetry that was restarted judges from its own start on; the supervisor looked all the while."""
+    last = proof()
+    assert not last.judged(T0 - 5_000 * MS, T0 - 10 * MS, T0 + 5 * MS)
+    last.judged(T0 + 200 * MS, T0 + 900 * MS, T0 + 905 * MS)
+    assert last.observed_ns == 0
+
+
+def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
+    last = proof()
+    found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
+    assert found == [1_500, 3_000]
+    assert "NOT seen still" in last.outcome("alive")
+
+
+@pytest.mark.parametrize("still_ns", [0, T0 + 400 * MS])
+def test_a_silent_imu_judges_nothing(still_ns: int) -> None:
+    last = proof()
+    judged_ns = T0 + 1_600 * MS
+    assert not last.judged(still_ns, judged_ns, judged_ns + JUDGED_WITHIN_NS + 1)
+    assert last.observed_ns is None
+
+
+def test_a_stop_that_could_be_written_only_later_is_proven_from_then_on() -> None:
+    last = proof(0)
+    assert last.complete(T0 + AFTER + JUDGED_WITHIN_NS)
+    back_ns = T0 + 5_000 * MS
+    last.written_at_last(back_ns, "port owner")
+    assert last.as_record()["written_us"] == 5_000_000.0
+    assert not last.ponged(back_ns - 1, back_ns + MS)
+    assert not last.judged(0, back_ns + 1_400 * MS, back_ns + 1_400 * MS), "the wheels have their time from then"
+    assert last.judged(0, back_ns + AFTER, back_ns + AFTER)
+    assert last.ponged(back_ns, back_ns + 3 * MS)
+    assert last.complete(back_ns + AFTER), "and it is told again"
+
+
+def test_it_is_told_once_when_all_is_known() -> None:
+    last = proof()
+    last.ponged(T0 + MS, T0 + 2 * MS)
+    assert not last.complete(T0 + 900 * MS)
+    last.judged(0, T0 + 500 * MS, T0 + 500 * MS)
+    last.judged(T0 + 300 * MS, T0 + 1_000 * MS, T0 + 1_000 * MS)
+    assert last.complete(T0 + 1_000 * MS)
+    assert not last.complete(T0 + 1_020 * MS)
+    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.0 ms, wheels still after about 0.3 s"
+
+
+def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
+    last = proof()
+    assert not last.complete(T0 + AFTER)
+    assert last.complete(T0 + AFTER + JUDGED_WITHIN_NS)
+    assert last.outcome("unproven") == "gate died: not acknowledged (link unproven), not observed"
+
+
+def test_what_the_kernel_still_holds_is_not_said_to_be_sent() -> None:
+    last = proof()
+    last.held = True
+    assert last.outcome("deaf") == "gate died: handed over, NOT sent: the board takes no bytes, not observed"
+    assert last.fields("deaf")["sent"] is False
+    assert last.as_record()["sent"] is False
+    assert last.ponged(T0 + MS, T0 + 2 * MS), "it takes them again"
+    assert last.as_record()["sent"] is True
+
+
+def test_a_rest_within_the_resolution_is_told_as_that() -> None:
+    assert still_after(0.19) == "less than 0.2 s"
+    assert still_after(0.2) == "about 0.2 s"
+    assert still_after(1.25) == "about 1.2 s"
+
+
+def test_what_programs_are_told_of_it() -> None:
+    last = proof()
+    told = {"reason": "gate died", "cause": "died", "epoch": 2, "link": "alive", "sent": True}
+    assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
+    assert last.ponged(T0 + MS, T0 + 2 * MS)
+    last.judged(0, T0 + AFTER, T0 + AFTER)
+    assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": None, "wheels": "unstill"}
+    last.judged(T0 + 2 * AFTER - 1, T0 + 2 * AFTER, T0 + 2 * AFTER)
+    observed_ms = (2 * AFTER - 1) / 1e6
+    assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": observed_ms, "wheels": "still"}
+    assert last.as_record() == {
+        "cause": why("gate died").pack(),
+        "latched": why("gate died").pack(),
+        "noticed_by": "gate",
+        "written_by": "port owner",
+        "t": 1.0,
+        "epoch": 2,
+        "sent": True,
+        "written_us": 500.0,
+        "acknowledged_us": 2_000.0,
+        "observed_ms": observed_ms,
+    }
+
+
+def test_a_stop_from_before_its_cause_was_written_at_once() -> None:
+    assert proof(-0.5).as_record()["written_us"] == 0.0
+
+
+def test_one_that_is_observed_waits_a_while_for_its_acknowledgement() -> None:
+    last = proof()
+    last.judged(T0 - 5_000 * MS, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
+    assert not last.complete(T0 + ACKNOWLEDGE_NS - 1)
+    assert last.complete(T0 + ACKNOWLEDGE_NS)
+
+
+DEAF_NS = 1_000 * MS
+
+
+def heard(at_ns: int) -> Link:
+    link = Link(DEAF_NS)
+    link.answered(at_ns)
+    return link
+
+
+def deaf_after_ms(link: Link, pings_ms: list[int], until_ms: int = 5_000) -> int | None:
+    """Look every 20 ms, from T0 on, with pings sent at these times; returns when it became deaf."""
+    for ms in range(0, until_ms, 20):
+        newest = max([T0 + at * MS for at in pings_ms if at <= ms], default=0)
+        if link.silent(newest, T0 + ms * MS):
+            return ms
+    return None
+
+
+def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
+    link = Link(1_000 * MS, asked=False)
+    assert link.state == UNASKED
+    assert not link.silent(T0 + 10_000 * MS, T0 + 20_000 * MS)
+    link.opened()
+    assert link.state == UNASKED
+
+
+def test_a_board_that_never_answers_is_unproven_and_no_cause() -> None:
+    link = Link(DEAF_NS)
+    assert link.state == UNPROVEN
+    assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
+    assert link.state == UNPROVEN
+
+
+def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once() -> None:
+    link = heard(T0)
+    assert deaf_after_ms(link, [0, 500, 1_000, 1_500]) == 1_020, "the ping at 1,000 may still be answered"
+    assert link.state == DEAF
+    assert deaf_after_ms(link, [2_000, 2_500]) is None, "once"
+
+
+def test_a_board_that_answers_is_alive() -> None:
+    link = heard(T0)
+    for ms in range(0, 10_000, 500):
+        assert not link.silent(T0 + ms * MS, T0 + ms * MS + 20 * MS)
+        link.answered(T0 + ms * MS)
+    assert link.state == ALIVE
+
+
+def test_nobody_is_deaf_who_was_not_asked() -> None:
+    """As when the port owner was held up: silence counts from the first question."""
+    assert deaf_after_ms(heard(T0), [3_000]) == 3_500
+    assert deaf_after_ms(heard(T0), [0, 3_000]) == 3_500, "it has answered the last one"
+
+
+def test_nor_before_its_time_from_the_last_answer() -> None:
+    assert deaf_after_ms(heard(T0), [0, 400]) == 1_000
+
+
+def test_silence_while_nobody_listened_does_not_count() -> None:
+    link = heard(T0)
+    assert not link.silent(T0 + 500 * MS, T0 + 990 * MS)
+    link.listen(T0 + 1_500 * MS)
+    assert not link.silent(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
+    assert not link.silent(T0 + 2_500 * MS, T0 + 2_510 * MS)
+    assert link.silent(T0 + 2_500 * MS, T0 + 3_010 * MS)
+
+
+def test_a_deaf_board_that_answers_again_is_alive() -> None:
+    link = heard(T0)
+    assert deaf_after_ms(link, [500, 1_000]) == 1_020
+    link.answered(T0 + 1_500 * MS)
+    assert link.state == ALIVE
+
+
+def test_another_port_is_another_board() -> None:
+    link = heard(T0)
+    link.opened()
+    assert link.state == UNPROVEN
+    assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None

@@ -1,0 +1,23 @@
+"""Rooms: where the source of each room lies. Three are folders at the top, linked into the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from failstop.lab.pages.rooms import LINKED, PACKAGE, ROOT, folder, imported, modules
+
+__all__ = ["CORE", "LINKED", "PACKAGE", "ROOT", "folder", "imported", "modules", "name_of", "package"]
+CORE = ("files", "shm", "messages", "board", "policy", "procs", "supervisor")
+
+
+def package() -> list[Path]:
+    """Every file of the package, each once."""
+    own = [path for path in PACKAGE.rglob("*.py") if not any(above.is_symlink() for above in path.parents)]
+    return sorted([*own, *(path for room in LINKED for path in modules(room))])
+
+
+def name_of(path: Path) -> str:
+    """The name by which a file of the package is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "failstop" else ("failstop", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
