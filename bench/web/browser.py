@@ -24,6 +24,8 @@ from bench import BenchError
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or ""
 START_S = 30.0
+LOOK_MS = 40
+"""The time between two looks at where an element is."""
 WAIT_S = 10.0
 OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-extensions", "--hide-scrollbars",
@@ -182,11 +184,14 @@ class Tab:
             time.sleep(0.02)
 
     def place(self, selector: str) -> tuple[float, float]:
-        """The middle of an element."""
+        """The middle of an element, once it stands still: while the page fills, a finger would land beside it."""
         box = self.run(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); "
+            f"(async () => {{ const e = document.querySelector({json.dumps(selector)}); "
             "e.scrollIntoView({block: 'center'}); "
-            "const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+            "const at = () => { const b = e.getBoundingClientRect(); "
+            "return [b.x + b.width / 2, b.y + b.height / 2]; }; "
+            f"for (let was = at(), now; ; was = now) {{ await new Promise((next) => setTimeout(next, {LOOK_MS})); "
+            "now = at(); if (String(now) === String(was)) return now; } })()"
         )
         return float(box[0]), float(box[1])
 

@@ -27,6 +27,7 @@ def tab(web: Web) -> Iterator[Tab]:
     with Browser() as browser:
         found = browser.tab(f"{web.url.replace('127.0.0.1', 'localhost')}#{web.code()}")
         found.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+        found.until(f"{WORD} === 'STOPPED'")
         found.run("document.getElementById('device-name').value = 'Dora'")
         found.tap("#pair button")
         found.until("!document.getElementById('drive').hidden")
