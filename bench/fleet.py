@@ -23,7 +23,7 @@ from collections.abc import Iterator
 
 import psutil
 
-from bench import report, stats
+from bench import fleet_bare, report, stats
 from bench.fleet_robots import MANUFACTURER
 from bench.report import progress
 from failstop.fleet import levels, signed
@@ -37,7 +37,8 @@ WORKERS = 4
 REST_S = 3.0
 """Between two stops: the robots are reset and drive again."""
 IDLE_S = 10.0
-BAR_S = 2.0
+OVER_BARE = 8.0, 5.0
+"""Bars of the p50 and p99 of a stop that all have confirmed, as multiples of what bare clients take in the same run."""
 CONNECT_S = 120.0
 WAIT_S = 10.0
 MEMORY = "/dev/shm"
@@ -71,16 +72,15 @@ def broker(folder: str) -> Iterator[tuple[int, int]]:
 
 
 @contextlib.contextmanager
-def robots(port: int, key: str, folder: str, count: int) -> Iterator[list[int]]:
-    """So many, connected; gives the pids of their processes."""
+def clients(count: int, *words: str) -> Iterator[None]:
+    """So many clients of the broker, connected: `words` is their program with its first arguments."""
     shares = [count // WORKERS + (number < count % WORKERS) for number in range(WORKERS)]
     running = []
     first = 0
     for share in shares:
-        words = ["-m", "bench.fleet_robots", str(port), key, folder, str(first), str(share)]
         running.append(
             subprocess.Popen(
-                [sys.executable, *words],
+                [sys.executable, "-m", *words, str(first), str(share)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -92,8 +92,8 @@ def robots(port: int, key: str, folder: str, count: int) -> Iterator[list[int]]:
         for process in running:
             assert process.stdout is not None
             if process.stdout.readline() != "ready\n":
-                raise TrialError("a process of robots ended")
-        yield [process.pid for process in running]
+                raise TrialError(f"a process of {words[0]} ended")
+        yield
     finally:
         for process in running:
             assert process.stdin is not None
@@ -150,8 +150,29 @@ def idle(watched: dict[str, psutil.Process], count: int) -> list[stats.Row]:
     return rows
 
 
-def stops(settings: FleetSettings, count: int, number: int) -> list[stats.Row]:
-    """Stops of the whole fleet, while they are watched."""
+def bare_stops(port: int, count: int, number: int) -> list[int]:
+    """The ns that so many bare clients take until each has answered: broker, MQTT client and these processors alone."""
+    with clients(count, "bench.fleet_bare", str(port)):
+        found = []
+        for done in range(number):
+            progress(f"bare stop {done + 1} of {number}")
+            found.append(fleet_bare.stop(port, count))
+        return found
+
+
+def over_bare(confirmed: list[int], bare: list[int], count: int) -> list[stats.Row]:
+    """The stops that all have confirmed, in ns, beside what bare clients took, before and after."""
+    stop = f"fleet stop -> confirmed by all {count}"
+    floor = f"a message -> answered by {count} bare clients (the floor)"
+    least = stats.percentiles(bare)
+    return [
+        stats.over_floor(stop, confirmed, least, p50=OVER_BARE[0], p99=OVER_BARE[1]),
+        stats.timing(floor, bare, p50_ms=None, p99_ms=None),
+    ]
+
+
+def stops(settings: FleetSettings, count: int, number: int) -> tuple[list[int], list[stats.Row]]:
+    """Stops of the whole fleet, while they are watched: the ns until all have confirmed each, and the other rows."""
     each: dict[str, list[int]] = {level: [] for level in levels.PROOFS}
     last: list[int] = []
     missing = 0
@@ -166,8 +187,7 @@ def stops(settings: FleetSettings, count: int, number: int) -> list[stats.Row]:
         if times_s := sender.tally.times_s(levels.ACKNOWLEDGED):
             last.append(round(times_s[-1] * 1e9))
     rows = [stats.timing(f"fleet stop -> {level}, each robot", each[level], p50_ms=None, p99_ms=None) for level in each]
-    confirmed = stats.timing(f"fleet stop -> confirmed by all {count}", last, p50_ms=None, p99_ms=BAR_S * 1e3)
-    return [confirmed, *rows, stats.count("robots that did not confirm", missing, count * number)]
+    return last, [*rows, stats.count("robots that did not confirm", missing, count * number)]
 
 
 def main() -> int:
@@ -186,14 +206,17 @@ def main() -> int:
         config = os.path.join(folder, "fleet.toml")
         with open(config, "w", encoding="utf-8") as file:
             file.write(f"broker.port = {port}\nrobot.manufacturer = '{MANUFACTURER}'\n")
+        bare = bare_stops(port, arguments.robots, -(-arguments.stops // 2))
         progress(f"{arguments.robots} robots connect")
-        with robots(port, key, folder, arguments.robots):
+        with clients(arguments.robots, "bench.fleet_robots", str(port), key, folder):
             view = View(config, arguments.robots)
             wait_for("the view to show them", lambda: view.shows(f"{arguments.robots} robots"), CONNECT_S)
             progress("watching")
             rows = idle({"broker": psutil.Process(mosquitto), "view": view.process}, arguments.robots)
-            rows = [*stops(settings, arguments.robots, arguments.stops), *rows]
+            confirmed, proven = stops(settings, arguments.robots, arguments.stops)
             view.end()
+        bare += bare_stops(port, arguments.robots, arguments.stops // 2)
+        rows = [*over_bare(confirmed, bare, arguments.robots), *proven, *rows]
     return report.end(rows, arguments.json)
 
 

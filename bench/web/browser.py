@@ -117,6 +117,11 @@ class Tab:
 
         return self._loop.run_until_complete(wait())
 
+    def close(self) -> None:
+        """End the page; the browser goes on."""
+        self.tell("Page.close")
+        self.connection.close()
+
     def tell(self, method: str, **parameters: Any) -> None:
         """One method of the protocol, whose answer is not waited for: a browser that is held up has none yet."""
         self._number += 1

@@ -11,6 +11,7 @@ from failstop.api import words
 from failstop.fleet import FleetError, levels, settings, signed, topics
 from failstop.fleet.broker import Broker
 from failstop.fleet.levels import Order
+from failstop.fleet.repeats import MANY, Repeats
 from failstop.fleet.tally import Tally
 
 TYPE_CHECKING = False
@@ -19,12 +20,6 @@ if TYPE_CHECKING:
 
     from failstop.fleet.settings import FleetSettings
 
-AGAIN_S = 0.5
-"""Between two sendings of the same stop, dated anew."""
-ALL_AGAIN_S = 1.5
-"""While many are missing: what all are told again, all answer again."""
-MOST_SINGLE = 100
-"""Missing robots that are told one by one, whatever the size of the fleet; of a large one half of them are."""
 OBSERVED_S = 2.5
 """How long to go on for the third proof when all have confirmed."""
 TURN_S = 0.05
@@ -45,7 +40,7 @@ class Sender:
         self._probe = topics.answer(self._manufacturer, self.id, "probe/end")
         self.heard_all = False
         """The broker has said whom it knows."""
-        self._again_s = 0.0
+        self._repeats = Repeats()
         wanted = (
             topics.answer(self._manufacturer, self.id, topics.ANY),
             topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION),
@@ -60,7 +55,7 @@ class Sender:
         until_s = time.monotonic() + wait_s
         enough_s = until_s
         while (now_s := time.monotonic()) < min(until_s, enough_s):
-            if now_s >= self._again_s:
+            if self._repeats.due(now_s):
                 self._send(now_s)
             self.broker.turn(TURN_S)
             progress(self.tally)
@@ -80,15 +75,14 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """To all; then to those who have not confirmed, unless these are many."""
+        """To all; then to the robots that have not confirmed, one by one, unless most are missing."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)
         missing = [row.robot for row in self.tally.missing()]
-        many = len(missing) > MOST_SINGLE
-        most = len(missing) > max(MOST_SINGLE, len(self.tally.robots()) // 2)
+        most = len(missing) > max(MANY, len(self.tally.robots()) // 2)
         some = self.sent_s is not None and self.heard_all and not most
-        self._again_s = now_s + (ALL_AGAIN_S if many else AGAIN_S)
+        self._repeats.sent(now_s, len(missing))
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
             self.broker.say(topics.stop(self._manufacturer, robot), message)
@@ -105,8 +99,9 @@ class Sender:
             answer = levels.read_answer(self._key, payload)
         except signed.Forged:
             return  # nobody's word for it
-        if answer.id == self.id and self.sent_s is not None:
-            self.tally.answer(answer, time.monotonic() - self.sent_s)
+        now_s = time.monotonic()
+        if answer.id == self.id and self.sent_s is not None and self.tally.answer(answer, now_s - self.sent_s):
+            self._repeats.heard(now_s)
 
 
 def connection_word(payload: bytes) -> str:

@@ -50,17 +50,18 @@ class Tally:
         else:
             self._connections.pop(robot, None)
 
-    def answer(self, answer: Answer, after_s: float) -> None:
-        """The first of each level counts, and what was said last of what is wrong."""
+    def answer(self, answer: Answer, after_s: float) -> bool:
+        """Take the first of each level, and what was said last of what is wrong. True when a level is new."""
         told = self._answers.setdefault(answer.robot, {})
-        for level in answer.reached:
-            if level not in told:
-                told[level] = after_s
-                self._counts[level] = self._counts.get(level, 0) + 1
+        new = [level for level in answer.reached if level not in told]
+        for level in new:
+            told[level] = after_s
+            self._counts[level] = self._counts.get(level, 0) + 1
         self._whys[answer.robot] = answer.why
         self._confirms[answer.robot] = answer.confirms
         if answer.confirms in told:
             self._confirmed.add(answer.robot)
+        return bool(new)
 
     def robots(self) -> list[str]:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""

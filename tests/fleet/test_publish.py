@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from failstop.api.events import Event
-from failstop.fleet import levels, sender, signed, topics
+from failstop.fleet import levels, repeats, sender, signed, topics
 from failstop.fleet.levels import Answer
 from failstop.lab.trial import Trial
 from failstop.policy import causes
@@ -181,7 +181,7 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     broker: Mosquitto, key: str, listener: Listener, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     """Nobody who has confirmed is asked once more; while most are missing, all are."""
-    names = [f"r{number}" for number in range(3 * sender.MOST_SINGLE)]
+    names = [f"r{number}" for number in range(3 * repeats.MANY)]
     listed = tmp_path / "robots"
     listed.write_text("\n".join(names))
     found = broker.settings(stop__key_file=key, robot__manufacturer=maker(request), stop__robots_file=str(listed))
