@@ -26,6 +26,8 @@ document.getElementById("stop").addEventListener("pointerdown", (event) => {
 });
 </script>
 """
+OPCODE, TEXT = 0x0F, 1
+"""Of a frame's first byte (RFC 6455)."""
 MAGIC = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 HEADERS = b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nConnection: close\r\nContent-Length: %d\r\n\r\n"
 UPGRADE = (
@@ -72,8 +74,9 @@ def serve(connection: socket.socket) -> None:
             return
         accept = base64.b64encode(hashlib.sha1(key + MAGIC, usedforsecurity=False).digest())
         connection.sendall(UPGRADE % accept)
-        while connection.recv(1 << 16):
-            print(time.monotonic_ns(), flush=True)
+        while frame := connection.recv(1 << 16):
+            if frame[0] & OPCODE == TEXT:  # and no end of the connection
+                print(time.monotonic_ns(), flush=True)
 
 
 def main() -> None:
