@@ -1,4 +1,4 @@
-"""`python -m bench.web.pictures`: takes the picture of the page that README and docs/operator.md show."""
+"""`python -m bench.web.pictures`: takes the pictures of the page that README and docs/operator.md show."""
 
 from __future__ import annotations
 
@@ -67,8 +67,21 @@ def phone(trial: Trial, web: Web, browser: Browser, strip: Strip) -> None:
     strip.add(light)
 
 
+def desk(web: Web, browser: Browser, path: Path) -> None:
+    """The newest incident, opened, beside STOP."""
+    tab = browser.tab(web.url.replace("127.0.0.1", "localhost"), wide=1280, high=800, dark=False, touch=False)
+    card = "document.querySelector('#incidents details')"
+    tab.until(f"{card} !== null", timeout_s=30)  # its file is written some seconds after the stop
+    tab.run(f"{card}.open = true")
+    tab.until(f"({card}.querySelector('img') || {{}}).naturalWidth")
+    tab.run(f"{card}.scrollIntoView()")
+    tab.picture(path)
+    with Image.open(path) as found:
+        found.convert("RGB").quantize(256).save(path, optimize=True)
+
+
 def main() -> int:
-    """Take it."""
+    """Take both."""
     with tempfile.TemporaryDirectory(prefix="failstop-pictures-") as folder:
         settings = os.path.join(folder, "failstop.toml")
         Path(settings).write_text(ATTENDED, encoding="utf-8")
@@ -80,6 +93,7 @@ def main() -> int:
             strip = Strip(folder)
             phone(trial, web, browser, strip)
             strip.save(PICTURES / "operator-phone.png")
+            desk(web, browser, PICTURES / "operator-desk.png")
     return 0
 
 
