@@ -73,7 +73,7 @@ def desk(web: Web, browser: Browser, path: Path) -> None:
     card = "document.querySelector('#incidents details')"
     tab.until(f"{card} !== null", timeout_s=30)  # its file is written some seconds after the stop
     tab.run(f"{card}.open = true")
-    tab.until(f"({card}.querySelector('img') || {{}}).naturalWidth")
+    tab.until(f"({card}.querySelector('img') || {{}}).naturalWidth", timeout_s=60)
     tab.run(f"{card}.scrollIntoView()")
     tab.picture(path)
     with Image.open(path) as found:
