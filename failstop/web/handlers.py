@@ -139,7 +139,8 @@ class Stop(Guarded):
 
     async def post(self) -> None:
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
-        status, found = await stopping.stop(self.page, self.who(), self.body().get("id"))
+        request = stopping.ask(self.page, self.who(), self.body().get("id"))
+        status, found = await stopping.answer(self.page, request)
         self.set_status(status)
         self.finish(found)
 

@@ -12,7 +12,6 @@ from typing import Any
 from tornado.iostream import StreamClosedError
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from failstop.api.errors import FailstopError
 from failstop.web import hold, lease, messages, stopping
 from failstop.web.handlers import Guarded
 
@@ -68,18 +67,16 @@ class StopSocket(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def on_message(self, message: str | bytes) -> None:
-        """A STOP by its id. It waits for no other, and who sends them without end is not answered each."""
+        """A STOP by its id, asked for before anything else is done. Many at a time are not answered each."""
         if identity := messages.read(message).get("stop"):
-            if len(self._asked) >= MOST_ASKED:
-                with contextlib.suppress(FailstopError):
-                    self.page.asked.ask(self.page.name, self.who(), identity)
-                return
-            asked = asyncio.ensure_future(self._stop(identity))
-            self._asked.add(asked)
-            asked.add_done_callback(self._asked.discard)
+            request = stopping.ask(self.page, self.who(), identity)
+            if len(self._asked) < MOST_ASKED:
+                asked = asyncio.ensure_future(self._answer(identity, request))
+                self._asked.add(asked)
+                asked.add_done_callback(self._asked.discard)
 
-    async def _stop(self, identity: object) -> None:
-        _, found = await stopping.stop(self.page, self.who(), identity)
+    async def _answer(self, identity: object, request: stopping.Request) -> None:
+        _, found = await stopping.answer(self.page, request)
         self.later({"id": identity, **found})
 
 

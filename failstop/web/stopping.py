@@ -9,6 +9,7 @@ from typing import Any
 
 from failstop.api.client import attach, run, send_stop
 from failstop.api.errors import FailstopError, NoService
+from failstop.data import Data
 from failstop.messages import layout
 
 TYPE_CHECKING = False
@@ -44,17 +45,30 @@ class Asked:
         return asked_ns
 
 
-async def stop(page: Page, who: str, identity: object) -> tuple[int, dict[str, Any]]:
-    """Ask for a stop, then wait until it is written, for WRITTEN_S at most: an HTTP status, and what the page is
-    told."""
-    asked = time.time()
+class Request(Data):
+    """A stop that was asked for, or why it could not be."""
+
+    unix_s: float
+    asked_ns: int = 0
+    error: FailstopError | None = None
+
+
+def ask(page: Page, who: str, identity: object) -> Request:
+    """Ask for a stop, at once."""
+    unix_s = time.time()
     try:
-        asked_ns = page.asked.ask(page.name, who, identity)
-        is_written = await written(page.name, asked_ns)
+        return Request(unix_s, page.asked.ask(page.name, who, identity))
     except FailstopError as error:
-        return 503 if isinstance(error, NoService) else 500, {"error": str(error)}
+        return Request(unix_s, error=error)
+
+
+async def answer(page: Page, request: Request) -> tuple[int, dict[str, Any]]:
+    """Wait until the stop is written, for WRITTEN_S at most: an HTTP status, and what the page is told."""
+    if request.error:
+        return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
+    is_written = await written(page.name, request.asked_ns)
     page.look()
-    return 200, {"asked": asked, "written": is_written, "face": page.watcher.shown}
+    return 200, {"asked": request.unix_s, "written": is_written, "face": page.watcher.shown}
 
 
 async def written(name: str, asked_ns: int) -> bool:
