@@ -17,7 +17,7 @@ import pytest
 
 from failstop.board import codec, servos
 from failstop.board.framing import BUZZER, FrameError, crc8, seal
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.receiver import Receiver
 from failstop.procs.telemetry import pad
 from tests.support.amounts import amount

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import select
+from time import monotonic_ns
 
-from failstop.board.interface import BOARD
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
 from failstop.messages import box
 from failstop.shm.cell import RingWriter
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""
@@ -18,8 +22,11 @@ DRAIN_NS = 100_000_000
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
-    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
-        super().__init__(fd, servos)
+    def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
+        super().__init__(fd, board, servos)
+        self._idle_ns, self._byte_ns = board.idle_ns, board.port.byte_ns
+        self.free_ns = 0
+        """When the line will have been silent for as long as it has to be before anything but a stop."""
         self._box: RingWriter | None = None
         self._early: list[int] = []
         """How much the kernel took of each early stop that the loop has not heeded yet."""
@@ -33,6 +40,9 @@ class Wire(StopPort):
         taken = super()._write(data)
         self._refused = not (taken or self.lost)
         self._handed += taken
+        if self._idle_ns:
+            begun_ns = max(monotonic_ns(), self.free_ns - self._idle_ns)
+            self.free_ns = begun_ns + taken * self._byte_ns + self._idle_ns
         return taken
 
     def _write_early(self) -> int:
@@ -46,7 +56,7 @@ class Wire(StopPort):
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
-            self._note(box.WIRE_BURST, BOARD.first_stop, taken)
+            self._note(box.WIRE_BURST, self.board.first_stop, taken)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         if rest and self._early:

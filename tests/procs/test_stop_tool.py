@@ -12,6 +12,7 @@ import pytest
 from failstop import stopping
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.port import Port
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
@@ -45,7 +46,7 @@ def stop(machine: PortMachine, said: list[str]) -> Stop:
     """Runs the tool, for so many seconds at most."""
 
     def stop(wait_s: float = 0.0, path: str = machine.wire.link) -> float:
-        return float(machine.load("failstop.stopping").stop(path, lambda _: wait_s, said.append))
+        return float(machine.load("failstop.stopping").stop(path, BOARD, lambda _: wait_s, said.append))
 
     return stop
 
