@@ -26,7 +26,7 @@ BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
 """The kinds of boards, each a folder of the board room that describes it."""
 OF_FOUR_WHEELS = ("rrc",)
 """The others take two speeds, left and right, and know how their motors are mounted."""
-OF_TWO_SPEEDS = {"wheels.layout": "differential", "wheels.sign_3": 1, "wheels.sign_4": 1}
+OF_TWO_SPEEDS: dict[str, float | str] = {"wheels.layout": "differential", "wheels.sign_3": 1, "wheels.sign_4": 1}
 """Defaults for these."""
 WEB_TLS = ("auto", "on", "off")
 

@@ -306,7 +306,8 @@ class Telemetry:
     def _on_wheels(self, sample: Value, t_ns: int) -> None:
         """Reports of the board itself on its wheels are better than their shaking."""
         was_still = self._read_back.still_ns > 0
-        if self._read_back.take(*sample, t_ns):
+        speeds, positions = sample
+        if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
 
     def _on_obeyed(self, speeds: Value, t_ns: int) -> None:
@@ -332,8 +333,9 @@ class Telemetry:
             self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, said: Value, t_ns: int) -> None:
-        *sample, data = said
-        news = self._pad.take(tuple(sample), data, t_ns)
+        buttons, hat, lx, ly, rx, ry, data = said
+        sample = (buttons, hat, lx, ly, rx, ry)
+        news = self._pad.take(sample, data, t_ns)
         self._raise(news.cause)
         if news.command:
             self._latest["pad_command"].write(records.PAD_COMMAND.pack(*news.command), t_ns)

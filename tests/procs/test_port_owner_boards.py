@@ -3,6 +3,8 @@ which touch."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from failstop.board.interface import PORT_OWNER
@@ -13,8 +15,9 @@ from tests.support.stage import MS
 MAX_RPS = 2.0
 
 
-def made(kind: str) -> Scene:
-    return Scene(**{"board.kind": kind})
+def made(kind: str, **given: Any) -> Scene:
+    changed: dict[str, Any] = {"board.kind": kind, **given}
+    return Scene(**changed)
 
 
 def motion(scene: Scene) -> bytes:
@@ -98,6 +101,6 @@ def test_a_successor_does_not_tell_it_again() -> None:
         record = scene.views[layout.PORT_OWNER].latest_writer("port")
         record.write(records.PORT.pack(1, scene.clock(), records.PORT_OPEN, scene.wire.link))
 
-    scene = Scene(before=was_open, **{"board.kind": "ugv"})
+    scene = made("ugv", before=was_open)
     wrote = scene.turn() + b"".join(data for _, data in writes(scene, 6000 * MS))
     assert scene.board.port.opening[1] not in wrote

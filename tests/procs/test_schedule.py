@@ -186,7 +186,7 @@ class Schedule(Repeats):
 
     def __init__(self) -> None:
         self.next = Timer()
-        super().__init__(self.next, BEGIN)
+        super().__init__(self.next, BOARD.repeats_ns[0], BEGIN)
 
 
 def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int]]:
