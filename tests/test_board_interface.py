@@ -28,7 +28,7 @@ from failstop.procs.port_owner.schedule import Pings
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
-# What the rooms may import of the board. Telemetry knows it; the gate never sees the port. What can be asked of a
+# What the rooms may import of the board. The gate and telemetry never see the port. What can be asked of a
 # servo, and what its bus takes, is no more this board's than the servos are.
 KNOWN = {
     "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
@@ -37,6 +37,7 @@ KNOWN = {
     "procs/gate/arm": {"interface", "servos"},
     "procs/port_owner": {"port", "stop_port", "interface", "servos"},
     "procs/stopper": {"stop_port", "interface"},
+    "procs/telemetry": {"interface"},
 }
 
 

@@ -101,6 +101,10 @@ class Described(Board):
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)
 
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """It has none."""
+        return b""
+
     def check_aux(self, frame: bytes) -> str:
         """It is sent nothing but motion, stops and its questions."""
         return "this board takes nothing but motion"

@@ -91,6 +91,10 @@ class Board:
         """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
         raise NotImplementedError
 
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """The frame that sounds its buzzer; empty: it has none. Raises FrameError."""
+        raise NotImplementedError
+
     def check_aux(self, frame: bytes) -> str:
         """The same of another frame. No motion passes, and no servo's frame."""
         raise NotImplementedError

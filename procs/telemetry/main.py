@@ -109,7 +109,8 @@ class Telemetry:
         settings = context.settings
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._hearing = context.board.hearing()
+        self._board = context.board
+        self._hearing = self._board.hearing()
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
@@ -201,7 +202,8 @@ class Telemetry:
             for kind, said in self._hearing.feed(entry[2]):
                 if handler := self._handlers.get(kind):
                     handler(said, entry[1])
-        if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
+        sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
+        if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()

@@ -116,6 +116,10 @@ class Rrc(Board):
         """The frame for four wheels, and nothing else."""
         return codec.check_motion(frame, max_rps)
 
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """The buzzer's frame."""
+        return codec.buzzer(freq_hz, on_ms, off_ms, repeat)
+
     def check_aux(self, frame: bytes) -> str:
         """The buzzer's frame, and nothing else."""
         return codec.check_aux(frame)

@@ -26,7 +26,7 @@ TRIES = 3
 STEP_COLUMNS = 28
 MEANING = (
     "Milliseconds from the kill while driving, on the board's side of the wire: arrival of the first stop frame that "
-    "the board executes, and execution of the frame that stops the last wheel (the wire's own 0.6 ms included). The "
+    "the board executes, and execution of the frame that stops the last wheel (the wire's own time included). The "
     "driver that failstop replaces took 130 ms. A dead supervisor is restarted by the demo, as systemd would."
 )
 
