@@ -197,6 +197,7 @@ class Supervisor:
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs that has the port."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
+        self._repeat.wait(self._port.free_ns)
         if served:
             self._repeat.set(NEVER)  # who stops itself, and may have been told to move again
         elif self._repeat.take(now_ns):

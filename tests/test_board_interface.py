@@ -33,7 +33,6 @@ ROOT = Path(__file__).resolve().parent.parent
 KNOWN = {
     "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
     "procs": {"stop_port", "interface", "kinds"},
-    "procs/gate": {"interface", "servos"},
     "procs/gate/arm": {"interface", "servos"},
     "procs/port_owner": {"port", "stop_port", "interface", "servos"},
     "procs/stopper": {"stop_port", "interface"},

@@ -30,13 +30,16 @@ SAME_NS = 2_000_000
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_early_ns", "_stop", "_writing", "board", "errno", "fd", "lost", "unsent")
+    __slots__ = ("_early_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
         burst or not at all."""
         self.board = board
         self._stop = board.burst_with(servos)
+        self.free_ns = 0
+        """When the line, as far as is known here, will have been silent for as long as the board needs; 0: it needs no
+        silence."""
         self._early_ns = 0
         """When it wrote an early stop that is a whole one, which no burst of its own has followed yet."""
         self.fd = fd
@@ -99,6 +102,9 @@ class StopPort:
                 self.lost, self.errno = True, error.errno or 0
                 return 0
             self.lost = False
+            if idle_ns := self.board.idle_ns:
+                begun_ns = max(time.monotonic_ns(), self.free_ns - idle_ns)
+                self.free_ns = begun_ns + taken * self.board.port.byte_ns + idle_ns
             return taken
         return 0
 

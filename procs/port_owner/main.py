@@ -380,6 +380,7 @@ class PortOwner:
         self.port.publish(now_ns)
 
     def _repeat(self, now_ns: int) -> None:
+        self.repeats.wait(self.wire.free_ns)
         due = self.repeats.take(now_ns)
         if due == schedule.REPEAT:
             self.wire.burst()

@@ -43,6 +43,10 @@ class Repeats:
         """Motion was written: an earlier stop is over and must not cut into it. No zeros before the next."""
         self._due.set(NEVER)
 
+    def wait(self, until_ns: int) -> None:
+        """Nothing is written before this: of a process that was held up, several repeats would touch."""
+        self._due.wait(until_ns)
+
     def take(self, now_ns: int) -> int:
         """REPEAT, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
         if not self._due.take(now_ns):

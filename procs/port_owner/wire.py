@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-from time import monotonic_ns
 
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
@@ -24,9 +23,6 @@ class Wire(StopPort):
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, board, servos)
-        self._idle_ns, self._byte_ns = board.idle_ns, board.port.byte_ns
-        self.free_ns = 0
-        """When the line will have been silent for as long as it has to be before anything but a stop."""
         self._box: RingWriter | None = None
         self._early: list[int] = []
         """How much the kernel took of each early stop that the loop has not heeded yet."""
@@ -40,9 +36,6 @@ class Wire(StopPort):
         taken = super()._write(data)
         self._refused = not (taken or self.lost)
         self._handed += taken
-        if self._idle_ns:
-            begun_ns = max(monotonic_ns(), self.free_ns - self._idle_ns)
-            self.free_ns = begun_ns + taken * self._byte_ns + self._idle_ns
         return taken
 
     def _write_early(self) -> int:

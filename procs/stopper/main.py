@@ -114,6 +114,7 @@ class Stopper:
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
+        self._repeat.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
             if self._port_owner_written.get() >= self._parent.orphaned_ns or self._first_go.due(now_ns):

@@ -3,6 +3,7 @@ which touch."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -47,8 +48,7 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
 
 def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
     scene = made("hoverboard")
-    scene.turn(300 * MS)
-    scene.turn(5 * MS)
+    writes(scene, 190 * MS)
     scene.raise_epoch(2)
     assert scene.turn() == scene.board.burst
     scene.put(motion(scene), epoch=2)
@@ -59,8 +59,7 @@ def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
 
 def test_a_stop_ends_motion_that_waits() -> None:
     scene = made("hoverboard")
-    scene.turn(300 * MS)
-    scene.turn(5 * MS)
+    writes(scene, 190 * MS)
     scene.raise_epoch(2)
     scene.turn()
     scene.put(motion(scene), epoch=2)
@@ -73,7 +72,7 @@ def test_a_stop_ends_motion_that_waits() -> None:
 def test_a_stop_that_a_thread_has_written_is_not_written_again_at_once() -> None:
     """Without a gap between them both would be lost."""
     scene = made("hoverboard")
-    scene.turn(300 * MS)
+    writes(scene, 190 * MS)
     scene.gate.kill()
     scene.early.tell(scene.gate.pid)
     assert scene.turn() == scene.board.burst
@@ -104,3 +103,21 @@ def test_a_successor_does_not_tell_it_again() -> None:
     scene = made("ugv", before=was_open)
     wrote = scene.turn() + b"".join(data for _, data in writes(scene, 6000 * MS))
     assert scene.board.port.opening[1] not in wrote
+
+
+def test_repeats_that_are_late_do_not_touch() -> None:
+    """A port owner that was held up has several to write."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    scene.turn()
+    late = [scene.turn(50 * MS), *(data for _, data in writes(scene, 10 * MS))]
+    assert [data for data in late if data] == [scene.board.burst] * 3
+    scene.raise_epoch(3)
+    begun_ns = scene.clock()
+    scene.turn()
+    scene.clock.now_ns += 50 * MS
+    times = [begun_ns + 50 * MS + at_ns for at_ns, _ in writes(scene, 10 * MS)]
+    apart_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
+    assert len(times) == 3
+    assert all(after - before >= apart_ns for before, after in pairwise(times))

@@ -77,10 +77,10 @@ def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
         asked.append(error)
         return 0.5
 
-    tool.stop(machine.wire.link, asks, said.append)
+    tool.stop(machine.wire.link, BOARD, asks, said.append)
     assert asked == []
     with pytest.raises(refused, match="no device"):
-        tool.stop(ABSENT, asks, said.append)
+        tool.stop(ABSENT, BOARD, asks, said.append)
     assert [error.kind for error in asked] == ["absent"]
 
 

@@ -14,6 +14,7 @@ import pytest
 from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
+from failstop.board.wire import Port
 from failstop.supervisor.port_handover import OwnPort
 from tests.support.ptys import Pty, new_pty
 from tests.support.supervisor_scene import DEVICE, Scene
@@ -36,9 +37,9 @@ def opened_by_nobody(path: str, tried: int) -> str:
     """Open as nobody; `tried` is a pipe's end that is closed when it was refused for the first time."""
     real = port.open_port
 
-    def watched(name: str, *, exclusive: bool) -> int:
+    def watched(name: str, *, exclusive: bool, line: Port) -> int:
         try:
-            return real(name, exclusive=exclusive)
+            return real(name, exclusive=exclusive, line=line)
         finally:
             os.write(tried, b".")
 
