@@ -15,6 +15,7 @@ import os
 import select
 import time
 
+from failstop.board.interface import SUPERVISOR
 from failstop.board.port import PortError, open_port
 from failstop.board.stop_port import StopPort
 
@@ -26,9 +27,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
+    from failstop.board.interface import Board
+
 
 def stop(
     path: str,
+    board: Board,
     wait: Callable[[PortError], float],
     say: Callable[[str], None],
     otherwise: Callable[[PortError], bool] = lambda _: False,
@@ -42,7 +46,7 @@ def stop(
     while True:
         waited_s = time.monotonic() - start_s
         try:
-            write(path)
+            write(path, board)
         except PortError as error:
             if otherwise(error):
                 return waited_s
@@ -57,12 +61,13 @@ def stop(
             return waited_s
 
 
-def write(path: str, servos: tuple[int, ...] = ()) -> None:
+def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
     """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
     servos, see it drained, close. Raises PortError."""
-    stop_port = StopPort(open_port(path, exclusive=False), servos)
+    stop_port = StopPort(open_port(path, exclusive=False, line=board.port), board, servos)
     try:
         stop_port.burst()
+        stop_port.repeat(board.repeats_ns[SUPERVISOR])
         if not stop_port.drain():
             gone = f"went away while writing ({os.strerror(stop_port.errno)})"
             why = gone if stop_port.lost else "takes no bytes: use the POWER SWITCH"

@@ -59,6 +59,22 @@ byte faults = FAULTS;
 bit calm;               /* from here on nothing more goes wrong, nobody commands, and what hangs stays hung */
 bit told;               /* the stop tool has written */
 
+#ifdef GARBLES
+/* A board that takes a stop only alone on the line, between idle gaps: two writes that touch are both lost. */
+#define QUIET 0
+#define STOPS 1
+#define DRIVES 2
+#define NOISE 3         /* two writes, of one writer or of two, without a gap between */
+byte line;              /* what was written since the line was last idle */
+bit again[4];           /* a writer's stop is still to be repeated */
+#endif
+
+#ifdef GARBLES
+#define no_repeat(p) again[p] = 0
+#else
+#define no_repeat(p) skip
+#endif
+
 /* A motion frame, and what it comes from: the gate's permission, the gate's ring, the port owner's copy, the wheels. */
 byte under;             /* the epoch in which the gate has motion enabled; 0: disabled */
 byte po_seen, gate_seen;        /* the epoch that each has seen last */
@@ -91,26 +107,34 @@ inline kill_gate() {
 }
 
 inline kill_stp() {
-  if :: state[STP] != DEAD -> state[STP] = DEAD; caused = 1; fd[STP] = NONE; fencing = 0; stp_died = 1 :: else fi
+  if
+  :: state[STP] != DEAD ->
+    state[STP] = DEAD; caused = 1; fd[STP] = NONE; fencing = 0; stp_died = 1; no_repeat(STP)
+  :: else
+  fi
 }
 
-inline kill_sup() { state[SUP] = DEAD; caused = 1; fd[SUP] = NONE }
+inline kill_sup() { state[SUP] = DEAD; caused = 1; fd[SUP] = NONE; no_repeat(SUP) }
 
-inline wheels_off() {
+#ifdef GARBLES
+inline write_stop(p) { line = (line == QUIET -> STOPS : NOISE); again[p] = 1 }
+#else
+inline write_stop(p) {
 #ifdef SINGLE_STOP
   if :: cut -> cut = 0 :: else -> moves = 0 fi
 #else
   cut = 0; moves = 0
 #endif
 }
+#endif
 
-/* A burst that the board has got. */
-inline stopped(by_po) {
+/* A burst that is on its way to the board. */
+inline stopped(p) {
   d_step {
-    wheels_off();
+    write_stop(p);
     strayed = 0;
     if
-    :: by_po || state[PO] == DEAD || state[PO] == STARTS ->
+    :: p == PO || state[PO] == DEAD || state[PO] == STARTS ->
       gate_mark = (under -> FINAL : FRESH); ring_mark = (ring -> FINAL : FRESH); frame_mark = (frame -> FINAL : FRESH)
     :: else ->
       if :: under && gate_mark == FRESH -> gate_mark = EARLY :: else fi;
@@ -120,13 +144,13 @@ inline stopped(by_po) {
   }
 }
 
-inline burst(p) { if :: usable(p) -> stopped(p == PO) :: else fi }
+inline burst(p) { if :: usable(p) -> stopped(p) :: else fi }
 
 /* The burst for the port owner's death. Where a successor has begun, it is the echo of a stop that was written before. */
 inline death_burst(p) {
   if
   :: state[PO] == DEAD -> burst(p)
-  :: else -> if :: usable(p) -> wheels_off() :: else fi
+  :: else -> if :: usable(p) -> write_stop(p) :: else fi
   fi
 }
 
@@ -135,7 +159,12 @@ inline motion() {
   if
   :: usable(PO) && cut -> cut = 0
   :: usable(PO) && !cut ->
+#ifdef GARBLES
+    line = (line == QUIET -> DRIVES : NOISE);
+    no_repeat(PO);
+#else
     moves = 1;
+#endif
     assert(!told);                                                    /* S3 */
     assert(frame_mark != FINAL);                                      /* S1 */
     assert(frame_mark != EARLY || !strayed);                          /* S2 */
@@ -222,7 +251,7 @@ lapse:
         no_ring();
 #endif
         /* A frame behind that stop is of a newer enable: the stop is not for it. */
-        if :: ring_stop -> ring_stop = 0; drives = 0; if :: usable(PO) -> wheels_off() :: else fi :: else fi;
+        if :: ring_stop -> ring_stop = 0; drives = 0; if :: usable(PO) -> write_stop(PO) :: else fi :: else fi;
         if
         :: current && lapsed -> no_frame(); burst(PO); goto lapse
         :: current && !lapsed
@@ -248,7 +277,7 @@ dies:
     :: else
     fi;
     seen = 0; stopped_in = 0; no_frame(); drives = 0; orphan = 0; po_writing = 0;
-    told_gate = 0; told_sup = 0;
+    told_gate = 0; told_sup = 0; no_repeat(PO);
     fd[PO] = NONE; state[PO] = DEAD; po_died_sup = 1; po_died_stp = 1
   };
 end_dead:
@@ -335,6 +364,9 @@ raise:
     :: beats(SUP) && fd[SUP] == BROKEN -> fd[SUP] = NONE
     :: d_step { beats(SUP) && opened ->
         fd[SUP] = opened; passed_stp = opened; opened = NONE; port_open = 0;
+#ifdef GARBLES
+        again[SUP] = 1;         /* of the opener's */
+#endif
         if :: state[PO] != DEAD -> passed_po = fd[SUP] :: else fi }
     :: d_step { beats(SUP) && unanswered && stopped_word == epoch -> unanswered = 0 }
     :: d_step { beats(SUP) && unanswered && stopped_word != epoch -> unanswered = 0;
@@ -383,7 +415,7 @@ end_looks:
   do
   :: d_step { state[SUP] != DEAD && fd[SUP] == NONE && opened == NONE && plugged -> opened = GOOD;
 #ifndef NO_RETURN_BURST
-      stopped(false)
+      stopped(SUP)
 #endif
     }
   od
@@ -443,8 +475,42 @@ end_watch:
   d_step { kill_po(); kill_stp() };
   state[PO] == DEAD && state[GATE] == DEAD && state[STP] == DEAD;
 #endif
-  d_step { plugged -> fd[SUP] = GOOD; burst(SUP); told = 1 }
+  d_step { plugged -> fd[SUP] = GOOD; burst(SUP); told = 1 };
+#ifdef GARBLES
+  d_step { line == QUIET -> write_stop(SUP) }
+#endif
 }
+
+#ifdef GARBLES
+/* ---- the line to such a board, and the repeats of each writer, at times of its own: no two writers' touch twice in a row */
+
+#define due(p) (again[p] && line == QUIET && state[p] == RUNS && usable(p))
+#ifdef SAME_TIMES
+#define alone(p) (due(SUP) + due(PO) + due(STP) == 1)
+#else
+#define alone(p) true
+#endif
+
+inline repeat(p) { again[p] = 0; line = STOPS }
+
+proctype board()
+{
+end_quiet:
+  do
+  :: d_step { line != QUIET ->
+      if :: line == STOPS -> cut = 0; moves = 0 :: line == DRIVES -> moves = 1 :: else -> cut = 0 fi;
+      line = QUIET }
+#ifndef NO_REPEATS
+  :: d_step { due(SUP) && alone(SUP) -> repeat(SUP) }
+  :: d_step { due(PO) && alone(PO) -> repeat(PO) }
+  :: d_step { due(STP) && alone(STP) -> repeat(STP) }
+#ifdef SAME_TIMES
+  :: d_step { due(SUP) + due(PO) + due(STP) > 1 -> again[SUP] = 0; again[PO] = 0; again[STP] = 0; line = NOISE }
+#endif
+#endif
+  od
+}
+#endif
 
 /* ---- what may happen at any time; and the judge, when nothing is left to happen */
 
@@ -474,6 +540,9 @@ end_world:
       /* What the kernel held is lost, stops too: the worst that the board may have been told last. */
       moves = 1;
       caused = 1;
+#ifdef GARBLES
+      line = QUIET; again[SUP] = 0; again[PO] = 0; again[STP] = 0;
+#endif
       if :: fd[SUP] == GOOD -> fd[SUP] = BROKEN :: else fi;
       if :: fd[PO] == GOOD -> fd[PO] = BROKEN :: else fi;
       if :: fd[STP] == GOOD -> fd[STP] = BROKEN :: else fi;
@@ -499,7 +568,11 @@ end_world:
 init {
   atomic {
     fd[SUP] = GOOD; fd[PO] = GOOD; fd[STP] = GOOD;
-    run supervisor(); run opener(); run port_owner(); run news(); run gate(); run stopper(); run systemd(); run world()
+    run supervisor(); run opener(); run port_owner(); run news(); run gate(); run stopper(); run systemd(); run world();
+#ifdef GARBLES
+    run board();
+#endif
+    skip
   }
 }
 

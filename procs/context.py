@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
+from failstop.board.kinds import board_of
 from failstop.messages import layout, segments
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
@@ -46,6 +47,7 @@ class Context:
             rights.die_with_parent(self.parent)
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
+        self.board = board_of(*self.settings.board())
         self.own = segments.attach(self.memory, process, self.incarnation, write=True)
         lifelines = segments.attach(self.memory, "lifelines", self.incarnation, write=True)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)

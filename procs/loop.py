@@ -44,6 +44,10 @@ class Timer:
         """True from that point in time on."""
         return now_ns >= self.ns
 
+    def wait(self, until_ns: int) -> None:
+        """Not before this, whatever was set."""
+        self.ns = max(self.ns, until_ns)
+
     def take(self, now_ns: int) -> bool:
         """True when it is due; it is then waited for the next one."""
         if now_ns < self.ns:

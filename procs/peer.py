@@ -14,10 +14,8 @@ from failstop.procs.loop import READ, Loop
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
-BURST_AFTER_NS = (20_000_000, 100_000_000)
-"""After a stop the burst is repeated, in case the board lost the first."""
 LEAVE_AFTER_NS = 150_000_000
-"""How long the stop's writers outlive the supervisor: the burst and its two repeats."""
+"""How long the stop's writers outlive the supervisor: the burst and its repeats, whatever the board."""
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""
 

@@ -7,6 +7,7 @@ import contextlib
 import os
 import signal
 
+from failstop.board.kinds import board_of
 from failstop.files.instance import InstanceError
 from failstop.messages.segments import AttachError
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
@@ -32,7 +33,7 @@ def start(words: dict[str, str]) -> int:
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
-    port = OwnPort(fd, settings.servos())
+    port = OwnPort(fd, board_of(*settings.board()), settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:

@@ -12,12 +12,13 @@ from time import monotonic_ns, sleep
 
 import msgpack
 
+from failstop.board.interface import SUPERVISOR as ITS_REPEATS
 from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.policy.proofs import UNASKED, UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import READ
+from failstop.procs.loop import NEVER, READ
 from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
@@ -72,7 +73,7 @@ class Supervisor:
         self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
         self.epochs = Epochs(run)
-        self.monitor = Monitor(run, self.epochs.latch, port.holds)
+        self.monitor = Monitor(run, self.epochs.latch, port.board, port.holds)
         self.blackbox = BlackBox(run)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
@@ -93,6 +94,9 @@ class Supervisor:
         """When the port owner has had its time to answer, or the first of the processes counts as hanging unless it
         beats before."""
         self._turned_ns = self._watched_ns = monotonic_ns()
+        self._repeat = self.loop.timer()
+        """When a stop of its own is written again."""
+        self._plan_repeats(self._turned_ns)
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
@@ -165,7 +169,12 @@ class Supervisor:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         written = self._port.burst()
         self._tried_ns = monotonic_ns()
+        self._plan_repeats(self._tried_ns)
         return self._wrote(self._tried_ns) if written else 0
+
+    def _plan_repeats(self, now_ns: int) -> None:
+        if after_ns := self._port.board.repeats_ns[ITS_REPEATS]:
+            self._repeat.set(*(now_ns + after for after in after_ns))
 
     def _wrote(self, written_ns: int) -> int:
         """A burst went out on its own descriptor then, which is returned."""
@@ -181,13 +190,19 @@ class Supervisor:
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
             self._tried_ns = opened_ns
+            self._plan_repeats(now_ns)
             self.monitor.opened(self._wrote(opened_ns) if opened_ns else self._burst())
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs that has the port."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
-        if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
+        self._repeat.wait(self._port.free_ns)
+        if served:
+            self._repeat.set(NEVER)  # who stops itself, and may have been told to move again
+        elif self._repeat.take(now_ns):
+            self._port.burst()
+        elif now_ns - self._tried_ns >= ALONE_EVERY_NS:
             self._burst()
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
@@ -358,6 +373,7 @@ class Supervisor:
             child.kill(END_S)
         self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
+        self._port.repeat(self._port.board.repeats_ns[ITS_REPEATS])
         sent = written and self._port.drain()
         self.monitor.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()

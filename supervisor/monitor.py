@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable
 from time import monotonic_ns, time
 
-from failstop.board.interface import BOARD
+from failstop.board.interface import Board
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
@@ -31,7 +31,7 @@ class Monitor:
     """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
     answered, when it was sent, and when the answer came."""
 
-    def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
+    def __init__(self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
         self._run = run
         self._holds = holds
@@ -40,6 +40,7 @@ class Monitor:
         self._link_record = run.own.latest_writer("link")
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._pong = telemetry.word("pong")
+        self._obeyed, self._echo_ns = telemetry.word("obeyed_ns"), board.echo_ns
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
@@ -49,9 +50,9 @@ class Monitor:
         self._command_pids: list[int] = []
         """Those that have not ended, the newest last."""
         self._command_ran = False
-        self._seen_pong = 0
+        self._seen_pong = self._seen_obeyed = 0
         self.heard = (0, 0)
-        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(BOARD.pings))
+        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings))
         self._published = ""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
@@ -151,6 +152,13 @@ class Monitor:
             self._publish(last)
 
     def _take_answer(self) -> None:
+        obeyed_ns = self._obeyed.get()
+        if obeyed_ns != self._seen_obeyed:
+            self._seen_obeyed = obeyed_ns
+            sent_ns = obeyed_ns - self._echo_ns
+            self.heard = max(self.heard, (sent_ns, obeyed_ns))
+            if self._last and self._last.ponged(sent_ns, obeyed_ns):
+                self._publish(self._last)
         word = self._pong.get()
         if word == self._seen_pong:
             return

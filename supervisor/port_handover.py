@@ -23,6 +23,7 @@ from failstop.procs.loop import GONE, HANGUP
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # `failstop run` has OwnPort of here before its first stop, and needs no more
+    from failstop.board.interface import Board
     from failstop.shm.bell import EventBell
     from failstop.supervisor.process_table import ProcessTable
     from failstop.supervisor.run import Run
@@ -42,24 +43,24 @@ class OwnPort(StopPort):
 
     __slots__ = ("number", "stopped")
 
-    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+    def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
-        super().__init__(fd, servos)
+        super().__init__(fd, board, servos)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
         self.number = 1
         """How many ports this run has had: the name of this one among those who share it."""
 
     @classmethod
-    def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
-        """Open the port and write the burst: the first bytes of a run. While another process holds the port, `held` is
-        called, and may raise. Raises port.PortError."""
+    def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
+        """Open the board's port and write the burst: the first bytes of a run. While another process holds the port,
+        `held` is called, and may raise. Raises port.PortError."""
         start_s = monotonic()
         while True:
             # Looked at before it is opened: its rights may come between a refusal and a look.
             patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
             try:
-                own = cls(port.open_port(path, exclusive=True))
+                own = cls(port.open_port(path, exclusive=True, line=board.port), board)
             except port.PortError as error:
                 if monotonic() - start_s > patience_s.get(error.kind, 0.0):
                     raise
@@ -100,8 +101,9 @@ class Opener:
     returned something, and the loop's else.
     """
 
-    def __init__(self, finder: Finder, bell: EventBell) -> None:
+    def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
         """`bell` rings when the port is open."""
+        self._board = board
         self.finder = finder
         self._bell = bell
         self._asked = _thread.allocate_lock()
@@ -129,7 +131,7 @@ class Opener:
             os.close(self._spare)
         fd = self.finder.open(monotonic_ns())
         if fd >= 0:
-            written = StopPort(fd).burst()
+            written = StopPort(fd, self._board).burst()
             self._found = (fd, monotonic_ns() if written else 0)
             self._bell.ring()
         self._reserve()
@@ -156,7 +158,8 @@ class PortHandover:
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
-        self.opener = Opener(Finder(run.settings.text("device.path")), run.bells[layout.SUPERVISOR])
+        finder = Finder(run.settings.text("device.path"), port.board.port)
+        self.opener = Opener(finder, port.board, run.bells[layout.SUPERVISOR])
         self.opener.finder.learn(port.fd)
         self._loop = run.loop
         self._processes = processes

@@ -132,7 +132,8 @@ class Run:
         settings, the supervisor's heartbeat and process table). How it was started is kept for when it has ended.
         Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
-        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos()))
+        kind = self.settings.text("board.kind")
+        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))
         self.published = instance.publish(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:

@@ -14,23 +14,29 @@ import pytest
 from failstop.api.snapshot import Device
 from failstop.board import decoder
 from failstop.board.framing import FrameError
-from failstop.board.interface import BOARD, Board
+from failstop.board.interface import Board
+from failstop.board.kinds import KINDS, board_of
+from failstop.board.rrc.board import BOARD
 from failstop.doctor import stop_path
 from failstop.doctor.look import OK
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout
+from failstop.policy.settings import BOARDS, Settings
 from failstop.procs.loop import Timer
+from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.port_owner.schedule import Pings
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
-# What the rooms may import of the board. Telemetry knows it; the gate never sees the port. What can be asked of a
+# What the rooms may import of the board. The gate and telemetry never see the port. What can be asked of a
 # servo, and what its bus takes, is no more this board's than the servos are.
 KNOWN = {
-    "supervisor": {"finder", "port", "stop_port", "interface"},
-    "procs/gate": {"interface", "servos"},
+    "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
+    "procs": {"stop_port", "interface", "kinds"},
+    "procs/gate/arm": {"interface", "servos"},
     "procs/port_owner": {"port", "stop_port", "interface", "servos"},
-    "procs/stopper": {"port", "stop_port", "interface"},
+    "procs/stopper": {"stop_port", "interface"},
+    "procs/telemetry": {"interface"},
 }
 
 
@@ -71,7 +77,7 @@ def test_the_burst_ends_between_frames_with_a_stop() -> None:
 
 def test_the_pings_move_nothing_and_are_different_frames() -> None:
     assert len(set(BOARD.pings)) == len(BOARD.pings)
-    assert len(BOARD.pings) in (0, layout.PINGS), "a word in shared memory for each; none for a board that answers none"
+    assert len(BOARD.pings) == layout.PINGS, "a word in shared memory for each"
     for ping in BOARD.pings:
         assert BOARD.check_motion(ping, 1000.0) != ""
         assert len(decoder.Decoder().feed(ping)) == 1
@@ -133,37 +139,80 @@ def files(place: str) -> list[Path]:
 
 @functools.cache
 def names(path: Path) -> set[str]:
-    """Of BOARD, in one file."""
+    """What is asked of a board in one file."""
     return {
         node.attr
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "BOARD"
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value).rpartition(".")[2] in ("board", "_board")
     }
 
 
 def takes(member: str) -> list[str] | None:
     """Names of what it takes; None: it is a constant."""
-    found = getattr(BOARD, member)
-    return list(inspect.signature(found).parameters) if callable(found) else None
+    found = vars(Board).get(member)
+    return list(inspect.signature(found).parameters)[1:] if found else None
 
 
 def test_the_page_on_porting_has_all_of_the_interface_and_no_more() -> None:
     page = (ROOT / "docs" / "dev" / "porting.md").read_text()
     rows = re.findall(r"^\| `(\w+)(?:\(([\w, ]*)\))?` \| ([\w, ]+) \|", page.partition("| `Board` |")[2], re.MULTILINE)
     told = {name: (given.split(", ") if given else None, set(users.split(", "))) for name, given, users in rows}
-    members = [name for name in vars(Board) if not name.startswith("_")]
-    assert told == {name: (takes(name), used(name)) for name in members}
-    count = len(members)
-    assert f"the {count} members of `Board`" in (ROOT / "docs" / "boards.md").read_text()
+    members = [*inspect.get_annotations(Board), *(name for name in vars(Board) if not name.startswith("_"))]
+    assert told == {name: (takes(name) or None, used(name)) for name in members}
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
+    board = board_of(*Settings({"board.kind": kind}).board())
+    for name in inspect.get_annotations(Board):
+        assert getattr(board, name) is not None
+    assert board.burst.startswith(board.first_stop)
+    assert board.burst_with(()) == board.burst
+    assert board.motor_speeds((0.0, -0.0, 0.0, 0.0), 1.0) == board.stop
+    assert board.check_motion(board.stop, 0.0) == ""
+    assert board.check_aux(board.motor_speeds((0.5, 0.5, 0.5, 0.5), 1.0))
+    assert len(set(board.pings)) == len(board.pings) <= layout.PINGS
+    assert len(board.repeats_ns) == 3
+    assert all(list(row) == sorted(set(row)) and max((0, *row)) < LEAVE_AFTER_NS for row in board.repeats_ns)
+    assert board.hearing().feed(b"") == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_board_of_two_speeds_is_told_no_more_than_its_limit(kind: str) -> None:
+    board = board_of(*Settings({"board.kind": kind}).board())
+    most = board.most_rps
+    fast = board.motor_speeds((most, most, -most, -most), most)
+    assert board.check_motion(fast, most) == ""
+    assert board.check_motion(fast, most * 0.9) != ""
+    assert board.motor_speeds((0.5, 1.0, 0.0, 1.0), 1.0) != board.motor_speeds((0.0, 1.0, 0.5, 1.0), 1.0)
+    for bad in (nan, inf, 1.001):
+        with pytest.raises(FrameError):
+            board.motor_speeds((0.0, 0.0, bad, 0.0), 1.0)
+
+
+def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:
+    """Beside their folders, and those that the settings' list leads to; one board's frames are the lab's and the black
+    box's too."""
+    rooms = ("procs", "supervisor", "failstop/api", "failstop/web", "failstop/cli", "failstop/messages", "shm")
+    named = [
+        (str(path.relative_to(ROOT)), kind)
+        for room in rooms
+        for path in files(room)
+        for kind in BOARDS
+        if re.search(rf"\b{kind}\b", path.read_text())
+    ]
+    assert not named
 
 
 def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the page allows: nobody divides by their number, waits for an answer, or calls the board deaf."""
-    monkeypatch.setattr(Board, "pings", ())
+    monkeypatch.setattr(type(BOARD), "pings", ())
     pings = Pings(len(BOARD.pings), 1, Timer(), 0)
     pings.stopped(0)
     assert not pings.due(10**12)
-    (found,) = stop_path.judged("stopper's duplicate", stop_path.Tap(-1).answered_ms(0.0), "failstop doctor")
+    (found,) = stop_path.judged(
+        "stopper's duplicate", BOARD, stop_path.Tap(-1, BOARD).answered_ms(0.0), "failstop doctor"
+    )
     assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board acknowledges nothing")
     unasked = Device("/dev/ttyACM0", "open", "unasked")
     (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))

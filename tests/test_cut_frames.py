@@ -17,7 +17,7 @@ import pytest
 
 from failstop.board import codec, servos
 from failstop.board.framing import BUZZER, FrameError, crc8, seal
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.receiver import Receiver
 from failstop.procs.telemetry import pad
 from tests.support.amounts import amount
@@ -26,7 +26,7 @@ FRAMES = amount(20_000, 2_000_000)
 PINGS = list(BOARD.pings)
 READS = [servos.bus_servo_read(servo, what) for servo in range(1, servos.HIGHEST_ID + 1) for what in servos.READS]
 TORQUES = [servos.bus_servo_torque(servo, on) for servo in range(1, servos.HIGHEST_ID + 1) for on in (True, False)]
-SOUNDS = [pad.LATCH_SOUND, pad.TUCK_SOUND, *pad.MODE_SOUNDS]
+SOUNDS = [BOARD.buzzer(*sound) for sound in (pad.LATCH_SOUND, pad.TUCK_SOUND, *pad.MODE_SOUNDS)]
 U16 = (1, 2, 255, 256, 0xAA55, 0x55AA, 65_534, 65_535)
 
 

@@ -30,13 +30,13 @@ class Usb:
         self._masters: list[int] = []
         self._plugs = 0
         real = port.open_if_there
-        monkeypatch.setattr(port, "open_if_there", lambda path: real(self._here(path)))
+        monkeypatch.setattr(port, "open_if_there", lambda path, line: real(self._here(path), line))
 
     def _here(self, path: str) -> str:
         return str(self.nodes / path.removeprefix("/dev/")) if path.startswith("/dev/") else path
 
     def finder(self, name: str = "ttyACM0") -> Finder:
-        return Finder(str(self.nodes / name), str(self.sysfs))
+        return Finder(str(self.nodes / name), port.USUAL, str(self.sysfs))
 
     def plug(self, name: str, device: tuple[str, str, str]) -> None:
         master, slave = os.openpty()

@@ -18,7 +18,7 @@ from failstop.board import codec, servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver

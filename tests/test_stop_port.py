@@ -11,6 +11,7 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.rrc.board import BOARD
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from failstop.lab.machine.kernel import Machine
 from tests.support.ptys import Board, Pty, new_pty
@@ -54,14 +55,14 @@ def pty() -> Iterator[Pty]:
 
 
 def test_an_early_stop_is_a_burst_s_beginning_to_the_board(pty: Pty) -> None:
-    own, board = StopPort(pty.slave), Board()
+    own, board = StopPort(pty.slave, BOARD), Board()
     os.write(pty.slave, MOTION)
     own.early_stop()
     data = pty.read()
     assert data == MOTION + BURST[: len(data) - len(MOTION)]
     board.feed(data)
     assert [any(speeds) for _, speeds in board.executed] == [True, False]
-    StopPort(-1).early_stop()
+    StopPort(-1, BOARD).early_stop()
 
 
 WHOLE = len(BURST)
@@ -84,7 +85,7 @@ WHOLE = len(BURST)
 def test_only_what_the_kernel_has_all_of_is_written(
     pty: Pty, kernel: Kernel, planned: list[int | str | None], written: bool, lost: bool, left: int
 ) -> None:
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, BOARD)
     kernel.planned = planned
     assert own.burst() is written
     assert (own.lost, own.errno) == ((True, errno.EIO) if lost else (False, 0))
@@ -95,7 +96,7 @@ def test_only_what_the_kernel_has_all_of_is_written(
 @pytest.mark.parametrize("cut", [0, 1, 31, 58, 59, 396])
 @pytest.mark.parametrize("another", [False, True])
 def test_the_rest_goes_first_and_the_board_is_stopped(pty: Pty, kernel: Kernel, cut: int, another: bool) -> None:
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, BOARD)
     os.write(pty.slave, MOTION + MOTION[:15])
     kernel.planned = [cut] if cut else [REFUSED] * TRIES
     own.burst()
@@ -109,20 +110,20 @@ def test_the_rest_goes_first_and_the_board_is_stopped(pty: Pty, kernel: Kernel, 
 
 
 def test_the_rest_of_another_frame_is_dropped_for_a_burst(pty: Pty) -> None:
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, BOARD)
     own.unsent = MOTION[9:]
     assert own.burst()
     assert pty.read() == BURST
 
 
 def test_nothing_to_go_on_with_writes_nothing(pty: Pty, kernel: Kernel) -> None:
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, BOARD)
     assert own.flush()
     assert kernel.writes == 0
 
 
 def test_a_write_that_failed_once_is_no_reason_to_write_no_more(pty: Pty, kernel: Kernel) -> None:
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, BOARD)
     kernel.planned = [NO_DEVICE]
     assert not own.burst()
     assert own.burst()
@@ -131,7 +132,7 @@ def test_a_write_that_failed_once_is_no_reason_to_write_no_more(pty: Pty, kernel
 
 
 def test_no_port_takes_nothing_and_is_lost(kernel: Kernel) -> None:
-    own = StopPort(-1)
+    own = StopPort(-1, BOARD)
     assert own.lost
     assert not own.burst()
     assert not own.drain()
@@ -142,7 +143,7 @@ def test_no_port_takes_nothing_and_is_lost(kernel: Kernel) -> None:
 def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty) -> None:
     with new_pty() as new:
         old = os.dup(pty.slave)
-        own = StopPort(old)
+        own = StopPort(old, BOARD)
         own.lost, own.unsent = True, b"x"
         own.adopt(os.dup(new.slave))
         with pytest.raises(OSError, match="Bad file descriptor"):
@@ -160,7 +161,7 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
 def simulated() -> tuple[Machine, Wire, Any]:
     """A stop port on a machine whose calls take no time."""
     made = PortMachine()
-    own = made.load("failstop.board.stop_port").StopPort(made.open(made.wire))
+    own = made.load("failstop.board.stop_port").StopPort(made.open(made.wire), BOARD)
     return made.machine, made.wire, own
 
 

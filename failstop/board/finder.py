@@ -10,6 +10,10 @@ import os
 
 from failstop.board import port
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.wire import Port
+
 LOOK_NS = 50_000_000
 """How often sysfs is looked through, which takes some 0.1 ms."""
 USB_DEPTH = 6
@@ -42,10 +46,11 @@ def _line(path: str) -> str:
 class Finder:
     """Where to open the port of one board. `at` is the path that it was opened at last."""
 
-    __slots__ = ("_identity", "_look_at_ns", "_path", "_sysfs", "at")
+    __slots__ = ("_identity", "_line", "_look_at_ns", "_path", "_sysfs", "at")
 
-    def __init__(self, path: str, sysfs: str = "/sys") -> None:
+    def __init__(self, path: str, line: Port, sysfs: str = "/sys") -> None:
         """`path`: the board's, of the settings."""
+        self._line = line
         self._path = path
         self._sysfs = sysfs
         self._identity: Identity | None = None
@@ -64,7 +69,7 @@ class Finder:
                 return -1
             self._look_at_ns = now_ns + LOOK_NS
             path = self._elsewhere()
-        descriptor = port.open_if_there(path) if path else -1
+        descriptor = port.open_if_there(path, self._line) if path else -1
         if descriptor >= 0:
             self.at = path
             self.learn(descriptor)

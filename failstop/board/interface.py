@@ -1,53 +1,121 @@
-"""Interface: the things that gate, port owner, stopper and supervisor need of a motor board; and the built-in board.
+"""Interface: the things that failstop needs of a motor board. One value is handed to each process at its start.
 
-A second board is a second class with all of these, in a module of its own (docs/dev/porting.md).
+A board whose wire is described (wire.py) becomes one by described.py; one with more than that, such as an arm's servos,
+is a class of its own in its folder.
 """
 
 from __future__ import annotations
 
-from failstop.board import codec, decoder, servos
-from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from typing import Any
+
+    from failstop.board.wire import Port
+
+    Value = tuple[Any, ...]
+    Said = tuple[int, Value]
+    """A kind, and what is said of it."""
+
+PORT_OWNER, STOPPER, SUPERVISOR = range(3)
+"""The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
+IMU, BATTERY, PAD, KEY, SERVO, PONG, WHEELS, OBEYED = range(8)
+"""The kinds of what a board says, as a Hearing tells them."""
 
 
-class Board:
-    """The board's language, as far as motion goes: constants and pure functions. This one's is the STM32 controller's
-    (codec.py)."""
+class Hearing:
+    """Bytes from the board, in; what they say, out: pairs of a kind and its value.
+
+    IMU: acceleration x y z in g, turn rate x y z in degrees a second. BATTERY: mV. PAD: the gamepad's buttons, hat, lx,
+    ly, rx, ry, and the raw frame. KEY: id and event. SERVO: id, what was asked, its answer. PONG: the index of the ping
+    that is answered. WHEELS: (speeds, positions), what is not reported empty. OBEYED: the speeds of the command that it
+    follows now.
+    """
 
     __slots__ = ()
 
-    stop = codec.STOP
+    def feed(self, chunk: bytes) -> list[Said]:
+        """All that these bytes complete, in order. Never raises."""
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """Forget what is not complete, as after the port was reopened."""
+        raise NotImplementedError
+
+
+class Board:
+    """The board's language, as far as failstop speaks it: constants and pure functions."""
+
+    __slots__ = ()
+
+    port: Port
+    """How its serial port is set up, and how long it is deaf then."""
+    idle_ns: int
+    """How long the line has to be silent after a write before anything but a stop may be written; 0: no time."""
+    repeats_ns: tuple[tuple[int, ...], ...]
+    """For PORT_OWNER, STOPPER and SUPERVISOR: how long after a stop it is written again. Writers that can't see each
+    other's bytes have different times, so that no two of them touch twice in a row."""
+    stop: bytes
     """The frame that sets every wheel to zero: the very bytes of motor_speeds with zeros."""
-    burst = BURST
+    burst: bytes
     """One write that stops the wheels whatever state the board's receiver is in."""
-    first_stop = BURST[:FIRST_STOP_END]
-    """The beginning of the burst, up to its first stop frame."""
-    burst_with = staticmethod(burst_with)
-    """(servos): the burst, and in the same write behind it what stops these servos of an arm; for none the burst."""
-    pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
-    """As many frames as layout.PINGS that move nothing and are answered, in order with all others; all different, so
+    first_stop: bytes
+    """The beginning of the burst, up to its first stop frame; all of it where it is one stop."""
+    refresh: bytes
+    """The stop that is written five times a second while stopped, for a board that restarts or wakes."""
+    pings: tuple[bytes, ...]
+    """Frames, layout.PINGS at most, that move nothing and are answered, in order with all others; all different, so
     that an answer says which of them it answers. Or none."""
-    pong = staticmethod(decoder.pong)
-    """(func, data): the index in `pings` of the one that a frame from the board answers, None if it answers none."""
-    motor_speeds = staticmethod(codec.motor_speeds)
-    """(rps, max_rps): the frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises
-    FrameError, for a speed that is not finite too."""
-    check_motion = staticmethod(codec.check_motion)
-    """(frame, max_rps): why these bytes must not be written as a motion frame; "" when they may. Never raises on
-    bytes."""
-    check_aux = staticmethod(codec.check_aux)
-    """(frame): the same of another frame. No motion passes, and no servo's frame."""
-    servo_move = staticmethod(servos.bus_servo_move)
-    """(positions, duration_ms, longest_ms): the frame that moves a few servos, (id, pulses) each, in that time. Raises
-    FrameError."""
-    servo_read = staticmethod(servos.bus_servo_read)
-    """(servo, what): the frame that asks a servo for one of servos.READS. Raises FrameError."""
-    servo_torque = staticmethod(servos.bus_servo_torque)
-    """(servo, on): the frame that switches a servo's torque. Raises FrameError."""
-    check_servos = staticmethod(servos.check_bus)
-    """(frame, servos, longest_ms): why these bytes must not be written as a frame for an arm of these servos; "" when
-    they may. What passes holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
-    servo_ns = staticmethod(servos.frame_ns)
-    """(frame): how long a frame that has passed holds the receiver at most."""
+    ping_ns: int
+    """The longest time between two pings that the board's own proofs need; 0: any."""
+    echo_ns: int
+    """A command of zeros that the board says it obeys was written this long before at least; 0: it says nothing of
+    it."""
+    most_rps: float
+    """The fastest wheel that it can be told."""
 
+    def burst_with(self, servos: Sequence[int]) -> bytes:
+        """The burst, and in the same write behind it what stops these servos of an arm; for none the burst."""
+        raise NotImplementedError
 
-BOARD = Board()
+    def hearing(self) -> Hearing:
+        """A reader of what it sends, with nothing read yet."""
+        raise NotImplementedError
+
+    def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
+        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. A board of two speeds
+        takes those of the wire ids 0 (left) and 2 (right). Raises FrameError, for a speed that is not finite too."""
+        raise NotImplementedError
+
+    def check_motion(self, frame: bytes, max_rps: float) -> str:
+        """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
+        raise NotImplementedError
+
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """The frame that sounds its buzzer; empty: it has none. Raises FrameError."""
+        raise NotImplementedError
+
+    def check_aux(self, frame: bytes) -> str:
+        """The same of another frame. No motion passes, and no servo's frame."""
+        raise NotImplementedError
+
+    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """The frame that moves a few servos, (id, pulses) each, in that time. Raises FrameError."""
+        raise NotImplementedError
+
+    def servo_read(self, servo: int, what: int) -> bytes:
+        """The frame that asks a servo for one of servos.READS. Raises FrameError."""
+        raise NotImplementedError
+
+    def servo_torque(self, servo: int, on: bool) -> bytes:
+        """The frame that switches a servo's torque. Raises FrameError."""
+        raise NotImplementedError
+
+    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """Why these bytes must not be written as a frame for an arm of these servos; "" when they may. What passes
+        holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
+        raise NotImplementedError
+
+    def servo_ns(self, frame: bytes) -> int:
+        """How long a frame that has passed holds the receiver at most."""
+        raise NotImplementedError

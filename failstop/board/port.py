@@ -1,4 +1,4 @@
-"""Opening the controller's port: exclusive or not, raw at 1 Mbaud, with the modem lines in the board's safe state.
+"""Opening the board's port: exclusive or not, raw, at the board's speed and with its modem lines in its safe state.
 
 Not pyserial: this opening runs in the supervisor's first 150 ms and in the stop tool. Measured (Python 3.11, x86-64):
 `import serial` takes 1.9 ms and 8 modules where this file takes 0.5 ms and 3, and its Serial opens five descriptors
@@ -18,6 +18,8 @@ import stat
 import struct
 import termios
 
+from failstop.board.wire import Port
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any, Literal
@@ -26,15 +28,15 @@ if TYPE_CHECKING:
 
 _INT = struct.Struct("i")
 _ZERO = _INT.pack(0)
-_DTR = _INT.pack(termios.TIOCM_DTR)
-_RTS = _INT.pack(termios.TIOCM_RTS)
 
 CLOSE_S = 0.02
 """How long a close may wait for bytes to drain."""
 
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
-_SPEED = termios.B1000000
 _OTHER_SPEED = termios.B500000
+"""No board's."""
+USUAL = Port(baud=1_000_000, dtr=True, rts=False, deaf_ns=0, opening=())
+"""For whoever names no board's."""
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -60,8 +62,8 @@ class PortError(Exception):
         self.errno = number
 
 
-def open_port(path: str, *, exclusive: bool) -> int:
-    """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 1,000,000 baud 8N1.
+def open_port(path: str, *, exclusive: bool, line: Port = USUAL) -> int:
+    """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, as `line` says.
 
     A read with nothing to read raises BlockingIOError; a read of no bytes is a hang-up. With `exclusive`, further
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
@@ -76,7 +78,7 @@ def open_port(path: str, *, exclusive: bool) -> int:
             what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
             raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
         descriptor = os.open(path, _OPEN_FLAGS)
-        _prepare(path, descriptor, exclusive)
+        _prepare(path, descriptor, exclusive, line)
     except BaseException as error:
         if descriptor >= 0:
             os.close(descriptor)
@@ -86,14 +88,14 @@ def open_port(path: str, *, exclusive: bool) -> int:
     return descriptor
 
 
-def open_if_there(path: str) -> int:
+def open_if_there(path: str, line: Port = USUAL) -> int:
     """Open a port that may be gone, exclusively; returns -1 while it can't be. Never raises, never looks users up."""
     # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may take
     # long; here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
         return -1
     try:
-        return open_port(path, exclusive=True)
+        return open_port(path, exclusive=True, line=line)
     except PortError:
         return -1
 
@@ -140,7 +142,7 @@ def release_exclusive(descriptor: int) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
-def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
+def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
     # The file that stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
     # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
@@ -156,15 +158,18 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     if alone:
         # cdc_acm sends the line coding only when it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
-    _set_raw(descriptor, before, _SPEED)
-    _check_raw(path, descriptor)
+    speed = getattr(termios, f"B{line.baud}")
+    _set_raw(descriptor, before, speed)
+    _check_raw(path, descriptor, line.baud, speed)
     # A port that somebody has stopped (TCOOFF), or that a ^S stopped while it was still a terminal, would keep every
     # byte to itself. It costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
-    # DTR on and RTS off is the board's safe state. Opening raised both; DTR first, because DTR off while RTS is on
-    # resets the board's processor.
-    _set_line(descriptor, termios.TIOCMBIS, _DTR)
-    _set_line(descriptor, termios.TIOCMBIC, _RTS)
+    # Opening raised both. What is to be on first, because DTR off while RTS is on resets some boards' processors; what
+    # is to be off at once, for the same reason.
+    lines = ((termios.TIOCM_DTR, line.dtr), (termios.TIOCM_RTS, line.rts))
+    for request, wanted in ((termios.TIOCMBIS, True), (termios.TIOCMBIC, False)):
+        if bits := sum(bit for bit, on in lines if on == wanted):
+            _set_line(descriptor, request, _INT.pack(bits))
 
 
 def _lock(descriptor: int) -> bool:
@@ -185,17 +190,17 @@ def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
     termios.tcsetattr(descriptor, termios.TCSANOW, [0, 0, cflag, 0, speed, speed, cc])
 
 
-def _check_raw(path: str, descriptor: int) -> None:
+def _check_raw(path: str, descriptor: int, baud: int, speed: int) -> None:
     """tcsetattr succeeds when any one of the changes could be made. Raises PortError."""
     after = termios.tcgetattr(descriptor)
-    took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, _SPEED, _SPEED]
+    took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]
     if not took or after[6][termios.VMIN] != 1:
-        raise PortError("io", f"{path} does not take raw mode at 1000000 baud: is it the board? see --device")
+        raise PortError("io", f"{path} does not take raw mode at {baud} baud: is it the board? see --device")
 
 
-def _set_line(descriptor: int, request: int, line: bytes) -> None:
+def _set_line(descriptor: int, request: int, bits: bytes) -> None:
     try:
-        fcntl.ioctl(descriptor, request, line)
+        fcntl.ioctl(descriptor, request, bits)
     except OSError as error:
         # A pty has no modem lines.
         if error.errno not in (errno.ENOTTY, errno.EINVAL):

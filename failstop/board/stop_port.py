@@ -14,23 +14,34 @@ import os
 import time
 
 from failstop.board import port
-from failstop.board.interface import BOARD
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 TRIES = 3
 DRAIN_S = 0.1
 """The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
 LOOK_S = 0.0005
+SAME_NS = 2_000_000
+"""An early stop as young as this is the stop that its loop is about to write."""
 
 
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_stop", "_writing", "errno", "fd", "lost", "unsent")
+    __slots__ = ("_early_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
 
-    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+    def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
         burst or not at all."""
-        self._stop = BOARD.burst_with(servos)
+        self.board = board
+        self._stop = board.burst_with(servos)
+        self.free_ns = 0
+        """When the line, as far as is known here, will have been silent for as long as the board needs; 0: it needs no
+        silence."""
+        self._early_ns = 0
+        """When it wrote an early stop that is a whole one, which no burst of its own has followed yet."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -47,14 +58,28 @@ class StopPort:
                 self._write_early()
 
     def _write_early(self) -> int:
-        return self._write(BOARD.first_stop)
+        taken = self._write(self.board.first_stop)
+        if taken == len(self._stop):
+            self._early_ns = time.monotonic_ns()
+        return taken
 
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
-        since the burst heals any cut; the rest of an earlier burst goes first."""
+        since the burst heals any cut; the rest of an earlier burst goes first. Where all of the stop was just written
+        early, that was it: a second one without a gap behind it would garble both on some boards."""
         begun = self.unsent if self._stop.endswith(self.unsent) else b""
         with self._writing:
+            early_ns, self._early_ns = self._early_ns, 0
+            if early_ns and not (self.lost or self.unsent) and time.monotonic_ns() - early_ns < SAME_NS:
+                return True
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
+
+    def repeat(self, after_ns: tuple[int, ...]) -> None:
+        """Write the burst again at these times from now, for whoever has no loop to do so."""
+        begun_ns = time.monotonic_ns()
+        for after in after_ns:
+            time.sleep(max(0, begun_ns + after - time.monotonic_ns()) / 1e9)
+            self.burst()
 
     def flush(self) -> bool:
         """Go on with what the kernel did not take; True when nothing is left."""
@@ -77,6 +102,9 @@ class StopPort:
                 self.lost, self.errno = True, error.errno or 0
                 return 0
             self.lost = False
+            if idle_ns := self.board.idle_ns:
+                begun_ns = max(time.monotonic_ns(), self.free_ns - idle_ns)
+                self.free_ns = begun_ns + taken * self.board.port.byte_ns + idle_ns
             return taken
         return 0
 
@@ -102,6 +130,7 @@ class StopPort:
             old, self.fd = self.fd, fd
             self.lost = fd < 0
             self.unsent = b""
+            self._early_ns = 0
         if old >= 0:
             port.close_port(old)
 

@@ -1,7 +1,6 @@
 """Wire: the vocabulary in which any motor board is described; one folder of this room describes one board with it.
 
-The service drives the board of interface.py alone; the boards described here are proved and not yet driven
-(docs/boards.md).
+described.py makes of it what the service drives (docs/boards.md).
 """
 
 from __future__ import annotations
@@ -98,6 +97,8 @@ class Motion(Data):
     unit: str
     limit: float
     """The largest speed that the board takes."""
+    per_rps: Callable[[float], float]
+    """(diameter in m): what one turn a second of a wheel usually is in its unit."""
     step: float
     """Speeds are sent as multiples of this, rounded towards zero."""
     apart: float
@@ -180,6 +181,10 @@ class Wire(Data):
     reader: Callable[[], Reader]
     proofs: tuple[str, ...]
     """Proofs of a stop that it can give beside WRITTEN: ANSWERED, ECHOED, OBSERVED."""
+    ping_ns: int
+    """The longest time between two questions, where the proofs need them; 0: any."""
+    echo_ns: int
+    """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
     others: str
     """A sentence for people: who else can command its wheels."""
 

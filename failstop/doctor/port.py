@@ -7,6 +7,7 @@ import re
 
 from failstop.discovery import BOARD_USB, LINK
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.policy.settings import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
@@ -43,6 +44,9 @@ def identity(look: Look) -> list[Finding]:
         return []
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
+    kind = look.settings[1].text("board.kind")
+    if kind != BOARDS[0]:
+        return ok(f"{f'USB {look.usb_id}' if look.usb_id else 'no USB device'}; board.kind {kind} may be at any port")
     if not look.usb_id:
         text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
         return skip(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the stop test")

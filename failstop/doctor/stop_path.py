@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 from failstop import stopping
 from failstop.api.snapshot import State
-from failstop.board.decoder import Decoder
-from failstop.board.interface import BOARD
+from failstop.board.interface import PONG, Board
+from failstop.board.kinds import board_of
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
@@ -24,6 +24,10 @@ from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.policy.proofs import UNASKED
 from failstop.supervisor.port_handover import OwnPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Value
 
 ANSWER_S = 0.5
 CHUNK = 4096
@@ -34,14 +38,15 @@ class Tap:
     """A tap on an open port: what the board sends, decoded, with the time of its reading; and pings. It reads a
     descriptor that is not blocking, which stays the caller's."""
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, board: Board) -> None:
         self.fd = fd
-        self._decoder = Decoder()
+        self._board = board
+        self._hearing = board.hearing()
         self._pings = 0
 
-    def read(self) -> list[tuple[int, int, bytes]]:
-        """(time of reading, function, data) of the frames that have come. Raises OSError when the device has gone."""
-        found: list[tuple[int, int, bytes]] = []
+    def read(self) -> list[tuple[int, int, Value]]:
+        """(time of reading, kind, value) of what has been said. Raises OSError when the device has gone."""
+        found: list[tuple[int, int, Value]] = []
         while True:
             try:
                 data = os.read(self.fd, CHUNK)
@@ -50,27 +55,27 @@ class Tap:
             if not data:
                 raise OSError("the device has gone")
             now_ns = time.monotonic_ns()
-            found += [(now_ns, func, body) for func, body in self._decoder.feed(data)]
+            found += [(now_ns, *said) for said in self._hearing.feed(data)]
 
     def ping(self) -> tuple[int, int]:
         """Ask the board; returns (index of the ping, when it was written). Raises OSError."""
-        index = self._pings % len(BOARD.pings)
+        index = self._pings % len(self._board.pings)
         self._pings += 1
         now_ns = time.monotonic_ns()
-        os.write(self.fd, BOARD.pings[index])
+        os.write(self.fd, self._board.pings[index])
         return index, now_ns
 
     def answered_ms(self, timeout_s: float) -> float | None:
         """Ask the board; after how long it answered, which is behind all that was written before; None: it did not, or
         has no ping. Raises OSError."""
-        if not BOARD.pings:
+        if not self._board.pings:
             return None
         index, asked_ns = self.ping()
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
-            for now_ns, func, data in self.read():
-                if BOARD.pong(func, data) == index:
+            for now_ns, kind, said in self.read():
+                if kind == PONG and said == (index,):
                     return (now_ns - asked_ns) / 1e6
         return None
 
@@ -92,7 +97,7 @@ def stop_path(look: Look) -> list[Finding]:
         text = f"not tested: {node.path} may not be the board, and it is not written to"
         return skip(text, f"failstop doctor --device {node.path}")
     else:
-        return by_hand(look.device[0], f"failstop {look.again()}")
+        return by_hand(look.device[0], board_of(*look.settings[1].board()), f"failstop {look.again()}")
     return skip(f"not tested: {why}", "", "see to that first")
 
 
@@ -108,18 +113,18 @@ def of_service(name: str, state: State) -> list[Finding]:
     return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
 
 
-def by_hand(path: str, again: str) -> list[Finding]:
+def by_hand(path: str, board: Board, again: str) -> list[Finding]:
     """Each writer's way to the board, ended by one that is not answered. Nobody else may have the port open. `again`:
     the command that tests once more."""
     found: list[Finding] = []
     try:
-        with contextlib.closing(OwnPort.open_and_stop(path)) as own:
+        with contextlib.closing(OwnPort.open_and_stop(path, board)) as own:
             if not own.stopped:
                 raise PortError("io", f"{path} takes no bytes")
-            tap = Tap(own.fd)
+            tap = Tap(own.fd, board)
             for writer, write in WRITERS.items():
                 write(own, path)
-                found += judged(writer, tap.answered_ms(ANSWER_S), again)
+                found += judged(writer, board, tap.answered_ms(ANSWER_S), again)
                 if found[-1].level != OK:
                     break
             return found
@@ -129,14 +134,14 @@ def by_hand(path: str, again: str) -> list[Finding]:
 
 
 def _on_duplicate(own: OwnPort, _: str) -> None:
-    with contextlib.closing(StopPort(os.dup(own.fd))) as duplicate:
+    with contextlib.closing(StopPort(os.dup(own.fd), own.board)) as duplicate:
         duplicate.burst()
 
 
 def _with_tool(own: OwnPort, path: str) -> None:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    stopping.write(path)
+    stopping.write(path, own.board)
 
 
 WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
@@ -147,9 +152,9 @@ WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
 """The writers of a stop, and how; by the time of the first it is written."""
 
 
-def judged(writer: str, answered_ms: float | None, again: str) -> list[Finding]:
+def judged(writer: str, board: Board, answered_ms: float | None, again: str) -> list[Finding]:
     """One writer's burst, by the board's answer to a ping behind it."""
-    if not BOARD.pings:
+    if not board.pings:
         return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:
         text = f"{writer}: the burst was written, and the board did not answer the ping behind it"

@@ -30,6 +30,8 @@ class Last(Data):
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
     """Of the robot's arm."""
+    board: str = ""
+    """The kind of its board; empty: not known."""
 
 
 class InstanceError(Exception):
@@ -99,7 +101,7 @@ def publish(runtime_dir: str, incarnation: int) -> int:
 
 def remember(runtime_dir: str, last: Last) -> None:
     """Keep how this run was started, for when it has ended. Raises OSError."""
-    words = last.device, last.command, *map(str, last.servos)
+    words = last.device, last.command, last.board, *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
@@ -112,8 +114,8 @@ def last(name: str) -> Last:
             with contextlib.suppress(OSError):
                 found.append(_read(path))
     try:
-        device, command, *servos = max(found)[1]
-        return Last(device, command if command.isprintable() else "", tuple(map(int, servos)))
+        device, command, board, *servos = max(found)[1]
+        return Last(device, command if command.isprintable() else "", tuple(map(int, servos)), board)
     except ValueError:  # nothing was found, or nonsense
         return Last()
 

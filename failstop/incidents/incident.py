@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 from failstop.api.events import Event, unpack
 from failstop.api.snapshot import Imu
 from failstop.board import framing, servos
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import blocks, box, layout, records
@@ -35,6 +35,7 @@ SAYS = {
     SILENT: "the gate is silent",
 }
 """The gate's word, or that it says nothing, for people."""
+_SERVO_HEAD = framing.HEAD + bytes((framing.BUS_SERVO,))
 _SPEEDS = struct.Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
@@ -237,7 +238,7 @@ class Incident:
         found: dict[int, list[tuple[int, int]]] = {}
         for write in self.writes:
             head = write.head
-            if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.SERVO_MOVE:
+            if write.taken and len(head) > MOVES_AT and head.startswith(_SERVO_HEAD) and head[4] == servos.SERVO_MOVE:
                 for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
                     found.setdefault(head[at], []).append((write.ns, head[at + 1] | head[at + 2] << 8))
         return found
@@ -255,7 +256,7 @@ def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: 
         by_id = dict(zip(found[::2], found[1::2], strict=True))
         speeds = tuple(by_id.get(wire_id, 0.0) for wire_id in ids)
         sort = Sort.MOTION if any(speeds) else Sort.ZERO
-    elif head[2:3] == bytes((framing.BUS_SERVO,)):
+    elif head.startswith(_SERVO_HEAD):
         sort = Sort.ARM
     else:
         sort = Sort.PING if head in BOARD.pings else Sort.OTHER

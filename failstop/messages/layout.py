@@ -22,7 +22,7 @@ CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The most that gate and telemetry tell people at once (packing.py)."""
 PINGS = 4
-"""Different pings in turn, so that an answer says which of them it answers."""
+"""The most different pings that a board has, in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
@@ -149,6 +149,7 @@ SEGMENTS = (
         (
             *_beat(),
             _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
+            _word("obeyed_ns", "supervisor"),  # when the board last said that it obeys a command of zeros; 0: never
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias

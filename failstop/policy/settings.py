@@ -22,10 +22,18 @@ SWITCH = ("on", "off")
 DEATHS = ("disable", "latch", "stay")
 TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
+BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
+"""The kinds of boards, each a folder of the board room that describes it."""
+OF_FOUR_WHEELS = ("rrc",)
+"""The others take two speeds, left and right, and know how their motors are mounted."""
+OF_TWO_SPEEDS: dict[str, float | str] = {"wheels.layout": "differential", "wheels.sign_3": 1, "wheels.sign_4": 1}
+"""Defaults for these."""
 WEB_TLS = ("auto", "on", "off")
 
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
+    _word("board.kind", BOARDS[0], "the motor board", BOARDS),
+    Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, resend the motor frame at least this often"),
@@ -183,6 +191,8 @@ class Settings:
         if wrong:
             more = f"; and {len(wrong) - MOST_TOLD} more" if len(wrong) > MOST_TOLD else ""
             raise SettingError("; ".join(wrong[:MOST_TOLD]) + more)
+        if self.values["board.kind"] not in OF_FOUR_WHEELS:
+            self.values |= {key: value for key, value in OF_TWO_SPEEDS.items() if key not in (changed or {})}
         self._fill_named()
         self._cross_check()
 
@@ -241,10 +251,19 @@ class Settings:
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
         _check_distinct({key: self.values[key] for key in WHEEL_IDS})
+        if self.values["board.kind"] not in OF_FOUR_WHEELS:
+            self._check_two_speeds()
         for family, key in (("sources", "priority"), ("joints", "servo")):
             _check_distinct({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
         for name, table in self.named["joints"].items():
             _check_joint(f"joints.{name}", table)
+
+    def _check_two_speeds(self) -> None:
+        kind, wheels = self.values["board.kind"], self.values["wheels.layout"]
+        if wheels != "differential":
+            raise SettingError(f'wheels.layout = "{wheels}": board.kind {kind} takes "differential"')
+        if self.named["joints"]:
+            raise SettingError(f"joints.{next(iter(self.named['joints']))}: board.kind {kind} has no servos")
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -282,6 +301,10 @@ class Settings:
             )
             for name, table in self.named["interlocks"].items()
         }
+
+    def board(self) -> tuple[str, float, float]:
+        """Which board it is: its kind, the wheels' diameter in m, and a turn a second in its unit (0: as usual)."""
+        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"]
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""

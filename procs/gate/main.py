@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
-from failstop.board.interface import BOARD
 from failstop.files import instance, place
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
@@ -55,6 +54,7 @@ class Gate:
         self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
+        self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
@@ -230,7 +230,7 @@ class Gate:
 
     def _step(self, now_ns: int) -> None:
         if speeds := self.core.step(now_ns):
-            frame = BOARD.motor_speeds(speeds, self._max_rps)
+            frame = self._board.motor_speeds(speeds, self._max_rps)
             self._frames.put(records.MOTION, frame, now_ns, self.core.epoch)
 
     def _follow_epoch(self) -> None:

@@ -20,7 +20,7 @@ A frame for the servos is written only when these rows hold too:
 
     check                                                    else
     the robot has an arm, and the frame is a whole one for   stop
-      its servos within bounds (BOARD.check_servos)
+      its servos within bounds (Board.check_servos)
     no motion frame was written since the last stop          drop: an arm moves while the wheels stand
     a question: nothing is before it, no servo moves         drop: a silent servo holds the receiver for 5 ms
     the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
@@ -33,12 +33,15 @@ from __future__ import annotations
 
 from collections import deque
 
-from failstop.board.interface import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_MOVE
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.loop import NEVER
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 MS = 1_000_000
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
@@ -52,7 +55,8 @@ MOST_WAITING = 16
 class Admission:
     """The port owner's memory of its own stops, and its limits."""
 
-    def __init__(self, lease_ns: int, max_rps: float) -> None:
+    def __init__(self, board: Board, lease_ns: int, max_rps: float) -> None:
+        self._board = board
         self._lease_ns = lease_ns
         self._max_rps = max_rps
         self.stopped_in = 0
@@ -75,7 +79,7 @@ class Admission:
         have beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request
         waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
-            return STAND_STILL if self.wheels_move and motion[0] == BOARD.stop else DROP
+            return STAND_STILL if self.wheels_move and motion[0] == self._board.stop else DROP
         if requested:
             return STOP_ASKED
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
@@ -84,7 +88,7 @@ class Admission:
 
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop that a motion frame's content is; None: it may go out."""
-        fault = BOARD.check_motion(frame, self._max_rps)
+        fault = self._board.check_motion(frame, self._max_rps)
         return causes.BAD_FRAME(fault) if fault else None
 
     def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
@@ -112,7 +116,8 @@ class Admission:
 class ServoBus:
     """When the servos' bus is free, as far as this process has written to it, and what waits for that."""
 
-    def __init__(self, servos: tuple[int, ...]) -> None:
+    def __init__(self, board: Board, servos: tuple[int, ...]) -> None:
+        self._board = board
         self.servos = servos
         self._free_ns = 0
         self._rest_ns = 0
@@ -123,7 +128,7 @@ class ServoBus:
         """The cause of a stop that this frame's content is; None: it may go out."""
         fault = "this robot has no arm"
         if self.servos:
-            fault = BOARD.check_servos(frame, self.servos, LONGEST_MOVE_MS)
+            fault = self._board.check_servos(frame, self.servos, LONGEST_MOVE_MS)
         return causes.BAD_FRAME(f"for the arm, {fault}") if fault else None
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
@@ -132,11 +137,11 @@ class ServoBus:
             return NEVER
         if frame[_COMMAND_AT] in READS:
             return now_ns if now_ns >= max(self._free_ns, self._rest_ns) else NEVER
-        return max(now_ns, self._free_ns + BOARD.servo_ns(frame) - HELD_NS)
+        return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
         """It was written; True when a servo moves by it."""
-        self._free_ns = max(self._free_ns, now_ns) + BOARD.servo_ns(frame)
+        self._free_ns = max(self._free_ns, now_ns) + self._board.servo_ns(frame)
         moves = frame[_COMMAND_AT] == SERVO_MOVE
         if moves:
             self._rest_ns = now_ns + LONGEST_MOVE_NS

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
-from failstop.board.interface import BOARD
+from failstop.board.interface import PORT_OWNER
 from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
-from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
+from failstop.procs.loop import NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
-from failstop.procs.port_owner import admission, schedule
+from failstop.procs.port_owner import admission, requests, schedule
 from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
-from failstop.procs.port_owner.schedule import Pings, Repeats
+from failstop.procs.port_owner.asking import Asking
+from failstop.procs.port_owner.port import OpenPort
+from failstop.procs.port_owner.requests import StopPipe
+from failstop.procs.port_owner.schedule import Repeats
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell
@@ -27,68 +30,59 @@ MS = 1_000_000
 TICK_NS = 20 * MS
 EARLY_NS = 10 * MS
 """A tick that is due so soon is taken at a wake-up that there is anyway."""
-RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
-PING_BACKLOG = 2 * len(BOARD.burst)
-"""Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
-MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
-"""A ping (70 us of wire) is no backlog that motion has to stay behind."""
-PIPE_REST_NS = 20_000_000
 
 
 class PortOwner:
     """The process's state; one turn() a wake-up."""
 
     def __init__(self, context: Context) -> None:
-        settings = context.settings
+        settings, board = context.settings, context.board
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self.admission = Admission(settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
-        self.bus = ServoBus(settings.servos())
-        self.repeats = Repeats(self.loop.timer(), monotonic_ns())
-        ping = self.loop.timer() if BOARD.pings else Timer()
-        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
+        self.board = board
+        self.admission = Admission(board, settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
+        self.bus = ServoBus(board, settings.servos())
+        self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER], monotonic_ns())
+        self._motion_backlog = max((len(ping) for ping in board.pings), default=0)
+        """A ping (70 us of wire) is no backlog that motion has to stay behind."""
+        self._held: Motion | None = None
+        """The newest motion, while the line has to be silent before it."""
+        self._line = self.loop.timer()
+        """When it has been."""
         self.suspend = SuspendWatch()
-        self._pipe_rests = self.loop.timer()
-        """Until then, after a request."""
         self._lapse = self.loop.timer()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next frame may be written, that has to wait."""
         self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
-        self._bytes_alone: dict[int, int] | None = None
-        """The news of a wake-up at which the board has sent something, and nothing else has happened."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
         """A servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
-        self._watched = (-1, 0)
-        self.wire = Wire(context.fd("port"), self.bus.servos)
+        self.wire = Wire(context.fd("port"), board, self.bus.servos)
+        self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
+        self.pings = Asking(context, self.loop, self.wire, self.port.hears_ns)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
         self._burst()
         self._stopped_word.set(self.epoch)
         self.wire.keep(context.own.ring_writer("box"))
-        self._publish_port(monotonic_ns())
+        self.port.begin(monotonic_ns())
 
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
-        self._number, self._path = context.port_number, context.settings.text("device.path")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")
-        self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
-        self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
-        self._received = own.ring_writer("received")
         self._supervisor_bell = context.bell("supervisor_bell")
-        self._telemetry_bell = context.bell("telemetry_bell")
 
     def _watch_others(self, context: Context) -> None:
         """Make the readers of others' records, and watch what wakes it."""
@@ -98,19 +92,19 @@ class PortOwner:
         self._frames = context.segment("gate").ring_reader("frames")
         self._causes = context.segment("telemetry").ring_reader("causes")
         self._bells = (context.bell("bell"), context.early.bell)
-        self._stop_pipe = context.fd("stop")
+        self._requests = StopPipe(context.fd("stop"), self.loop)
         self._parent = Parent(context, self.loop, 0, self.wire)
         names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
         self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
         self._gate = self._peers[0]
-        for fd in (*(each.fd for each in self._bells), self._stop_pipe):
-            self.loop.watch(fd, READ)
+        for each in self._bells:
+            self.loop.watch(each.fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
         most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
         now_ns = monotonic_ns()
-        if ready == self._bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
+        if ready == self.port.bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
             self._serve_port(ready, now_ns)
             return True
         self._tick.set(now_ns + TICK_NS)
@@ -126,8 +120,9 @@ class PortOwner:
         self._serve_port(ready, now_ns)
         self._take_port(ready, now_ns)
         self._repeat(now_ns)
-        self._ping(now_ns)
-        self._watch_port()
+        self.port.follow(now_ns)
+        self.pings.follow(now_ns)
+        self.port.watch()
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._parent.leave(now_ns)
 
@@ -154,6 +149,8 @@ class PortOwner:
         """Account for a burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
+        self._held = None
+        self._line.set(NEVER)
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
@@ -164,30 +161,14 @@ class PortOwner:
         return written_ns
 
     def _hear_requests(self, ready: dict[int, int], now_ns: int) -> None:
-        if self._stop_pipe in ready:
+        if self._requests.asked(ready, now_ns):
             self._stop_request(now_ns)
-        elif self._pipe_rests.due(now_ns):
-            self._wake_pipe()
 
     def _stop_request(self, now_ns: int) -> None:
-        """Any bytes are a stop; the text, where there is one, only says why.
-
-        Then the pipe rests: a flood of requests must not become a flood of bursts and epochs. What arrives meanwhile
-        stays in the pipe, and no motion is admitted before it has been looked at.
-        """
         self.wire.burst()
         written_ns = monotonic_ns()
         give_way()
-        line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
-        self._own_stop(now_ns, written_ns, causes.requested(line))
-        if self._pipe_rests.ns == NEVER:
-            self.loop.forget(self._stop_pipe)
-        self._pipe_rests.set(now_ns + PIPE_REST_NS)
-
-    def _wake_pipe(self) -> None:
-        if self._pipe_rests.ns != NEVER:
-            self._pipe_rests.set(NEVER)
-            self.loop.watch(self._stop_pipe, READ)
+        self._own_stop(now_ns, written_ns, self._requests.take(now_ns))
 
     def _hear_causes(self) -> None:
         """Buttons and keys, which telemetry has decoded."""
@@ -258,7 +239,7 @@ class PortOwner:
 
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
-        motion: Motion | None = None
+        motion, self._held = self._held, None
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.FRAME.unpack(payload)
@@ -270,7 +251,7 @@ class PortOwner:
                 self._gate_stop()
             elif kind == records.ARM:
                 self.bus.waiting.append((body, epoch, frame_ns))
-            elif not BOARD.check_aux(body):
+            elif not self.board.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         self._forward_arm()
         if motion:
@@ -280,7 +261,7 @@ class PortOwner:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
-        if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
+        if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_arm(self) -> None:
@@ -317,14 +298,14 @@ class PortOwner:
         ):
             self._arm_moved = True
             self.repeats.motion()
-            self._wake_pipe()
+            self._requests.wake()
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
     def _decide(self, motion: Motion, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
         """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
         pass what was young then."""
-        requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
+        requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
@@ -339,7 +320,13 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: Motion) -> None:
+        """Where the line has to be silent first, it waits: what may go out is decided when it does."""
         now_ns = monotonic_ns()
+        self._line.set(NEVER)
+        if self.wire.free_ns > now_ns:
+            self._held = motion
+            self._line.set(self.wire.free_ns)
+            return
         verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.ADMIT:
             self._write_motion(motion)
@@ -360,87 +347,45 @@ class PortOwner:
             self._burst()
         elif self._check_suspend(now_ns):
             return
-        elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
+        elif self.wire.frame(frame, backlog=self._motion_backlog):
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
             self.repeats.motion()
-            self._wake_pipe()  # from here on the next request counts at once
-        elif frame == BOARD.stop:
+            self._requests.wake()  # from here on the next request counts at once
+        elif frame == self.board.stop:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()
 
     def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
-        wire = self.wire
-        found = ready.get(wire.fd, 0)
-        if wire.fd >= 0:
-            if found & WRITE:
-                wire.flush()
-            if found & READ and (data := wire.read()):
-                for at in range(0, len(data), RECEIVED_CHUNK):
-                    self._received.put(data[at : at + RECEIVED_CHUNK])
-                self._telemetry_bell.ring()
-            if found & GONE:
-                wire.lost = True
-            if wire.lost:
+        if self.wire.fd >= 0:
+            self.port.serve(ready)
+            if self.wire.lost:
                 self._port_lost(now_ns)
 
     def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
         here by now or not."""
-        while sent := self._parent.new_port(ready, self._number + 1):
+        while sent := self._parent.new_port(ready, self.port.number + 1):
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)
-            fd, self._number, self._path = sent
-            self.wire.adopt(fd)
+            self.port.adopt(sent, now_ns)
+            self.pings.wait(self.port.hears_ns)
             self._stopped(monotonic_ns())
-            self._publish_port(now_ns)
-
-    def _watch_port(self) -> None:
-        """Watch the open port for what the board sends, and for room while the kernel has not taken everything.
-
-        Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
-        process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
-        board, on a busy machine for as long as others run, deaf to stops.
-        """
-        fd = self.wire.fd
-        wanted = (fd, READ | WRITE if self.wire.unsent else READ | EDGE)
-        if fd >= 0 and wanted != self._watched:
-            self.loop.watch(*wanted)
-            self._bytes_alone = None if self.wire.unsent else {fd: READ}
-        self._watched = wanted
+            self.port.begin(now_ns)
 
     def _port_lost(self, now_ns: int) -> None:
-        if self._watched[0] == self.wire.fd:
-            self.loop.forget(self.wire.fd)
-        self._watched, self._bytes_alone = (-1, 0), None
-        self.wire.close()
+        self.port.lose()
         self.stop(now_ns, causes.DEVICE_LOST())
-        self._publish_port(now_ns)
-
-    def _publish_port(self, now_ns: int) -> None:
-        state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.PORT.pack(self._number, now_ns, state, self._path))
-        self._supervisor_bell.ring()
+        self.port.publish(now_ns)
 
     def _repeat(self, now_ns: int) -> None:
+        self.repeats.wait(self.wire.free_ns)
         due = self.repeats.take(now_ns)
         if due == schedule.REPEAT:
             self.wire.burst()
         elif due == schedule.ZERO:
-            self.wire.frame(BOARD.stop)
-
-    def _ping(self, now_ns: int) -> None:
-        """The time is that before the write: an answer never seems to come before its question."""
-        if not self.pings.due(now_ns):
-            return
-        asked_ns = monotonic_ns()
-        if self.wire.frame(BOARD.pings[self.pings.index], backlog=PING_BACKLOG):
-            self._ping_words[self.pings.index].set(asked_ns)
-            self.pings.sent(asked_ns)
-        else:
-            self.pings.failed(now_ns)
+            self.wire.frame(self.board.refresh)
 
 
 def run(context: Context) -> int:

@@ -1,7 +1,7 @@
 """Schedule: what goes out by the clock. Pure.
 
-After a cause the burst is repeated after 20 and 100 ms, in case the board lost the first. While stopped a zero frame
-goes out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
+After a cause the burst is repeated at the board's times, in case it lost the first. While stopped a zero frame goes
+out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
 
 Pings ask the board whether it hears. It handles frames in order, so an answer to a ping that went out after a stop
 proves that its receiver was in step when the stop had passed it. One goes out right after each stop, and otherwise with
@@ -11,7 +11,6 @@ a period.
 from __future__ import annotations
 
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.peer import BURST_AFTER_NS
 
 REPEAT = 1
 ZERO = 2
@@ -28,19 +27,25 @@ second to start, and until it has heard one nobody knows whether the board does.
 class Repeats:
     """Repeats of the last stop; `due`: when the next one is written."""
 
-    def __init__(self, due: Timer, now_ns: int) -> None:
+    def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int) -> None:
+        """`after_ns`: how long after a stop it is written again."""
+        self._after_ns = after_ns
         self._bursts = 0
         self._due = due
         due.set(now_ns)
 
     def restart(self, now_ns: int) -> None:
         """A stop was just written."""
-        self._bursts = len(BURST_AFTER_NS)
-        self._due.set(*(now_ns + after for after in (*BURST_AFTER_NS, ZERO_EVERY_NS)))
+        self._bursts = len(self._after_ns)
+        self._due.set(*(now_ns + after for after in (*self._after_ns, ZERO_EVERY_NS)))
 
     def motion(self) -> None:
         """Motion was written: an earlier stop is over and must not cut into it. No zeros before the next."""
         self._due.set(NEVER)
+
+    def wait(self, until_ns: int) -> None:
+        """Nothing is written before this: of a process that was held up, several repeats would touch."""
+        self._due.wait(until_ns)
 
     def take(self, now_ns: int) -> int:
         """REPEAT, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
@@ -81,6 +86,11 @@ class Pings:
         self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
         self.index = (self.index + 1) % self._count
+
+    def wait(self, until_ns: int) -> None:
+        """Nothing may be asked before, or nobody would hear it."""
+        self._sent_ns = max(self._sent_ns, until_ns - PING_GAP_NS)
+        self._due.set(max(self._due.ns, until_ns))
 
     def failed(self, now_ns: int) -> None:
         """The port takes nothing now: try again after the gap."""

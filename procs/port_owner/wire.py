@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import select
 
-from failstop.board.interface import BOARD
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import StopPort
 from failstop.messages import box
 from failstop.shm.cell import RingWriter
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""
@@ -18,8 +21,8 @@ DRAIN_NS = 100_000_000
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
-    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
-        super().__init__(fd, servos)
+    def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
+        super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
         """How much the kernel took of each early stop that the loop has not heeded yet."""
@@ -46,7 +49,7 @@ class Wire(StopPort):
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
-            self._note(box.WIRE_BURST, BOARD.first_stop, taken)
+            self._note(box.WIRE_BURST, self.board.first_stop, taken)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         if rest and self._early:

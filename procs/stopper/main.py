@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
+from failstop.board.interface import STOPPER
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout, records
 from failstop.procs import starved
 from failstop.procs.context import Context
 from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
-from failstop.procs.peer import BURST_AFTER_NS, Parent, Peer
+from failstop.procs.peer import Parent, Peer
 from failstop.shm import bell
 from failstop.shm.words import Barrier
 
@@ -41,7 +42,8 @@ class Stopper:
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self._epoch_word = supervisor.word("epoch")
-        self._port = StopPort(context.fd("port"), context.settings.servos())
+        self._port = StopPort(context.fd("port"), context.board, context.settings.servos())
+        self._repeats_ns = context.board.repeats_ns[STOPPER]
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
@@ -104,7 +106,7 @@ class Stopper:
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
         self._write()
-        self._repeat.set(*(now_ns + after for after in BURST_AFTER_NS))
+        self._repeat.set(*(now_ns + after for after in self._repeats_ns))
 
     def _write(self) -> None:
         if self._port.burst():
@@ -112,6 +114,7 @@ class Stopper:
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
+        self._repeat.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
             if self._port_owner_written.get() >= self._parent.orphaned_ns or self._first_go.due(now_ns):

@@ -8,8 +8,7 @@ from time import monotonic_ns, time
 
 import msgpack
 
-from failstop.board import decoder, framing
-from failstop.board.interface import BOARD
+from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
 from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
@@ -22,17 +21,24 @@ from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
+from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Value
+
 LONGEST_IDLE_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
+OBEYED_NS = 20_000_000
+"""How often the supervisor is told that the board goes on to obey a command of zeros."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
@@ -103,7 +109,8 @@ class Telemetry:
         settings = context.settings
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._decoder = decoder.Decoder()
+        self._board = context.board
+        self._hearing = self._board.hearing()
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
@@ -117,12 +124,14 @@ class Telemetry:
         self._low_battery = LowBattery(settings)
         self._charger = Charger(settings, self._known_charger_state())
         self._log = BatteryLog(settings)
+        self._read_back = ReadBack()
+        self._obeys_zeros, self._obeyed_ns = False, 0
         self._barrier = Barrier()
         self._port_seq = self._epoch_followed = self._odometry_ns = self._bias_ns = 0
         self._bias_flags = (False, False)
         self._attach(context)
         self._watch_others(context)
-        self._publish_still()
+        self._publish_still(self._still)
         self._inherit(context.own)
         now_ns = monotonic_ns()
         self._gate.read(now_ns)
@@ -139,26 +148,29 @@ class Telemetry:
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
         self._pong_word = own.word("pong")
+        self._obeyed_word = own.word("obeyed_ns")
         self._port_owner_bell = context.bell("port_owner_bell")
         self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records and the table of the board's reports, and watch what wakes it."""
+        """Make the readers of others' records and the table of what the board says, and watch what wakes it."""
         port_owner = context.segment("port_owner")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._received = port_owner.ring_reader("received")
         self._port_record = port_owner.latest_reader("port")
         self._gate = GateState(context.segment("gate").latest_reader("state"))
         self._handlers = {
-            framing.IMU_FUNC: self._on_imu,
-            framing.SYS: self._on_system,
-            framing.GAMEPAD: self._on_pad,
-            framing.KEY_FUNC: self._on_key,
-            framing.PWM_SERVO: self._on_pwm_servo,
+            interface.IMU: self._on_imu,
+            interface.BATTERY: self._on_battery,
+            interface.PAD: self._on_pad,
+            interface.KEY: self._on_key,
+            interface.PONG: self._on_pong,
+            interface.WHEELS: self._on_wheels,
+            interface.OBEYED: self._on_obeyed,
         }
         if context.settings.servos():
-            self._handlers[framing.BUS_SERVO] = self._on_servo
+            self._handlers[interface.SERVO] = self._on_servo
         self._bell = context.bell("bell")
         self.loop.watch(self._bell.fd, READ)
 
@@ -187,10 +199,11 @@ class Telemetry:
             self._follow_gate(now_ns)
         while entry := self._received.next():
             self._follow_port(entry[1])
-            for func, data in self._decoder.feed(entry[2]):
-                if handler := self._handlers.get(func):
-                    handler(data, entry[1])
-        if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
+            for kind, said in self._hearing.feed(entry[2]):
+                if handler := self._handlers.get(kind):
+                    handler(said, entry[1])
+        sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
+        if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
@@ -215,17 +228,17 @@ class Telemetry:
         news = self._port_record.read()
         if news and news[0] != self._port_seq and received_ns >= news[1]:
             self._port_seq = news[0]
-            self._decoder.reset()
+            self._hearing.reset()
 
-    def _publish_still(self) -> None:
+    def _publish_still(self, judge: StillJudge | ReadBack) -> None:
         # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
         # lack of a verdict never with a time.
-        if not self._still.judged_ns:
+        if not judge.judged_ns:
             self._judged_word.set(0)
             self._barrier()
-        self._still_word.set(self._still.still_ns)
+        self._still_word.set(judge.still_ns)
         self._barrier()
-        self._judged_word.set(self._still.judged_ns)
+        self._judged_word.set(judge.judged_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the records that come with no frame of the board."""
@@ -273,76 +286,88 @@ class Telemetry:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
-    def _on_imu(self, data: bytes, t_ns: int) -> None:
-        if sample := decoder.imu(data):
-            ax, ay, az, gx, gy, gz = sample
-            raw_radps = imu.radps(gx, gy, gz)
-            note = self._gyro.take(raw_radps, t_ns)
-            acceleration = self._accelerometer.mps2(ax, ay, az)
-            rate_radps = self._gyro.corrected(raw_radps)
-            self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
-            self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, (*acceleration, *rate_radps))), t_ns)
+    def _on_imu(self, sample: Value, t_ns: int) -> None:
+        ax, ay, az, gx, gy, gz = sample
+        raw_radps = imu.radps(gx, gy, gz)
+        note = self._gyro.take(raw_radps, t_ns)
+        acceleration = self._accelerometer.mps2(ax, ay, az)
+        rate_radps = self._gyro.corrected(raw_radps)
+        self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
+        self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, (*acceleration, *rate_radps))), t_ns)
+        if not self._read_back.judged_ns:
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
-            self._publish_still()
-            if was_still != (self._still.still_ns > 0):
-                self.supervisor_bell.ring()
-            self._note_gyro(note)
+            self._tell_still(self._still, was_still=was_still)
+        self._note_gyro(note)
 
-    def _on_system(self, data: bytes, t_ns: int) -> None:
-        if millivolts := decoder.battery_mv(data):
-            self._raise(self._low_battery.take(millivolts))
-            if self._charger.take(millivolts, t_ns):
-                name = records.PLUGGED[self._charger.state]
-                self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
-                text = f"charger {name}: the battery stepped to {millivolts} mV"
-                self._note("charger", text, {"state": name, "battery_mv": millivolts})
-            self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
-            self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
-            if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
-                self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
-
-    def _on_pad(self, data: bytes, t_ns: int) -> None:
-        if sample := decoder.gamepad(data):
-            news = self._pad.take(sample, data, t_ns)
-            self._raise(news.cause)
-            if news.command:
-                self._latest["pad_command"].write(records.PAD_COMMAND.pack(*news.command), t_ns)
-                self._gate_bell.ring()
-            if news.arm:
-                self._latest["pad_arm"].write(records.PAD_ARM.pack(*news.arm), t_ns)
-                self._gate_bell.ring()
-            if news.reset:
-                self._request(records.PAD_RESET)
-                self._note("pad", "gamepad: MODE was held, reset requested")
-            self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
-            self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
-            if news.cause:
-                self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
-                text = f"{news.cause}; last frames: {self._pad.recent()}"
-                self._note("pad", text, {"reason": str(news.cause)})
-
-    def _on_servo(self, data: bytes, t_ns: int) -> None:
-        if answer := decoder.servo_reply(framing.BUS_SERVO, data):
-            self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
-            self._box.put(box.pack_board(box.SERVO_KIND, *answer), t_ns)
-            self._gate_bell.ring()
-
-    def _on_pwm_servo(self, data: bytes, t_ns: int) -> None:
-        """The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the
-        same answer, which counts as well: it proves no less that the board hears. But it may answer a question from
-        before the ping, by the time that a question takes on the wire (0.1 ms), and it takes the place of the answer
-        before it if the supervisor has not seen that yet."""
-        index = BOARD.pong(framing.PWM_SERVO, data)
-        if index is not None:
-            self._pong_word.set(records.pong(t_ns, index))
+    def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
+        self._publish_still(judge)
+        if was_still != (judge.still_ns > 0):
             self.supervisor_bell.ring()
 
-    def _on_key(self, data: bytes, t_ns: int) -> None:
-        if sample := decoder.key(data):
-            key, event = sample
-            self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
-            self._rings["buttons"].put(pack({"kind": "key", "key": key, "event": event}), t_ns)
+    def _on_wheels(self, sample: Value, t_ns: int) -> None:
+        """Reports of the board itself on its wheels are better than their shaking."""
+        was_still = self._read_back.still_ns > 0
+        speeds, positions = sample
+        if self._read_back.take(speeds, positions, t_ns):
+            self._tell_still(self._read_back, was_still=was_still)
+
+    def _on_obeyed(self, speeds: Value, t_ns: int) -> None:
+        """A report that it obeys a command of zeros; one now and then is enough while it does."""
+        zeros = not any(speeds)
+        if zeros and (not self._obeys_zeros or t_ns - self._obeyed_ns >= OBEYED_NS):
+            self._obeyed_ns = t_ns
+            self._obeyed_word.set(t_ns)
+            self.supervisor_bell.ring()
+        self._obeys_zeros = zeros
+
+    def _on_battery(self, sample: Value, t_ns: int) -> None:
+        (millivolts,) = sample
+        self._raise(self._low_battery.take(millivolts))
+        if self._charger.take(millivolts, t_ns):
+            name = records.PLUGGED[self._charger.state]
+            self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
+            text = f"charger {name}: the battery stepped to {millivolts} mV"
+            self._note("charger", text, {"state": name, "battery_mv": millivolts})
+        self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
+        self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
+        if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
+            self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
+
+    def _on_pad(self, said: Value, t_ns: int) -> None:
+        buttons, hat, lx, ly, rx, ry, data = said
+        sample = (buttons, hat, lx, ly, rx, ry)
+        news = self._pad.take(sample, data, t_ns)
+        self._raise(news.cause)
+        if news.command:
+            self._latest["pad_command"].write(records.PAD_COMMAND.pack(*news.command), t_ns)
+            self._gate_bell.ring()
+        if news.arm:
+            self._latest["pad_arm"].write(records.PAD_ARM.pack(*news.arm), t_ns)
+            self._gate_bell.ring()
+        if news.reset:
+            self._request(records.PAD_RESET)
+            self._note("pad", "gamepad: MODE was held, reset requested")
+        self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
+        self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
+        if news.cause:
+            self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
+            text = f"{news.cause}; last frames: {self._pad.recent()}"
+            self._note("pad", text, {"reason": str(news.cause)})
+
+    def _on_servo(self, answer: Value, t_ns: int) -> None:
+        self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
+        self._box.put(box.pack_board(box.SERVO_KIND, *answer), t_ns)
+        self._gate_bell.ring()
+
+    def _on_pong(self, said: Value, t_ns: int) -> None:
+        self._pong_word.set(records.pong(t_ns, said[0]))
+        self.supervisor_bell.ring()
+
+    def _on_key(self, sample: Value, t_ns: int) -> None:
+        key, event = sample
+        self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
+        self._rings["buttons"].put(pack({"kind": "key", "key": key, "event": event}), t_ns)
 
 
 def run(context: Context) -> int:

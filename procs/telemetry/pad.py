@@ -7,7 +7,6 @@ any --any latch, any other button--> locked     and locked it stays while latche
 
 from __future__ import annotations
 
-from failstop.board.codec import buzzer
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
@@ -32,13 +31,15 @@ STANDSTILL = (0.0, 0.0, 0.0)
 PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
 """Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) are not."""
 
+Sound = tuple[int, int, int, int]
+"""Hz, ms on, ms off, how often."""
 OFF_MS = 100
 """Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
-LATCH_SOUND = buzzer(1000, 400, OFF_MS, 2)
+LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
 """Two long low beeps."""
-MODE_SOUNDS = (buzzer(1500, 100, OFF_MS, 1), buzzer(2500, 100, OFF_MS, 2), buzzer(2500, 100, OFF_MS, 3))
+MODE_SOUNDS = ((1500, 100, OFF_MS, 1), (2500, 100, OFF_MS, 2), (2500, 100, OFF_MS, 3))
 """By the pad's mode. One short beep: locked; two short high ones: drive; three: joint."""
-TUCK_SOUND = buzzer(2000, 50, OFF_MS, 4)
+TUCK_SOUND = (2000, 50, OFF_MS, 4)
 """Four short ones: the arm is about to move by itself."""
 
 
@@ -184,13 +185,13 @@ class Tones:
         self._seen = (True, LOCKED, False)
         """Latched, mode and tucks. What is latched at the start was told by whoever was there when it happened."""
 
-    def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> bytes:
-        """The frame to sound now, or none. A latch also locks the pad: then its tone alone is heard."""
+    def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
+        """The sound to make now, or none. A latch also locks the pad: then its tone alone is heard."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
-            return b""
+            return None
         if latched and not was_latched:
             return LATCH_SOUND
         if tucks and not tucked:
             return TUCK_SOUND
-        return MODE_SOUNDS[mode] if mode != was_mode and not latched else b""
+        return MODE_SOUNDS[mode] if mode != was_mode and not latched else None

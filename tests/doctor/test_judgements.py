@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from failstop.api.snapshot import Client, Starved
+from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
 from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
 from failstop.doctor.machine import PROCESSORS
@@ -42,6 +43,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("port", look(node=but(NODE, resolved="/nowhere/dev/failstop")), WARN, "that number may be another"),
     ("identity", look(usb_id="0403:6001"), FAIL, "0403:6001"),
     ("identity", look(usb_id=""), SKIP, "no USB device"),
+    ("identity", look(usb_id="0403:6001", settings=("", Settings({"board.kind": "ugv"}), "")), OK, "board.kind ugv"),
     ("permission", look(node=but(NODE, accessible=False), service=NOBODY), FAIL, "anna may not open"),
     ("holders", look(holders=((Holder(7, "python3"),), 0)), FAIL, "python3 (pid 7)"),
     ("holders", look(holders=((Holder(7, "driver", "old.service"),), 0)), FAIL, "old.service"),
@@ -180,9 +182,9 @@ def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str
 
 
 def test_the_verdict_on_a_burst() -> None:
-    [found] = stop_path.judged("stop tool", 4.5, "failstop doctor")
+    [found] = stop_path.judged("stop tool", BOARD, 4.5, "failstop doctor")
     assert (found.level, found.text) == (OK, "stop tool: acknowledged by the board after 4.5 ms")
-    [found] = stop_path.judged("stop tool", None, "failstop doctor")
+    [found] = stop_path.judged("stop tool", BOARD, None, "failstop doctor")
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
     assert "did not answer the ping behind it" in found.text
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from failstop.board.rrc.board import BOARD
 from failstop.doctor import stop_path
 from failstop.doctor.look import FAIL
 from tests.support.ptys import new_pty, open_fds
@@ -13,7 +14,7 @@ def test_a_burst_that_is_not_written_is_told() -> None:
     with new_pty() as pty:
         pty.fill()
         before = open_fds()
-        [found] = stop_path.by_hand(os.ttyname(pty.slave), "failstop doctor")
+        [found] = stop_path.by_hand(os.ttyname(pty.slave), BOARD, "failstop doctor")
         assert open_fds() == before
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
     assert found.text.startswith("no stop was written: /dev/pts/")

@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from failstop.board.kinds import KINDS
 from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
@@ -33,6 +34,24 @@ def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
         trial.recover(process, pid)
         trial.drive(0.05)
         assert not trial.moving(), "a restarted process must not enable motion"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_board_is_stopped_for_every_process(name: str, kind: str) -> None:
+    """By the word of its receiver, at the end of its own line."""
+    with Trial(name, kind=kind) as trial:
+        for process in layout.PROCESSES:
+            trial.enable()
+            pid = trial.service.pids()[process]
+            stopped = trial.kill(process, 0.2)
+            assert stopped.was_moving, process
+            assert stopped.stop_ns is not None, f"no stop after {process} was killed"
+            assert stopped.stop_ns < LATEST_MS * 1e6
+            assert stopped.still_ns is not None
+            assert stopped.motion_after == 0
+            trial.recover(process, pid)
+            trial.drive(0.05)
+            assert not trial.moving(), "a restarted process must not enable motion"
 
 
 @pytest.mark.parametrize("process", layout.PROCESSES)

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from failstop import config, instances, stopping
 from failstop.api import ask
 from failstop.board.burst import BURST, burst_with
-from failstop.board.interface import BOARD
 from failstop.board.port import PortError
+from failstop.board.rrc.board import BOARD
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root

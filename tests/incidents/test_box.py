@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
@@ -108,7 +108,7 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
     seen: list[bytes] = []
     kept = Watched()
-    wire = Wire(writes)
+    wire = Wire(writes, BOARD)
     wire.burst()
     wire.keep(kept)  # type: ignore[arg-type]
     wire.burst()

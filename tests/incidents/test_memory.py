@@ -12,7 +12,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.incidents import memory
 from failstop.incidents.memory import told_stop
 from failstop.messages import box, layout, records, segments

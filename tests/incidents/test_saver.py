@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 import failstop
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
 from failstop.lab.trial import wait_for

@@ -8,7 +8,7 @@ from math import nan
 
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.cli.screen import incident as screen
 from failstop.incidents import story
 from failstop.incidents.incident import Incident

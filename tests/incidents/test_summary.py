@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.cli.screen import incident as screen
 from failstop.incidents import story
 from failstop.incidents.incident import Incident

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.servos import Servos
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
@@ -27,7 +28,7 @@ class ArmBench:
     def __init__(self, **changed: object) -> None:
         values = {key.replace("__", "."): value for key, value in changed.items()}
         self.gate = Gate()
-        self.core = ArmCore(Settings({**ARM, **values}), T0)
+        self.core = ArmCore(Settings({**ARM, **values}), BOARD, T0)
         self.now = T0
         self.servos = Servos(T0, 0)
         self.frames: list[tuple[int, bytes]] = []

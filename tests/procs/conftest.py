@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from failstop.board.rrc.board import BOARD
 from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 from tests.support.stage import PortMachine, Wire
@@ -31,7 +32,7 @@ def board(machine: PortMachine) -> Wire:
 @pytest.fixture
 def wire(machine: PortMachine) -> Any:
     """The port owner's writing to that port."""
-    return machine.load("failstop.procs.port_owner.wire").Wire(machine.open(machine.wire))
+    return machine.load("failstop.procs.port_owner.wire").Wire(machine.open(machine.wire), BOARD)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.rrc.board import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -28,7 +29,7 @@ epochs = st.integers(0, 5)
 
 @pytest.fixture
 def admission() -> Admission:
-    return Admission(LEASE_NS, MAX_RPS)
+    return Admission(BOARD, LEASE_NS, MAX_RPS)
 
 
 def decided(
@@ -64,7 +65,7 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
     after = [row for row in rows if first is not None and row > first]
     for later in (set(some) for n in range(len(after) + 1) for some in itertools.combinations(after, n)):
         failing = later if first is None else {first, *later}
-        admission = Admission(LEASE_NS, MAX_RPS)
+        admission = Admission(BOARD, LEASE_NS, MAX_RPS)
         admission.wheels_move = kind == "zero"
         if OWN_STOP in failing:
             admission.stopped_in = EPOCH
@@ -144,7 +145,7 @@ def test_its_own_stop_refuses_its_epoch_until_a_newer_one(admission: Admission) 
 def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
     stops: list[int], frame_epoch: int, epoch: int
 ) -> None:
-    admission = Admission(LEASE_NS, MAX_RPS)
+    admission = Admission(BOARD, LEASE_NS, MAX_RPS)
     for stopped_in in stops:
         admission.stopped(stopped_in)
     newest = max(stops, default=0)

@@ -9,7 +9,7 @@ from struct import unpack_from
 
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import box, records
 from failstop.policy import causes
 from failstop.policy.joints import PULSES_PER_RAD

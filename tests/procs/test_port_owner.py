@@ -6,7 +6,7 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab import encoders
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics

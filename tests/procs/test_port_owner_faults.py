@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
 from failstop.procs.loop import READ
-from failstop.procs.port_owner import main
+from failstop.procs.port_owner import main, port
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
@@ -324,7 +324,7 @@ def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
     scene.turn()
     found = [entry[2] for entry in iter(received.next, None)]
     assert b"".join(found) == sent
-    assert max(map(len, found)) == main.RECEIVED_CHUNK
+    assert max(map(len, found)) == port.RECEIVED_CHUNK
 
 
 def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: Scene) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
 from failstop.procs.port_owner.schedule import PING_GAP_NS, QUICK, REPEAT, ZERO, Pings, Repeats
@@ -126,7 +126,7 @@ def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scen
 
 
 def without_pings(scene: Scene) -> None:
-    type(scene.load("failstop.board.interface").BOARD).pings = ()
+    type(scene.board).pings = ()
 
 
 def test_a_board_without_pings_keeps_the_port_owner_no_more_awake() -> None:
@@ -186,7 +186,7 @@ class Schedule(Repeats):
 
     def __init__(self) -> None:
         self.next = Timer()
-        super().__init__(self.next, BEGIN)
+        super().__init__(self.next, BOARD.repeats_ns[0], BEGIN)
 
 
 def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int]]:

@@ -12,6 +12,7 @@ import pytest
 from failstop import stopping
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.port import Port
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
@@ -45,7 +46,7 @@ def stop(machine: PortMachine, said: list[str]) -> Stop:
     """Runs the tool, for so many seconds at most."""
 
     def stop(wait_s: float = 0.0, path: str = machine.wire.link) -> float:
-        return float(machine.load("failstop.stopping").stop(path, lambda _: wait_s, said.append))
+        return float(machine.load("failstop.stopping").stop(path, BOARD, lambda _: wait_s, said.append))
 
     return stop
 
@@ -76,10 +77,10 @@ def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
         asked.append(error)
         return 0.5
 
-    tool.stop(machine.wire.link, asks, said.append)
+    tool.stop(machine.wire.link, BOARD, asks, said.append)
     assert asked == []
     with pytest.raises(refused, match="no device"):
-        tool.stop(ABSENT, asks, said.append)
+        tool.stop(ABSENT, BOARD, asks, said.append)
     assert [error.kind for error in asked] == ["absent"]
 
 

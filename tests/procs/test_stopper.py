@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
 from failstop.policy.processes import BY_NAME
 from failstop.procs import starved

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.port import Port
 from failstop.messages import box
 from tests.support.ptys import Board
@@ -46,7 +46,7 @@ def test_frames_and_bursts_arrive_whole(board: Wire, wire: Any) -> None:
 
 
 def test_no_port_takes_nothing(machine: PortMachine) -> None:
-    wire = machine.load(MODULE).Wire(-1)
+    wire = machine.load(MODULE).Wire(-1, BOARD)
     assert wire.lost
     wire.burst()
     wire.flush()

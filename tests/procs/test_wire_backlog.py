@@ -8,14 +8,15 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
-from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
+from failstop.board.rrc.board import BOARD
 from failstop.procs.port_owner.wire import DRAIN_NS
 from tests.support.stage import MS, PortMachine, Wire
 
 T0 = 3_000 * MS
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
+PING_BACKLOG = 2 * len(BOARD.burst)
+MOTION_BACKLOG = len(BOARD.pings[0])
 
 
 # No backlog.

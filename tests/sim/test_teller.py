@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.board import codec
 from failstop.board.framing import BUZZER, MOTOR
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.model import Frame, Speeds
 from failstop.lab.sim.teller import STANDING, Teller
 

@@ -12,6 +12,7 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.kernel import Thread
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
@@ -111,7 +112,7 @@ class Watched(Finder):
     __slots__ = ("found",)
 
     def __init__(self, path: str) -> None:
-        super().__init__(path)
+        super().__init__(path, BOARD.port)
         self.found: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
 
     def open(self, now_ns: int) -> NoReturn:
@@ -123,7 +124,7 @@ def test_the_opener_s_thread_has_the_supervisor_s_rights_to_run(tmp_path: Path) 
     """The kernel takes them from what a process starts; without them a busy machine would put the stop off."""
     finder, bell = Watched(str(tmp_path / "board")), EventBell.create()
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # as procs/rights.py has it
-    opener = Opener(finder, bell)
+    opener = Opener(finder, BOARD, bell)
     try:
         with scheduled(policy, 3):
             opener.begin()

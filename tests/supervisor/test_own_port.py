@@ -13,6 +13,8 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
+from failstop.board.rrc.board import BOARD
+from failstop.board.wire import Port
 from failstop.supervisor.port_handover import OwnPort
 from tests.support.ptys import Pty, new_pty
 from tests.support.supervisor_scene import DEVICE, Scene
@@ -21,29 +23,29 @@ from tests.support.unprivileged import unprivileged
 
 def test_the_first_bytes_of_a_run_are_a_burst() -> None:
     with new_pty() as pty:
-        own = OwnPort.open_and_stop(pty.link)
+        own = OwnPort.open_and_stop(pty.link, BOARD)
         assert own.stopped
         assert pty.read() == BURST
         own.close()
 
 
 def test_a_port_has_not_stopped_before_its_first_burst() -> None:
-    assert not OwnPort(-1).stopped
+    assert not OwnPort(-1, BOARD).stopped
 
 
 def opened_by_nobody(path: str, tried: int) -> str:
     """Open as nobody; `tried` is a pipe's end that is closed when it was refused for the first time."""
     real = port.open_port
 
-    def watched(name: str, *, exclusive: bool) -> int:
+    def watched(name: str, *, exclusive: bool, line: Port) -> int:
         try:
-            return real(name, exclusive=exclusive)
+            return real(name, exclusive=exclusive, line=line)
         finally:
             os.write(tried, b".")
 
     port.open_port = watched  # type: ignore[assignment]
     try:
-        OwnPort.open_and_stop(path)
+        OwnPort.open_and_stop(path, BOARD)
     except port.PortError as error:
         return error.kind
     return "opened"
@@ -83,7 +85,9 @@ def open_and_stop(scene: Scene, told: list[int]) -> str:
     scene.port.close()
     module = scene.load("failstop.board.port")
     try:
-        scene.load("failstop.supervisor.port_handover").OwnPort.open_and_stop(DEVICE, lambda: told.append(scene.now_ns))
+        scene.load("failstop.supervisor.port_handover").OwnPort.open_and_stop(
+            DEVICE, BOARD, lambda: told.append(scene.now_ns)
+        )
     except module.PortError as error:
         return str(error.kind)
     return "opened"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
 from failstop.procs.loop import NEVER, READ
 from failstop.shm.futex import BLOCKS

@@ -115,7 +115,7 @@ class Scene(Stage):
         self._servo_answers, self._pad = telemetry.ring_writer("servos"), telemetry.latest_writer("pad_arm")
         self.epoch, self.latch = 1, Latch()
         self.servos = Servos(self.clock(), seed=0)
-        self.bus = ServoBus(SERVOS)
+        self.bus = ServoBus(self.board, SERVOS)
         self.wheels_move = False
         self.on_motion: Callable[[bytes], None] = lambda frame: None
         """Called with each frame for the wheels."""

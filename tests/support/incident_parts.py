@@ -7,7 +7,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.cli import style
 from failstop.incidents import files
 from failstop.incidents.incident import Incident

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.board import codec
-from failstop.board.interface import BOARD
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.procs.port_owner import main
@@ -57,10 +56,10 @@ class Scene(Stage):
 
     def _without_pings(self, wrote: bytes) -> bytes:
         """They have tests of their own; `asked` keeps their indices, in order."""
-        found = sorted((at, i) for i, ping in enumerate(BOARD.pings) if (at := wrote.find(ping)) >= 0)
+        found = sorted((at, i) for i, ping in enumerate(self.board.pings) if (at := wrote.find(ping)) >= 0)
         self.asked += [index for _, index in found]
         for _, index in found:
-            wrote = wrote.replace(BOARD.pings[index], b"")
+            wrote = wrote.replace(self.board.pings[index], b"")
         return wrote
 
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
@@ -108,7 +107,7 @@ class Scene(Stage):
         found = []
         while entry := self.black_box.next():
             kind, length, taken, head = box.WIRE.unpack(entry[2])
-            if head not in BOARD.pings:
+            if head not in self.board.pings:
                 found.append((kind, length, taken))
         return found
 

@@ -224,6 +224,7 @@ class Stage(PortMachine):
         self.settings = self.load("failstop.policy.settings").Settings(
             {"device.path": self.wire.link, **self.changed, **changed}
         )
+        self.board = self.load("failstop.board.kinds").board_of(*self.settings.board())
         self.supervisor = Dummy(self.machine, layout.SUPERVISOR)
         self.parent = self.supervisor.pid
         self.early = Early(self._bell.EventBell.create())

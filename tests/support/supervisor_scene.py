@@ -56,7 +56,8 @@ class Scene(PortMachine):
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.run = self.new_run(journal)
-        self.port = self.load("failstop.supervisor.port_handover").OwnPort(self.open(self.wire))
+        board = self.load("failstop.board.kinds").board_of(*self.settings.board())
+        self.port = self.load("failstop.supervisor.port_handover").OwnPort(self.open(self.wire), board)
         notify = self.load("failstop.supervisor.status").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from failstop.board.codec import buzzer
 from failstop.board.framing import BUZZER
 from failstop.lab.machine.robot import Robot
 from failstop.messages.layout import TELEMETRY
@@ -31,9 +32,9 @@ def test_bias_charger_log_and_tones_on_a_running_service() -> None:
         return math.degrees(robot.state.gyro_bias.bias_radps[2])
 
     service.board.pad(MODE)
-    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.MODE_SOUNDS[1][4:-1])
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == buzzer(*pad.MODE_SOUNDS[1])[4:-1])
     service.board.pad(0x0100)
-    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == pad.LATCH_SOUND[4:-1])
+    service.board.wait_for(lambda frame: frame.func == BUZZER and frame.data == buzzer(*pad.LATCH_SOUND)[4:-1])
     wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in service.said)
 
     service.wait(2.5)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from failstop.board import framing
-from failstop.board.decoder import Decoder
-from failstop.board.interface import BOARD
+from failstop.board.decoder import Decoder, pong
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
@@ -58,7 +58,7 @@ def test_no_cut_of_a_ping_is_completed_to_anything(ping: bytes, behind: bytes) -
 
 @pytest.mark.parametrize("index", ALL)
 def test_its_answer_names_the_ping(index: int) -> None:
-    assert BOARD.pong(*answer(index)) == index
+    assert pong(*answer(index)) == index
 
 
 @pytest.mark.parametrize(
@@ -75,14 +75,14 @@ def test_its_answer_names_the_ping(index: int) -> None:
     ],
 )
 def test_other_frames_answer_none(frame: bytes) -> None:
-    assert BOARD.pong(frame[2], frame[4:-1]) is None
+    assert pong(frame[2], frame[4:-1]) is None
 
 
 def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None:
     board = BoardModel(0, imu_hz=0)
     board.receive(b"".join(BOARD.pings), 0)
     answers = Decoder().feed(b"".join(board.advance(S)))
-    assert [BOARD.pong(*frame) for frame in answers] == list(ALL)
+    assert [pong(*frame) for frame in answers] == list(ALL)
     assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 

@@ -7,6 +7,7 @@ import struct
 import pytest
 
 from failstop.board.framing import BUZZER
+from failstop.board.rrc.board import BOARD
 from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import pad
@@ -24,22 +25,22 @@ def test_off_by_default() -> None:
     assert not Settings().on("buzzer.tones")
     silent = Tones(on=False)
     seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (pad.LOCKED, pad.DRIVING)]
-    assert set(seen) == {b""}
+    assert set(seen) == {None}
 
 
 def test_a_trip_sounds_once(sounding: Tones) -> None:
-    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, b"", b""]
+    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
 
 
 def test_each_trip_sounds(sounding: Tones) -> None:
     sounding.follow(True, pad.LOCKED)
-    assert sounding.follow(False, pad.LOCKED) == b""
+    assert sounding.follow(False, pad.LOCKED) is None
     assert sounding.follow(True, pad.LOCKED) == pad.LATCH_SOUND
 
 
 def test_each_mode_has_its_tone(sounding: Tones) -> None:
     assert sounding.follow(False, pad.DRIVING) == pad.MODE_SOUNDS[pad.DRIVING]
-    assert sounding.follow(False, pad.DRIVING) == b""
+    assert sounding.follow(False, pad.DRIVING) is None
     assert sounding.follow(False, pad.LOCKED) == pad.MODE_SOUNDS[pad.LOCKED]
     assert len({pad.LATCH_SOUND, *pad.MODE_SOUNDS}) == 1 + len(records.PAD_MODES)
 
@@ -47,17 +48,17 @@ def test_each_mode_has_its_tone(sounding: Tones) -> None:
 def test_a_trip_that_locks_the_pad_sounds_as_a_trip(sounding: Tones) -> None:
     sounding.follow(False, pad.DRIVING)
     assert sounding.follow(True, pad.LOCKED) == pad.LATCH_SOUND
-    assert sounding.follow(False, pad.LOCKED) == b""
+    assert sounding.follow(False, pad.LOCKED) is None
 
 
 def test_what_was_latched_before_the_start_is_not_told_again() -> None:
-    assert Tones(on=True).follow(True, pad.LOCKED) == b""
+    assert Tones(on=True).follow(True, pad.LOCKED) is None
 
 
 def test_who_stands_near_the_arm_hears_once_that_it_is_about_to_tuck(sounding: Tones) -> None:
     tucks = [False, True, True, False, False, True]
     heard = [sounding.follow(False, pad.LOCKED, tucks=each) for each in tucks]
-    assert heard == [b"", pad.TUCK_SOUND, b"", b"", b"", pad.TUCK_SOUND]
+    assert heard == [None, pad.TUCK_SOUND, None, None, None, pad.TUCK_SOUND]
 
 
 def test_a_tuck_that_was_announced_before_the_start_is_heard_all_the_same() -> None:
@@ -65,9 +66,10 @@ def test_a_tuck_that_was_announced_before_the_start_is_heard_all_the_same() -> N
     assert Tones(on=True).follow(False, pad.LOCKED, tucks=True) == pad.TUCK_SOUND
 
 
-@pytest.mark.parametrize("frame", [pad.LATCH_SOUND, *pad.MODE_SOUNDS, pad.TUCK_SOUND])
-def test_every_tone_ends(frame: bytes) -> None:
+@pytest.mark.parametrize("sound", [pad.LATCH_SOUND, *pad.MODE_SOUNDS, pad.TUCK_SOUND])
+def test_every_tone_ends(sound: pad.Sound) -> None:
     """An off time of 0 left one sounding forever: 100 ms."""
+    frame = BOARD.buzzer(*sound)
     assert frame[2] == BUZZER
     _, on_ms, off_ms, repeat = struct.unpack("<4H", frame[4:12])
     assert off_ms == 100

@@ -25,6 +25,10 @@ BAUD_RATE = b"b\r"
 POSITIONS = b"e\r"
 LIMIT = 999.0
 UNIT = "encoder ticks per 33 ms"
+PERIODS = 30
+"""Of the speed controllers, in a second."""
+COUNTS = 3436
+"""Encoder counts of a wheel's turn, as diffdrive_arduino has them by default."""
 
 _LINE = re.compile(rb"m ([+-]\d{1,3}) ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")

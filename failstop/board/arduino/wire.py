@@ -36,7 +36,8 @@ WIRE = Wire(
         after_ns=0,
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),
     ),
-    pace=Pace(idle_ns=0, unanswered=2),
+    # An answer of 25 bytes takes as long: by then nothing is unanswered, unless the board is held up.
+    pace=Pace(idle_ns=4_400_000, unanswered=2),
     watchdog=Watchdog(
         after_ns=2000 * _MS,
         does=ZERO,
@@ -47,6 +48,7 @@ WIRE = Wire(
         wheels=2,
         unit=codec.UNIT,
         limit=codec.LIMIT,
+        per_rps=lambda _diameter_m: codec.COUNTS / codec.PERIODS,
         step=1.0,
         apart=2 * codec.LIMIT,
         frame=codec.motion,
@@ -59,5 +61,7 @@ WIRE = Wire(
     ),
     reader=codec.Answers,
     proofs=(ANSWERED, OBSERVED),
+    ping_ns=100 * _MS,
+    echo_ns=0,
     others="none on the board",
 )

@@ -39,6 +39,7 @@ WIRE = Wire(
         wheels=2,
         unit=codec.UNIT,
         limit=codec.LIMIT,
+        per_rps=lambda _diameter_m: 60.0,
         step=1.0,
         apart=codec.APART,
         frame=codec.motion,
@@ -48,5 +49,8 @@ WIRE = Wire(
     questions=(),
     reader=Feedback,
     proofs=(ECHOED, OBSERVED),
+    ping_ns=0,
+    # Two of its feedbacks, the stop's way, a loop of its own, and an adapter that holds bytes back for 16 ms.
+    echo_ns=50 * _MS,
     others="a second serial cable, where the firmware was built with two inputs",
 )

@@ -6,6 +6,8 @@ anything. Motion lines feed the watchdog; the refresh of a stop is a motion line
 
 from __future__ import annotations
 
+from math import pi
+
 from failstop.board.ugv import codec
 from failstop.board.wire import (
     ANSWERED,
@@ -50,6 +52,7 @@ WIRE = Wire(
         wheels=2,
         unit=codec.UNIT,
         limit=codec.LIMIT,
+        per_rps=lambda diameter_m: pi * diameter_m,
         step=codec.STEP,
         apart=2 * codec.LIMIT,
         frame=codec.motion,
@@ -62,5 +65,7 @@ WIRE = Wire(
     ),
     reader=codec.Reports,
     proofs=(ANSWERED, OBSERVED),
+    ping_ns=0,
+    echo_ns=0,
     others="its Wi-Fi access point with a web page, ESP-NOW, and the vendor's own programs on the host",
 )

@@ -22,6 +22,7 @@ failstop config --example > robot.toml
 
 GROUPS = {
     "device": "The board's port.",
+    "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
     "limits": "Speeds and ramps that no command passes.",
     "wheels": "What the base stands on. Layouts: mecanum; differential (wheels 1 and 2 left, 3 and 4 right).",

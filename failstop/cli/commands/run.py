@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 from argparse import ArgumentParser, Namespace
 
 from failstop import config, instances
 from failstop.api.errors import FailstopError
+from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
 from failstop.files import instance
@@ -17,7 +19,11 @@ from failstop.procs import rights
 from failstop.supervisor import starter
 from failstop.supervisor.port_handover import OwnPort
 
-DEVICE = "device.path"
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
+
+DEVICE, KIND = "device.path", "board.kind"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
 """Errors that keep the service from starting."""
 
@@ -37,10 +43,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Stop first, then become the supervisor. Raises what main.py turns into one line."""
-    device, read = (arguments.device, None) if arguments.device else _device(arguments.config)
+    device, board, read = _device(arguments)
     port, lost = None, None
     try:
-        port = OwnPort.open_and_stop(device, lambda: instances.refuse_locked(arguments.name))
+        port = OwnPort.open_and_stop(device, board, lambda: instances.refuse_locked(arguments.name))
     except PortError as error:
         if error.kind == "busy":
             instances.refuse_listening(arguments.name)
@@ -58,19 +64,21 @@ def main(arguments: Namespace) -> int:
     raise FailstopError(f"{lost}{'; `failstop doctor --quick` lists the ports that are there' if absent else ''}")
 
 
-def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
-    """Where the stop goes: what a file says, whatever else is wrong in it, else the default. And what the file sets, as
-    it comes; None: it can't be read, and the stop does not wait for the reason."""
-    declared, read = BY_KEY[DEVICE], None
-    try:
-        read = config.read(path)
-        return str(declared.check(read.get(DEVICE, declared.default))), read
-    except Exception:
-        return str(declared.default), read
+def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
+    """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
+    what the file sets, as it comes; None: it can't be read, and the stop does not wait for the reason."""
+    found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND)}, None
+    with contextlib.suppress(Exception):
+        read = config.read(arguments.config)
+        for key in found:
+            with contextlib.suppress(SettingError):
+                found[key] = BY_KEY[key].check(read.get(key, found[key]))
+    return arguments.device or str(found[DEVICE]), board_of(str(found[KIND]), 1.0, 0.0), read
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
+    from failstop.policy.kinematics import max_wheel_rps
     from failstop.supervisor import status  # its imports would hold up the first stop
 
     rights.take_descriptors()
@@ -78,6 +86,10 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
+    board = board_of(*settings.board())
+    if (fastest := max_wheel_rps(settings)) > board.most_rps:
+        text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
+        raise SettingError(f"{arguments.config or 'settings'}: {text}: lower [limits], or see board.per_rps")
     instance.check_name(arguments.name)
     if port is None:
         return

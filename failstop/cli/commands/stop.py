@@ -12,6 +12,7 @@ from math import inf
 
 from failstop import config, instances, stopping
 from failstop.api.errors import FailstopError
+from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
@@ -25,9 +26,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
+    from failstop.board.interface import Board
+
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
-DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT)}
+KIND = "board.kind"
+DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND)}
 
 END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
@@ -50,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
     parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
     add_name(parser)
-    parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE} and {WAIT} are used")
+    parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND} and {WAIT} are used")
     parser.add_argument(
         "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
     )
@@ -186,6 +190,12 @@ class Port:
         """The port to write to."""
         return self._instead or self.wanted() or self.known or self._last.device or self._guess()
 
+    def board(self) -> Board:
+        """The board at the port: of the last run's kind, where it is that run's, else of the file's."""
+        last = self._last.board if self._last.device == self.device() else ""
+        kind = last if last in BY_KEY[KIND].allowed else str(self._file.get(KIND, DEFAULTS[KIND]))
+        return board_of(kind, 1.0, 0.0)
+
     def told(self) -> str:
         """The port for people, with the reason for its choice."""
         of = ", the port of the last run" if self._is_last() else ""
@@ -212,7 +222,7 @@ class Port:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The file's values of these two, where they are allowed; nothing where there is none, or it can't be read."""
+        """The file's values of these, where they are allowed; nothing where there is none, or it can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -248,12 +258,12 @@ class Port:
             return error.kind == "absent" and self._wrote_instead()
 
         try:
-            after_s = stopping.stop(self.device(), wait_s, standard.say, otherwise)
+            after_s = stopping.stop(self.device(), self.board(), wait_s, standard.say, otherwise)
             if self.by_service:
                 return after_s
             self.complain()
             if servos := self._servos():  # the wheels come first
-                stopping.write(self.device(), servos)
+                stopping.write(self.device(), self.board(), servos)
         except PortError as error:
             self.complain()
             raise FailstopError(self._explained(error)) from None
@@ -266,7 +276,7 @@ class Port:
         if not self._is_last() or other == self._last.device:
             return False
         try:
-            stopping.write(other)
+            stopping.write(other, self.board())
         except PortError:
             return False
         self._instead = other

@@ -18,6 +18,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 
+from failstop.board.arduino.codec import PERIODS
 from failstop.board.wire import Stop, Write
 from failstop.lab.boards.line import Model
 
@@ -60,6 +61,10 @@ class Arduino:
         """By a raw line, which switches the controllers off."""
         self.counts = (0, 0)
         """Of its encoders, which it answers."""
+        self.turns = False
+        """Whether its encoders count as its wheels turn."""
+        self._way = [0.0, 0.0]
+        self._turned_ns = 0
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
         self._ring: deque[tuple[int, int]] = deque()
@@ -91,6 +96,14 @@ class Arduino:
             self.take(value)
         if self._free_ns <= at_ns:
             self._auto_stop(at_ns)
+        if self.turns:
+            self._turn(at_ns)
+
+    def _turn(self, at_ns: int) -> None:
+        """A raw line's PWM counts as if it were ticks."""
+        passed_s, self._turned_ns = (at_ns - self._turned_ns) / 1e9, at_ns
+        self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.wheels, strict=True)]
+        self.counts = (int(self._way[0]), int(self._way[1]))
 
     def _auto_stop(self, at_ns: int) -> None:
         if at_ns - self._fed_ns >= AUTO_STOP_NS:
@@ -161,7 +174,14 @@ def _receivers() -> Iterator[Arduino]:
     yield Arduino()
 
 
+def _live() -> Arduino:
+    board = Arduino()
+    board.turns = True
+    return board
+
+
 MODEL = Model(
+    live=_live,
     any_state=_longest_answers,
     every_state=_receivers,
     before=(),

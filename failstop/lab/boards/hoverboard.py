@@ -21,6 +21,7 @@ from failstop.lab.boards.line import Model
 
 BUFFER = 64
 FRAME = 8
+CENTIVOLTS = 3650
 TIMEOUT_LOOPS = 160
 BYTE_NS = 10 * 1_000_000_000 // 115_200
 LOOP_NS = 5_062_500
@@ -45,6 +46,8 @@ class Hoverboard:
         """Its own watchdog has acted, by the last main loop: the motors get no current."""
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
+        self.turns = False
+        """Whether its wheels turn as they are told, in rpm, and its feedback says so."""
         self._timed_out = False
         self._now_ns = 0
         self._idle_ns = _NEVER
@@ -85,7 +88,9 @@ class Hoverboard:
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            frame = feedback.seal(*self.obeyed)
+            left, right = map(int, self.wheels) if self.turns else (0, 0)
+            volts = CENTIVOLTS if self.turns else 0
+            frame = feedback.seal(*self.obeyed, right_rpm=-right, left_rpm=left, centivolts=volts)
             self.said.append((self._now_ns, frame))
             self._sent_ns = self._now_ns + len(frame) * BYTE_NS
         self._loops += 1
@@ -133,8 +138,15 @@ def _every_state() -> Iterator[Hoverboard]:
             yield Hoverboard(phase, at)
 
 
+def _live() -> Hoverboard:
+    board = Hoverboard(LOOP_NS)
+    board.turns = True
+    return board
+
+
 _MS = 1_000_000
 MODEL = Model(
+    live=_live,
     any_state=_any_state,
     every_state=_every_state,
     # Any number of bytes may have come since the last look.

@@ -21,6 +21,8 @@ class Receiver(Protocol):
 
     commands: list[tuple[int, tuple[float, ...]]]
     """When which speeds were commanded, in the unit of its motion, by frames alone."""
+    said: list[tuple[int, bytes]]
+    """When it has said what."""
 
     @property
     def wheels(self) -> tuple[float, ...]:
@@ -39,6 +41,8 @@ class Model:
 
     any_state: Callable[[random.Random], Receiver]
     """A receiver in a state that time and its own reports may have brought it to."""
+    live: Callable[[], Receiver]
+    """A receiver whose wheels turn as they are told, and whose reports say so."""
     every_state: Callable[[], Iterator[Receiver]]
     """All of these states."""
     before: tuple[bytes, ...]

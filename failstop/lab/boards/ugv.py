@@ -25,6 +25,7 @@ from failstop.lab.boards.line import Model
 LOOP_NS = 1_000_000
 """How often its main loop comes round; its real time is not known."""
 HEARTBEAT_MS = 3000
+REPORT_NS = 50_000_000
 TRACK_M = 0.172
 FASTEST = 2.0
 _MS = 1_000_000
@@ -44,6 +45,10 @@ class Ugv:
         """How often an arm lost its torque."""
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
+        self.reports = False
+        """Whether it reports every 50 ms, and its wheels turn as they are told."""
+        self._odometers = [0.0, 0.0]
+        self._report_ns = REPORT_NS
         self._compared = [0.0, 0.0]
         self._rates = [1.0, 1.0]
         self._heartbeat_ms = HEARTBEAT_MS
@@ -74,6 +79,16 @@ class Ugv:
             came, self._came = bytes(self._came), []
             self.take(came)
             self.beat()
+        if self.reports and at_ns >= self._report_ns:
+            self._report(at_ns)
+
+    def _report(self, at_ns: int) -> None:
+        passed_s = (at_ns - self._report_ns + REPORT_NS) / 1e9
+        self._report_ns = at_ns + REPORT_NS
+        wheels = self.wheels
+        self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
+        said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'
+        self.said.append((at_ns, said % (*wheels, *self._odometers)))
 
     def take(self, came: bytes) -> None:
         """Bytes, in one run of the main loop."""
@@ -168,7 +183,14 @@ def _every_state() -> Iterator[Ugv]:
     yield from (Ugv(loop_ns) for loop_ns in (_MS // 2, _MS, 3 * _MS))
 
 
+def _live() -> Ugv:
+    board = Ugv()
+    board.reports = True
+    return board
+
+
 MODEL = Model(
+    live=_live,
     any_state=_any_state,
     every_state=_every_state,
     # Some are JSON by themselves, or become it by the line feed of the stop.

@@ -10,6 +10,7 @@ TOGETHER = (
     "`gate.period_s` <= `gate.refresh_s`",
     "`restart.backoff_s` < `restart.window_s`",
     "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
+    'a `board.kind` of two speeds has `wheels.layout = "differential"` (then the default) and no joints',
     "no two sources have the same priority",
     "no two joints have the same servo; `low` < `high`, and both poses between them",
     "`pad.mode_button` is exactly one bit",

@@ -14,6 +14,7 @@ from failstop import config, stopping
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
+from failstop.board.rrc.board import BOARD
 from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
 from failstop.lab.prove.child import end_with_parent
@@ -173,7 +174,7 @@ class Stand:
             self.service.kill()
         self._kill_rest()
         try:
-            stopping.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
+            stopping.stop(self.device, BOARD, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
             return f"the last stop could not be written: {error}"
         return ""

@@ -11,15 +11,20 @@ import os
 from struct import Struct
 
 from failstop.api.client import attach
-from failstop.board import decoder, framing, servos
-from failstop.board.interface import BOARD
+from failstop.board import servos
+from failstop.board.interface import IMU, PAD, PONG, SERVO
 from failstop.board.port import PortError, open_port
+from failstop.board.rrc.board import BOARD
 from failstop.doctor.stop_path import Tap
 from failstop.lab.prove.shake import Sample
 from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm.cell import RingReader
 from failstop.shm.words import Word
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Value
 
 WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)
 ASK_EVERY_NS = 100_000_000
@@ -44,7 +49,7 @@ class Watch:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._decoder = decoder.Decoder()
+        self._hearing = BOARD.hearing()
         self._received: RingReader | None = None
         self._frames: RingReader | None = None
         self._pings: list[Word] = []
@@ -77,7 +82,7 @@ class Watch:
         self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._writers = {which: views[which].word("written_ns") for which in WRITERS}
         self._last = {which: word.get() for which, word in self._writers.items()}
-        self._decoder.reset()
+        self._hearing.reset()
 
     def take_port(self) -> bool:
         """Read the port itself, once the service has gone; False while it can't be opened."""
@@ -86,7 +91,7 @@ class Watch:
                 fd = open_port(self._device, exclusive=False)
             except PortError:
                 return False
-            self._tap = Tap(fd)
+            self._tap = Tap(fd, BOARD)
             self._asked = {}
             self._ask_ns = 0
             self._received = self._frames = None
@@ -117,8 +122,8 @@ class Watch:
             elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
                 self.moves += moves(entry[1], body[_COMMAND_AT:-1])
         while self._received and (entry := self._received.next()):
-            for func, data in self._decoder.feed(entry[2]):
-                self._take(entry[1], func, data)
+            for kind, said in self._hearing.feed(entry[2]):
+                self._take(entry[1], kind, said)
         if self._tap:
             self._look_at_port(self._tap, now_ns)
 
@@ -129,21 +134,22 @@ class Watch:
                 with contextlib.suppress(BlockingIOError):
                     index, asked_ns = tap.ping()
                     self._asked[index] = asked_ns
-            for t_ns, func, data in tap.read():
-                self._take(t_ns, func, data)
+            for t_ns, kind, said in tap.read():
+                self._take(t_ns, kind, said)
         except OSError:
             self.let_go()
 
-    def _take(self, t_ns: int, func: int, data: bytes) -> None:
-        if func == framing.IMU_FUNC and (imu := decoder.imu(data)):
-            self.samples.append((t_ns, imu[3] * RAD_PER_DEG, imu[4] * RAD_PER_DEG))
-        elif func == framing.GAMEPAD and (pad := decoder.gamepad(data)):
-            if pad[0]:
-                self.buttons.append((t_ns, pad[0]))
-        elif func == framing.BUS_SERVO and (reply := decoder.servo_reply(func, data)):
-            if reply[1] == servos.POSITION and reply[2]:  # 0 is what a late answer makes of the next (docs/arm.md)
-                self.readings.append((t_ns, reply[0], reply[2]))
-        elif (index := BOARD.pong(func, data)) is not None:
-            asked_ns = self._asked.get(index, 0) if self._tap else self._pings[index].get()
+    def _take(self, t_ns: int, kind: int, said: Value) -> None:
+        if kind == IMU:
+            self.samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
+        elif kind == PAD:
+            if said[0]:
+                self.buttons.append((t_ns, said[0]))
+        elif kind == SERVO:
+            servo, what, value = said
+            if what == servos.POSITION and value:  # 0 is what a late answer makes of the next (docs/arm.md)
+                self.readings.append((t_ns, servo, value))
+        elif kind == PONG:
+            asked_ns = self._asked.get(said[0], 0) if self._tap else self._pings[said[0]].get()
             if 0 < asked_ns <= t_ns:
                 self.answers.append((asked_ns, t_ns))

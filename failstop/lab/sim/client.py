@@ -68,7 +68,9 @@ class SimBoard:
         mode: int | None = None,
         cooked: bool = False,
         usb: str = "",
+        board: str = "",
     ) -> None:
+        """`board`: its kind; empty: the first."""
         self.link = os.fspath(link)
         self._control = self.link + SUFFIX
         self._command = [sys.executable, "-m", "failstop.lab.sim", "--until-eof", "--device", self.link]
@@ -78,6 +80,7 @@ class SimBoard:
         self._command += ["--mode", f"{mode:o}"] if mode is not None else []
         self._command += ["--cooked"] if cooked else []
         self._command += ["--usb", usb] if usb else []
+        self._command += ["--board", board] if board else []
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
         # One connection a thread, so that one may wait while another works.

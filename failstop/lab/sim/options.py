@@ -6,6 +6,7 @@ import argparse
 from dataclasses import dataclass
 
 from failstop.lab.sim.usb.port import VHCI
+from failstop.policy.settings import BOARDS
 
 IMU_HZ = 110.0
 BATTERY_MV = 12_000
@@ -24,6 +25,8 @@ class Options:
     first_invalid_func: int = 12
     mode: int | None = None
     cooked: bool = False
+    board: str = BOARDS[0]
+    """Its kind, as the setting board.kind."""
     usb: str = ""
     """Where the plug goes in: `vhci`, or a usbredir host; empty: the port is a pty."""
     verbose: bool = False
@@ -39,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=LINK,
         help="where to place the link to the simulated port (default: %(default)s)",
     )
+    add("--board", choices=BOARDS, default=BOARDS[0], help="its kind (default: %(default)s)")
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(
         "--imu-hz",

@@ -19,6 +19,8 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
+from failstop.board.kinds import KINDS
+from failstop.lab.boards.live import LiveModel
 from failstop.lab.sim import upward
 from failstop.lab.sim.control import SUFFIX, Answer, ControlServer, Wait
 from failstop.lab.sim.model import BoardModel, Frame
@@ -48,13 +50,7 @@ class Simulator:
         self._on_frame = on_frame
         self._ending = False
         self._told = 0
-        self._model = BoardModel(
-            self.start_ns,
-            imu_hz=options.imu_hz,
-            battery_mv=options.battery_mv,
-            seed=options.seed,
-            first_invalid=options.first_invalid_func,
-        )
+        self._model = _model(options, self.start_ns)
         self._requests: dict[str, Callable[[Answer], Answer | Wait]] = {
             "info": self._info,
             "events": self._wait,
@@ -299,6 +295,18 @@ class Simulator:
         else:
             return False
         return True
+
+
+def _model(options: Options, start_ns: int) -> BoardModel:
+    if options.board in KINDS:
+        return LiveModel(options.board, start_ns, options.seed)
+    return BoardModel(
+        start_ns,
+        imu_hz=options.imu_hz,
+        battery_mv=options.battery_mv,
+        seed=options.seed,
+        first_invalid=options.first_invalid_func,
+    )
 
 
 def _flag(request: Answer, name: str) -> bool:

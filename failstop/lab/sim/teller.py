@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.board.framing import AUX_FUNCS, MOTOR
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.model import Frame, Speeds, commands_stop
 
 LINE_EVERY_S = 1.0

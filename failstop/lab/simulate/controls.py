@@ -75,8 +75,8 @@ CONTROLS = (
         "one stop frame for a burst",
         "drive_and_stop",
         (
-            (STOP_PORT, "self._stop = BOARD.burst_with(servos)", "self._stop = BOARD.stop"),
-            (STOP_PORT, "return self._write(BOARD.first_stop)", "return self._write(BOARD.stop)"),
+            (STOP_PORT, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
+            (STOP_PORT, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
         ),
         "short write, while somebody asks for a stop",
     ),
@@ -141,7 +141,7 @@ CONTROLS = (
         "stays down, and no burst at the return",
         "port_owner_stays_down",
         (
-            (HANDOVER, "written = StopPort(fd).burst()", "written = True"),
+            (HANDOVER, "written = StopPort(fd, self._board).burst()", "written = True"),
             (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
             (STOPPER, "            else:\n                self._write()\n\n", "\n"),
         ),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from failstop.board.framing import MOTOR
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.port import Port
 from failstop.lab.simulate.faults import line_of

@@ -9,7 +9,7 @@ one does.
 from __future__ import annotations
 
 from failstop.board.framing import MOTOR
-from failstop.board.interface import BOARD
+from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.robot import MS, Robot

@@ -8,7 +8,6 @@ moves again.
 
 from __future__ import annotations
 
-from failstop.board.interface import BOARD
 from failstop.board.servos import HIGHEST_POSITION
 from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
@@ -17,6 +16,10 @@ from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
 from failstop.procs.gate.arm.space import Space
 from failstop.procs.gate.arm.stream import Stream
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
@@ -35,7 +38,8 @@ FIND_NS = 4_000_000_000
 class ArmCore:
     """The arm as the gate knows it: its joints, the goal that it follows, the next question to the servos."""
 
-    def __init__(self, settings: Settings, now_ns: int) -> None:
+    def __init__(self, settings: Settings, board: Board, now_ns: int) -> None:
+        self._board = board
         self.joints = from_settings(settings)
         self._timeout_ns = settings.ns("arm.goal_timeout_s")
         self._pose_speed = settings["arm.pose_speed"]
@@ -43,7 +47,7 @@ class ArmCore:
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = Reader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
-        self._stream = Stream(settings, self._space)
+        self._stream = Stream(settings, board, self._space)
         self._journey: Journey | None = None
         self._goal: Goal | None = None
         """The newest of a stream."""
@@ -207,7 +211,7 @@ class ArmCore:
             return self._move(followed, now_ns, hold)
         wanted = wanted or [joint for joint in self.joints if not joint.known]
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
-        return BOARD.servo_read(question[0].servo, question[1]) if question else b"", hold
+        return self._board.servo_read(question[0].servo, question[1]) if question else b"", hold
 
     def _unknown(self, joints: list[Joint]) -> list[Joint]:
         """The joints whose position must be read before these may move."""
@@ -305,13 +309,13 @@ class ArmCore:
         joint = next(joint for joint in joints if not joint.loaded)
         joint.loaded = True
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return BOARD.servo_torque(joint.servo, True)
+        return self._board.servo_torque(joint.servo, True)
 
     def _let_go(self, now_ns: int) -> bytes:
         if now_ns < self._torque_ns:
             return b""
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return BOARD.servo_torque(self.letting_go.pop(0).servo, False)
+        return self._board.servo_torque(self.letting_go.pop(0).servo, False)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""

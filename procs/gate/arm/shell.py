@@ -53,7 +53,7 @@ class Arm:
     def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
         """`requests`: where they are answered; `notes`: where news for people is put."""
         settings = context.settings
-        self.core = ArmCore(settings, now_ns)
+        self.core = ArmCore(settings, context.board, now_ns)
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0

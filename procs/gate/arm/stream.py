@@ -5,13 +5,16 @@ A frame holds a few servos' moves, and the frames of one period are spread over 
 
 from __future__ import annotations
 
-from failstop.board.interface import BOARD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
 from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.space import Space
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
@@ -21,7 +24,8 @@ MOVES_NS = LONGEST_MOVE_MS * 1_000_000
 class Stream:
     """Joints on their way, and when each is to be sent its next move."""
 
-    def __init__(self, settings: Settings, space: Space) -> None:
+    def __init__(self, settings: Settings, board: Board, space: Space) -> None:
+        self._board = board
         self._period_ns = settings.ns("arm.period_s")
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
@@ -84,7 +88,7 @@ class Stream:
         if isinstance(followed, Goal):
             self._blocked[group[0]] = hit
         moves = [(joint.servo, round(joint.position)) for joint in group]
-        return BOARD.servo_move(moves, self._move_ms), hit
+        return self._board.servo_move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Journey, now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""

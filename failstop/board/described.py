@@ -1,0 +1,130 @@
+"""Described: a board of two speeds that a Wire describes, as failstop drives it: without an arm, a gamepad or keys."""
+
+from __future__ import annotations
+
+from math import pi
+
+from failstop.board.framing import FrameError, number
+from failstop.board.interface import BATTERY, IMU, OBEYED, PONG, WHEELS, Board, Hearing
+from failstop.board.wire import Battery, Imu, Obeyed, Sample, Wheels
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from failstop.board.interface import Said
+    from failstop.board.wire import Wire
+
+_LEFT, _RIGHT = 0, 2
+"""Wire ids of the wheels whose speeds it takes."""
+_ROUNDING = 1.0 + 2.0**-40
+_GRAVITY = 9.80665
+_NO_ARM = "this board has no servos"
+
+
+class Samples(Hearing):
+    """The samples of its reader."""
+
+    __slots__ = ("_reader", "_wire")
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+        self._reader = wire.reader()
+
+    def feed(self, chunk: bytes) -> list[Said]:
+        """All that the samples say that these bytes complete, and which pings they answer."""
+        found: list[Said] = []
+        for sample in self._reader.feed(chunk):
+            found += _said(sample)
+            found += [
+                (PONG, (index,)) for index, question in enumerate(self._wire.questions) if question.answered_by(sample)
+            ]
+        return found
+
+    def reset(self) -> None:
+        """Begin with a new reader."""
+        self._reader = self._wire.reader()
+
+
+def _said(sample: Sample) -> list[Said]:
+    if isinstance(sample, Wheels):
+        return [(WHEELS, (sample.speeds, sample.positions))]
+    if isinstance(sample, Obeyed):
+        return [(OBEYED, sample.speeds)]
+    if isinstance(sample, Battery):
+        return [(BATTERY, (round(sample.volts * 1000),))]
+    if isinstance(sample, Imu):
+        accel = (value / _GRAVITY for value in sample.accel)
+        return [(IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]
+    return []
+
+
+class Described(Board):
+    """Left and right, in the unit of the wire's motion."""
+
+    __slots__ = (
+        "_motion", "_per_rps", "_wire", "burst", "echo_ns", "first_stop", "idle_ns", "most_rps", "ping_ns", "pings",
+        "port", "refresh", "repeats_ns", "stop",
+    )  # fmt: skip
+
+    def __init__(self, wire: Wire, per_rps: float) -> None:
+        """`per_rps`: a speed of one turn a second, in its unit."""
+        (write,) = wire.stop.writes
+        self._wire, self._motion, self._per_rps = wire, wire.motion, per_rps
+        self.port = wire.port
+        self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
+        self.repeats_ns = tuple(row[1:] for row in wire.stop.repeats_ns)
+        self.stop = wire.motion.rest
+        self.burst = self.first_stop = self.refresh = write.data
+        self.pings = tuple(question.ask for question in wire.questions)
+        self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
+        self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
+
+    def burst_with(self, servos: Sequence[int]) -> bytes:
+        """The stop: it has no servos."""
+        return self.burst
+
+    def hearing(self) -> Hearing:
+        """Its reader's samples."""
+        return Samples(self._wire)
+
+    def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
+        """The frame for the left and the right wheel."""
+        limit = self._limit(max_rps)
+        both = (number("speed of a wheel", rps[id_], -max_rps, max_rps, "rps") for id_ in (_LEFT, _RIGHT))
+        return self._motion.frame(tuple(max(-limit, min(speed * self._per_rps, limit)) for speed in both), limit)
+
+    def check_motion(self, frame: bytes, max_rps: float) -> str:
+        """The wire's check, with the limit in its unit."""
+        return self._motion.check(frame, self._limit(max_rps))
+
+    def _limit(self, max_rps: float) -> float:
+        return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)
+
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """It has none."""
+        return b""
+
+    def check_aux(self, frame: bytes) -> str:
+        """It is sent nothing but motion, stops and its questions."""
+        return "this board takes nothing but motion"
+
+    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """Raises FrameError."""
+        raise FrameError(_NO_ARM)
+
+    def servo_read(self, servo: int, what: int) -> bytes:
+        """Raises FrameError."""
+        raise FrameError(_NO_ARM)
+
+    def servo_torque(self, servo: int, on: bool) -> bytes:
+        """Raises FrameError."""
+        raise FrameError(_NO_ARM)
+
+    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """None may be written."""
+        return _NO_ARM
+
+    def servo_ns(self, frame: bytes) -> int:
+        """No frame holds it."""
+        return 0

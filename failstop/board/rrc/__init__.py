@@ -1,0 +1,1 @@
+"""RRC: the STM32 controller of Hiwonder's ROSOrin family."""

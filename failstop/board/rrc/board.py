@@ -1,0 +1,153 @@
+"""The RRC as a board: its four wheels, its arm, its gamepad and its keys. Its frames are in codec.py, servos.py and
+decoder.py of the board room, its burst is in burst.py."""
+
+from __future__ import annotations
+
+from failstop.board import codec, decoder, framing
+from failstop.board import servos as bus
+from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
+from failstop.board.interface import BATTERY, IMU, KEY, PAD, PONG, SERVO, Board, Hearing
+from failstop.board.port import USUAL
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+
+    from failstop.board.interface import Said, Value
+
+_REPEATS_NS = (20_000_000, 100_000_000)
+
+
+def _imu(data: bytes) -> Value | None:
+    return decoder.imu(data)
+
+
+def _battery(data: bytes) -> Value | None:
+    millivolts = decoder.battery_mv(data)
+    return (millivolts,) if millivolts else None
+
+
+def _pad(data: bytes) -> Value | None:
+    sample = decoder.gamepad(data)
+    return (*sample, data) if sample else None
+
+
+def _servo(data: bytes) -> Value | None:
+    return decoder.servo_reply(framing.BUS_SERVO, data)
+
+
+def _pong(data: bytes) -> Value | None:
+    index = decoder.pong(framing.PWM_SERVO, data)
+    return None if index is None else (index,)
+
+
+_SAID: dict[int, tuple[int, Callable[[bytes], Value | None]]] = {
+    framing.IMU_FUNC: (IMU, _imu),
+    framing.SYS: (BATTERY, _battery),
+    framing.GAMEPAD: (PAD, _pad),
+    framing.KEY_FUNC: (KEY, decoder.key),
+    framing.BUS_SERVO: (SERVO, _servo),
+    framing.PWM_SERVO: (PONG, _pong),
+}
+"""The kind of each function's frames, and what they say; None: nothing that makes sense.
+
+The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the same
+answer, which counts as well: it proves no less that the board hears. But it may answer a question from before the ping,
+by the time that a question takes on the wire (0.1 ms), and it takes the place of the answer before it if the supervisor
+has not seen that yet.
+"""
+
+
+class Frames(Hearing):
+    """Its frames, decoded."""
+
+    __slots__ = ("_decoder",)
+
+    def __init__(self) -> None:
+        self._decoder = decoder.Decoder()
+
+    def feed(self, chunk: bytes) -> list[Said]:
+        """All that the frames say that these bytes complete."""
+        found: list[Said] = []
+        for func, data in self._decoder.feed(chunk):
+            if known := _SAID.get(func):
+                kind, said = known
+                if (value := said(data)) is not None:
+                    found.append((kind, value))
+        return found
+
+    def reset(self) -> None:
+        """Forget half a frame."""
+        self._decoder.reset()
+
+
+class Rrc(Board):
+    """Constants and functions of the other modules."""
+
+    __slots__ = ()
+
+    port = USUAL
+    idle_ns = 0
+    repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
+    """Its receiver takes glued stops, so writers may have the same times. A supervisor's stop is not repeated: the
+    stopper's is."""
+    stop = codec.STOP
+    burst = BURST
+    first_stop = BURST[:FIRST_STOP_END]
+    refresh = codec.STOP
+    pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
+    ping_ns = 0
+    echo_ns = 0
+    most_rps = codec.RPS_CEILING
+
+    def burst_with(self, servos: Sequence[int]) -> bytes:
+        """The burst and the servos' stops."""
+        return burst_with(servos)
+
+    def hearing(self) -> Hearing:
+        """Its frames."""
+        return Frames()
+
+    def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
+        """The frame for four wheels."""
+        return codec.motor_speeds(rps, max_rps)
+
+    def check_motion(self, frame: bytes, max_rps: float) -> str:
+        """The frame for four wheels, and nothing else."""
+        return codec.check_motion(frame, max_rps)
+
+    def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+        """The buzzer's frame."""
+        return codec.buzzer(freq_hz, on_ms, off_ms, repeat)
+
+    def check_aux(self, frame: bytes) -> str:
+        """The buzzer's frame, and nothing else."""
+        return codec.check_aux(frame)
+
+    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """Bus servos move."""
+        return bus.bus_servo_move(positions, duration_ms, longest_ms or bus.LONGEST_MOVE_MS)
+
+    def servo_read(self, servo: int, what: int) -> bytes:
+        """A bus servo is asked."""
+        return bus.bus_servo_read(servo, what)
+
+    def servo_torque(self, servo: int, on: bool) -> bytes:
+        """A bus servo's torque."""
+        return bus.bus_servo_torque(servo, on)
+
+    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """A bus servo's frame, as the encoders make it."""
+        return bus.check_bus(frame, servos, longest_ms)
+
+    def servo_ns(self, frame: bytes) -> int:
+        """The time of a bus servo's frame."""
+        return bus.frame_ns(frame)
+
+
+BOARD = Rrc()
+
+
+def board(_diameter_m: float, _per_rps: float) -> Board:
+    """Its speeds are turns a second already."""
+    return BOARD

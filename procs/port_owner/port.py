@@ -1,0 +1,110 @@
+"""The open port, beside what is written to it on the way of a stop: what the board sends, its loss, the next one, and
+what a board that has just been opened is told.
+
+A board that opening resets is deaf for some time. The port counts as open when it hears, and what it is to be told then
+is written: nobody may enable motion before.
+"""
+
+from __future__ import annotations
+
+from failstop.messages import records
+from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.context import Context
+    from failstop.procs.loop import Loop
+    from failstop.procs.port_owner.wire import Wire
+
+RECEIVED_CHUNK = 512
+
+
+class OpenPort:
+    """Its number, and what others are told of it."""
+
+    def __init__(self, context: Context, loop: Loop, wire: Wire, now_ns: int) -> None:
+        own = context.own
+        self._loop, self._wire = loop, wire
+        self.number, self._path = context.port_number, context.settings.text("device.path")
+        self._opening = context.board.port.opening
+        self._deaf_ns = context.board.port.deaf_ns
+        self._record = own.latest_writer("port")
+        self._received = own.ring_writer("received")
+        self._supervisor_bell = context.bell("supervisor_bell")
+        self._telemetry_bell = context.bell("telemetry_bell")
+        self._watched = (-1, 0)
+        self.bytes_alone: dict[int, int] | None = None
+        """The news of a wake-up at which the board has sent something, and nothing else has happened."""
+        self._hears = loop.timer()
+        told = records.port_state(own.latest_reader("port").read(), self.number)
+        self.hears_ns = now_ns if told == records.PORT_OPEN else now_ns + self._deaf_ns
+        """When the board hears. A port that the process before this one has used was not opened again."""
+        self._tell = told != records.PORT_OPEN
+
+    def begin(self, now_ns: int) -> None:
+        """The first burst is written."""
+        if self._wire.lost or self.hears_ns <= now_ns:
+            self._hear(now_ns)
+        else:
+            self._hears.set(self.hears_ns)
+
+    def _hear(self, now_ns: int) -> None:
+        self._hears.set(NEVER)
+        if self._tell and not self._wire.lost:
+            for frame in self._opening:
+                self._wire.frame(frame, len(frame) * len(self._opening))
+        self._tell = False
+        self.publish(now_ns)
+
+    def follow(self, now_ns: int) -> None:
+        """Once a turn: tell a board that hears now what it is to be told."""
+        if self._hears.due(now_ns):
+            self._hear(now_ns)
+
+    def publish(self, now_ns: int) -> None:
+        """Tell the others of its state."""
+        state = records.PORT_LOST if self._wire.lost else records.PORT_OPEN
+        self._record.write(records.PORT.pack(self.number, now_ns, state, self._path))
+        self._supervisor_bell.ring()
+
+    def adopt(self, sent: tuple[int, int, str], now_ns: int) -> None:
+        """Take another, on which the supervisor has stopped; its first bytes are a burst."""
+        fd, self.number, self._path = sent
+        self._wire.adopt(fd)
+        self._tell = True
+        self.hears_ns = now_ns + self._deaf_ns
+
+    def serve(self, ready: dict[int, int]) -> None:
+        """Pass on what the board sent, finish what the kernel did not take, notice that it is gone."""
+        wire = self._wire
+        found = ready.get(wire.fd, 0)
+        if found & WRITE:
+            wire.flush()
+        if found & READ and (data := wire.read()):
+            for at in range(0, len(data), RECEIVED_CHUNK):
+                self._received.put(data[at : at + RECEIVED_CHUNK])
+            self._telemetry_bell.ring()
+        if found & GONE:
+            wire.lost = True
+
+    def watch(self) -> None:
+        """Watch for what the board sends, and for room while the kernel has not taken everything.
+
+        Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
+        process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
+        board, on a busy machine for as long as others run, deaf to stops.
+        """
+        fd = self._wire.fd
+        wanted = (fd, READ | WRITE if self._wire.unsent else READ | EDGE)
+        if fd >= 0 and wanted != self._watched:
+            self._loop.watch(*wanted)
+            self.bytes_alone = None if self._wire.unsent else {fd: READ}
+        self._watched = wanted
+
+    def lose(self) -> None:
+        """Let it go."""
+        if self._watched[0] == self._wire.fd:
+            self._loop.forget(self._wire.fd)
+        self._watched, self.bytes_alone = (-1, 0), None
+        self._hears.set(NEVER)
+        self._wire.close()

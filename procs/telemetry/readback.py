@@ -1,0 +1,47 @@
+"""Read-back: whether the wheels stand, by what the board itself reports of them. Pure.
+
+They stand when two reports after each other say so: their speeds are zero, or their odometers are where they were.
+For a board without an IMU, and better than an IMU.
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+AT_REST = 1e-6
+"""A speed below this is none, in whatever unit."""
+APART_NS = 40_000_000
+"""Two odometer readings closer than this say little of a slow wheel."""
+
+
+class ReadBack:
+    """`still_ns`: since when the wheels stand (0: they turn); `judged_ns`: the last report (0: none yet)."""
+
+    def __init__(self) -> None:
+        self.still_ns = self.judged_ns = 0
+        self._before: tuple[int, tuple[float, ...]] | None = None
+
+    def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
+        """Take a report; True when it was judged."""
+        rests = self._rests(speeds, positions, t_ns)
+        if rests is None:
+            return False
+        self.judged_ns = t_ns
+        self.still_ns = (self.still_ns or t_ns) if rests else 0
+        return True
+
+    def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
+        """Whether it says that they stand; None: nothing yet."""
+        if any(abs(speed) > AT_REST for speed in speeds):
+            self._before = (t_ns, positions)
+            return False
+        if not positions:
+            return True if speeds else None
+        before = self._before
+        if before is None or t_ns - before[0] < APART_NS:
+            self._before = before or (t_ns, positions)
+            return None
+        self._before = (t_ns, positions)
+        return before[1] == positions

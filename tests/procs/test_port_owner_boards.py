@@ -1,0 +1,123 @@
+"""The port owner on boards that need silence on the line, that are deaf when they were opened, or that lose two stops
+which touch."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from failstop.board.interface import PORT_OWNER
+from failstop.messages import layout, records
+from tests.support.port_scene import TICK, Scene
+from tests.support.stage import MS
+
+MAX_RPS = 2.0
+
+
+def made(kind: str, **given: Any) -> Scene:
+    changed: dict[str, Any] = {"board.kind": kind, **given}
+    return Scene(**changed)
+
+
+def motion(scene: Scene) -> bytes:
+    return bytes(scene.board.motor_speeds((0.5, 0.5, 0.5, 0.5), MAX_RPS))
+
+
+def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
+    """When it writes what, from now on."""
+    begun_ns, found = scene.clock(), []
+    while (left_ns := begun_ns + for_ns - scene.clock()) > 0:
+        if data := scene.turn(min(left_ns, max(0, scene.next_ns() - scene.clock()))):
+            found.append((scene.clock() - begun_ns, data))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "ugv"])
+def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: str) -> None:
+    scene = made(kind)
+    scene.turn()
+    scene.turn(6000 * MS)
+    scene.turn()
+    scene.raise_epoch(2)
+    assert scene.turn().startswith(scene.board.burst)
+    again = [at_ns for at_ns, data in writes(scene, 150 * MS) if scene.board.burst in data]
+    assert again == list(scene.board.repeats_ns[PORT_OWNER])
+
+
+def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    assert scene.turn() == scene.board.burst
+    scene.put(motion(scene), epoch=2)
+    assert scene.turn() == b"", "the stop is still on the line"
+    silent_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
+    assert writes(scene, 2 * MS) == [(silent_ns, motion(scene))]
+
+
+def test_a_stop_ends_motion_that_waits() -> None:
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    scene.turn()
+    scene.put(motion(scene), epoch=2)
+    scene.turn()
+    scene.ask_to_stop(b"\n")
+    assert scene.board.burst in scene.turn()
+    assert not any(motion(scene) in data for _, data in writes(scene, 200 * MS))
+
+
+def test_a_stop_that_a_thread_has_written_is_not_written_again_at_once() -> None:
+    """Without a gap between them both would be lost."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.gate.kill()
+    scene.early.tell(scene.gate.pid)
+    assert scene.turn() == scene.board.burst
+
+
+def test_the_port_counts_as_open_when_the_board_hears_and_has_been_told() -> None:
+    scene = made("ugv")
+    scene.turn()
+    assert scene.port_record.read() is None
+    assert not scene.asked, "nobody would answer"
+    deaf_ns = scene.board.port.deaf_ns
+    found = writes(scene, deaf_ns + TICK)
+    assert scene.port_state() == records.PORT_OPEN
+    when = [at_ns for at_ns, data in found if scene.board.port.opening[1] in data]
+    assert len(when) == 1
+    assert deaf_ns - TICK <= when[0] <= deaf_ns
+    scene.turn(TICK)
+    assert scene.asked
+
+
+def test_a_successor_does_not_tell_it_again() -> None:
+    """The port was not opened again, and somebody may be driving soon."""
+
+    def was_open(scene: Scene) -> None:
+        record = scene.views[layout.PORT_OWNER].latest_writer("port")
+        record.write(records.PORT.pack(1, scene.clock(), records.PORT_OPEN, scene.wire.link))
+
+    scene = made("ugv", before=was_open)
+    wrote = scene.turn() + b"".join(data for _, data in writes(scene, 6000 * MS))
+    assert scene.board.port.opening[1] not in wrote
+
+
+def test_repeats_that_are_late_do_not_touch() -> None:
+    """A port owner that was held up has several to write."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    scene.turn()
+    late = [scene.turn(50 * MS), *(data for _, data in writes(scene, 10 * MS))]
+    assert [data for data in late if data] == [scene.board.burst] * 3
+    scene.raise_epoch(3)
+    begun_ns = scene.clock()
+    scene.turn()
+    scene.clock.now_ns += 50 * MS
+    times = [begun_ns + 50 * MS + at_ns for at_ns, _ in writes(scene, 10 * MS)]
+    apart_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
+    assert len(times) == 3
+    assert all(after - before >= apart_ns for before, after in pairwise(times))
