@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import msgpack
 
 from failstop.data import Data
 from failstop.messages.layout import NOTE_BYTES
 from failstop.messages.records import cut
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 Value = str | int | float
 Fields = dict[str, Value]

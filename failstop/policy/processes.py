@@ -24,7 +24,6 @@ class Process(Data):
 
     @property
     def module(self) -> str:
-        """Its program."""
         return f"failstop.procs.{self.name}.main"
 
 
