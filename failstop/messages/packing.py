@@ -45,9 +45,9 @@ def fitting(
 
 
 class Note(Data):
-    """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
-    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its
-    step; 0: it names none), fields."""
+    """A note for people, on its way from gate or telemetry to the supervisor's events. A msgpack list: kind
+    (supervisor/kinds.py), level (empty: the kind's own), text, characters of it before its step (0: it has none),
+    fields."""
 
     kind: str
     text: str

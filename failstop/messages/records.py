@@ -273,9 +273,8 @@ SEEN: Payload[int, int] = Payload("<QQ")
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is;
-FOR_THE_LATCH, FOR_AN_INTERLOCK or 0: refused for something else, or not at all; the text; where that says CAUSE, this
-cause is meant, packed."""
+"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK or 0
+(refused for something else, or not at all); the text; the cause, packed, that is meant where it says CAUSE."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )

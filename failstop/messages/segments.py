@@ -182,9 +182,8 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
-    and each record carries the incarnation in its CRC. One whose name was taken away, which the supervisor tells of, is
-    out of use: nothing is ever in it."""
+    """A client's segment as the service reads it, by records that carry the incarnation in their CRC: clients may have
+    scribbled over its header. One whose name was taken away is out of use: nothing is ever in it."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)

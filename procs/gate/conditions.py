@@ -81,9 +81,8 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are there, where motion needs one (setting attend.required): who was there last, and when, by
-    the session that says so. An operator's device proves again and again that it was there at some moment; what counts
-    is that moment, and not when the proof came."""
+    """The operators who are there, where motion needs one (attend.required), by the session that says so. What counts
+    is the moment at which an operator's device proves to have been there, not when the proof came."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
