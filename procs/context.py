@@ -8,6 +8,7 @@ It travels in the command line, where `ps` shows it, and for the settings in one
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from time import monotonic_ns
 
 from failstop.board.kinds import board_of
@@ -20,10 +21,6 @@ from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, STOPPING, Heartbeat
 from failstop.shm.lifeline import EarlyNews
 from failstop.shm.segment import Segment
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class Context:
@@ -70,20 +67,10 @@ class Context:
         return self._fds[key]
 
     def bell(self, key: str) -> EventBell:
-        """An inherited bell."""
         return EventBell(self._fds[key])
 
     def segment(self, name: str) -> Segment:
-        """Another process's segment, read-only."""
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Every client's segment, as the service reads it; one that is gone is out of use."""
-        return [self._client_slot(index) for index in range(layout.CLIENT_SLOTS)]
-
-    def _client_slot(self, index: int) -> Segment:
-        try:
-            return segments.read_client_slot(self.memory, index, self.incarnation)
-        except segments.AttachError:
-            # Its name was taken away, which the supervisor tells of: no reason to be without a gate.
-            return segments.no_client_slot(index, self.incarnation)
+        return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

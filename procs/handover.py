@@ -29,7 +29,7 @@ class Control:
             return
 
     def receive(self) -> tuple[int, int, str] | None:
-        """Return (descriptor, number, path) of a port that was sent; None when none waits, it was lost, or the peer is
+        """Return (descriptor, number, path) of a port that was sent; None: none waits, it was lost, the peer is
         gone."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
@@ -43,7 +43,6 @@ class Control:
         return None
 
     def close(self) -> None:
-        """Close this end."""
         self._socket.close()
 
 

@@ -8,37 +8,24 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from failstop.shm import futex
 from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-_PR_SET_PDEATHSIG = 1
-_PR_SET_NAME = 15
+_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _SIGKILL = 9
-_MCL_CURRENT = 1
-_MCL_FUTURE = 2
-_MCL_ONFAULT = 4
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""Processor time at real-time priority without a pause after which the kernel ends this process. Who loops there takes
-the core from all of lower priority, with the last core from those who are to stop for it: all processes on one core and
-a loop in the port owner, there was no stop within 4 s."""
-NO_DUMP = 1
-"""Bytes, in which no dump fits: while one is made the dying still hold what tells of their death. 0 would not do, since
-it is not heeded where a program takes the dumps (core(5)). SIGSEGV to stop frame, p50 of 5, such a program in
-core_pattern: 30 to 37 ms, without the dump 0.5 to 1.5."""
+"""Processor time at real-time priority without a pause after which the kernel ends this process: a loop there takes the
+core from all of lower priority, with the last core from those who are to stop for it."""
 
 DESCRIPTORS = 64
 """Descriptors that the supervisor has open at most: 47 with every process, segment and bell, 5 of a dead run's, 2 for
 each of 4 savers, and those that a look at a file takes."""
 STACK_BYTES = 256 * 1024
-"""Room for the stack of each process. With 48 KB a process of the service was ended by SIGSEGV, with 64 KB all of them
-ran; this leaves a factor of four."""
+"""Room for the stack of each process: four times that with which all of them ran."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -78,14 +65,14 @@ def take_rights(priority: int) -> int:
 
     What this process starts begins without real-time rights, so that a restart's imports disturb nobody's tick.
 
-    A process that crashes leaves no dump (NO_DUMP). That one ends which loops (LOOP_US) begins with settle(): a start
+    A process that crashes leaves no dump. That one ends which loops (LOOP_US) begins with settle(): a start
     takes longer than any turn.
 
     Memory is locked as it is touched (MCL_ONFAULT): locking all of it doubles the resident size, and with it the time
     that the kernel needs to report this process's death.
     """
     granted = 0
-    leave_no_dump()
+    futex.leave_no_dump()
     _limit(resource.RLIMIT_RTTIME, None)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -97,11 +84,6 @@ def take_rights(priority: int) -> int:
     if futex.proven():
         granted |= EARLY_NEWS
     return granted
-
-
-def leave_no_dump() -> None:
-    """For whoever others stop the wheels for."""
-    _limit(resource.RLIMIT_CORE, NO_DUMP)
 
 
 def settle() -> None:

@@ -25,7 +25,6 @@ class EventBell:
 
     @classmethod
     def create(cls) -> EventBell:
-        """A new bell, closed on exec unless passed on."""
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
@@ -75,7 +74,7 @@ def open_pipe(path: str) -> int:
 
 
 def open_pipe_to_write(path: str) -> int:
-    """A client's end. Raises FileNotFoundError or OSError(ENXIO) when no service has it open, PermissionError,
+    """A client's end. Raises FileNotFoundError or OSError(ENXIO) without a service, PermissionError,
     place.Untrusted."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 

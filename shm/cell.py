@@ -5,7 +5,7 @@
 The CRC covers all that follows it and is seeded with the record's name and the run's incarnation, so bytes of another
 record, or of a dead run, never pass as this one's.
 
-Writing: (1) build the whole cell privately, (2) store it with ONE slice assignment.
+Writing: (1) build the whole cell privately, (2) a barrier, (3) store it with ONE slice assignment.
 Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing but that copy.
 
 Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader or a death in mid-write leaves,
@@ -113,16 +113,9 @@ class _Cells:
         at = self._at + seq % self._cells * self._size
         return slice(at, at + self._size)
 
-    def _store(self, seq: int, payload: bytes, t_ns: int | None, barrier: Barrier | None = None) -> None:
-        data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
-        at = self._at + seq % self._cells * self._size
-        if barrier is not None:
-            barrier()
-        self._view[at : at + len(data)] = data
-
     def _last(self) -> int:
         """The number of the newest whole entry; 0: there is none. Where nothing was ever written, as in every ring at
-        the start of a run, one look is enough: cell by cell it is 20 ms of a start."""
+        the start of a run, one look is enough: cell by cell it takes long."""
         raw = self._view[self._at : self._at + self._cells * self._size]
         return 0 if raw.count(0) == len(raw) else max(self._whole(), default=0)
 
@@ -166,32 +159,9 @@ class LatestReader(_Cells):
         return max(filter(None, found), default=None)
 
 
-class LatestWriter(_Cells):
-    """The record's one writer; continues the sequence that a writer before it left. One that dies in mid-write leaves
-    the value before it readable in the other cell."""
-
-    __slots__ = ("_seq",)
-
-    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
-        super().__init__(view, offset, capacity, 2, crc_seed)
-        found = LatestReader(view, offset, capacity, crc_seed).read()
-        self._seq = found[0] if found else 0
-
-    def write(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Publish a value; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
-        self._store(self._seq + 1, payload, t_ns)
-        self._seq += 1
-        return self._seq
-
-
-class RingWriter(_Cells):
-    """The one writer of a ring: entries in order, for any number of readers. There is no shared head or tail, no reader
-    state in shared memory and no lock: entry `n` lives in cell `n % cells`.
-
-    Writing entry n: (1) build the cell with seq n privately, (2) a barrier, (3) one slice assignment: whoever sees an
-    entry sees what its writer stored before it, and the entries before it among that. A writer that takes over from a
-    dead one goes on after the newest whole entry; a cell torn by the death is overwritten.
-    """
+class _Writer(_Cells):
+    """The one writer of a record. One that takes over from a dead one goes on after the newest whole entry: a cell that
+    was torn by the death is overwritten, and the entry before it stays readable."""
 
     __slots__ = ("_barrier", "seq")
 
@@ -202,10 +172,36 @@ class RingWriter(_Cells):
         """Of the newest entry; 0: there is none."""
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Append an entry; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
-        self._store(self.seq + 1, payload, t_ns, self._barrier)
-        self.seq += 1
-        return self.seq
+        """Publish an entry; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
+        seq = self.seq + 1
+        data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
+        at = self._slice(seq).start
+        self._barrier()
+        self._view[at : at + len(data)] = data
+        self.seq = seq
+        return seq
+
+
+class LatestWriter(_Writer):
+    """Publishes values of which the newest counts."""
+
+    __slots__ = ()
+
+    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
+        super().__init__(view, offset, capacity, 2, crc_seed)
+
+    write = _Writer.put
+
+
+class RingWriter(_Writer):
+    """Appends entries in order, for any number of readers. There is no shared head or tail, no reader state in shared
+    memory and no lock: entry `n` lives in cell `n % cells`.
+
+    Writing entry n: (1) build the cell with seq n privately, (2) a barrier, (3) one slice assignment: whoever sees an
+    entry sees what its writer stored before it, and the entries before it among that.
+    """
+
+    __slots__ = ()
 
 
 class RingReader(_Cells):
@@ -253,7 +249,7 @@ class RingReader(_Cells):
                 return None
             if entry[0] > self._next:
                 # In a ring at rest this takes fewer steps than there are cells. A writer at full speed overwrites the
-                # oldest entry again and again (400 steps for one entry, measured): then go on closer to the newest.
+                # oldest entry again and again: then go on closer to the newest.
                 self._resume(entry[0] - (self._cells - 1 >> max(0, laps - self._cells)))
                 laps += 1
             if entry[0] == self._next:

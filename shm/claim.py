@@ -41,8 +41,7 @@ def drop(fd: int, index: int) -> None:
 
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
-    """True when somebody else holds byte `index`; `by_writer`: somebody who may write the file, as every claim takes.
-    A read-only descriptor will do."""
+    """True when somebody else holds it; `by_writer`: who may write the file. A read-only descriptor will do."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -13,11 +13,14 @@ Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), f
 from __future__ import annotations
 
 import _thread
+import contextlib
 import ctypes
 import errno
 import mmap
 import os
+import resource
 import struct
+from collections.abc import Callable
 from time import monotonic_ns, sleep
 
 from failstop.shm.words import LINE_BYTES
@@ -33,12 +36,10 @@ _WAIT, _WAKE = 0, 1
 _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.uname().machine, (-1, -1))
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
+NO_DUMP = 1
+"""Bytes, in which no dump fits. 0 is not heeded where a program takes the dumps (core(5))."""
 _LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: the first entry, from an entry to its word, one in the making
 _POINTER = struct.Struct("<Q")
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.mmap.restype = ctypes.c_void_p
@@ -55,8 +56,8 @@ class Futex:
     __slots__ = ("_address", "_fd", "_offset", "_owned", "_page")
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-        """Lines that belong together are in one page. The descriptor stays the caller's, and open as long as somebody
-        waits. Raises OSError."""
+        """Lines that belong together are in one page. Whoever waits needs the caller's descriptor open. Raises
+        OSError."""
         self._fd = fd
         self._owned = False
         self._offset = offset
@@ -145,6 +146,13 @@ _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 def let_go() -> None:
     """The death of the calling thread is told nowhere from here on."""
     _set_robust_list(_NOTHING)
+
+
+def leave_no_dump() -> None:
+    """Allow this process no dump when it crashes: the dying hold what tells of their death until one is made."""
+    _, hard = resource.getrlimit(resource.RLIMIT_CORE)
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_CORE, (min(hard, NO_DUMP) if hard >= 0 else NO_DUMP, hard))
 
 
 def proven() -> bool:

@@ -6,15 +6,11 @@ from time import process_time_ns
 
 from failstop.shm.segment import Segment
 
-STARTING = 1
-RUNNING = 2
-STOPPING = 3
+STARTING, RUNNING, STOPPING = range(1, 4)
 STATES = {0: "absent", STARTING: "starting", RUNNING: "running", STOPPING: "stopping"}
 
-REALTIME = 1
-MEMORY_LOCKED = 2
-EARLY_NEWS = 4
-"""The kernel tells of deaths before it takes the memory down (futex.proven)."""
+REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
+"""Rights. The last: the kernel tells of deaths before it takes the memory down (futex.proven)."""
 
 
 class HeartbeatReader:

@@ -13,6 +13,7 @@ import _thread
 import contextlib
 import os
 import select
+from collections.abc import Callable
 from time import sleep
 
 from failstop.shm import futex
@@ -20,10 +21,7 @@ from failstop.shm.bell import EventBell
 from failstop.shm.futex import Futex
 from failstop.shm.segment import Segment
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
+Stops = Callable[[], None] | None
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
@@ -34,9 +32,8 @@ _WAY_S = 30e-6
 
 
 def give_way() -> None:
-    """Sleep for a moment; call when a stop was written. Bytes for a pty, or for a
-    driver that hands them to a kernel thread, are carried by one of lower priority, which may be waiting for this core:
-    without it the stop lay there until the writer's whole turn had ended (0.66 ms, traced)."""
+    """Sleep for a moment, after a stop was written. Bytes for a pty, or for a driver that hands them to a kernel
+    thread, are carried by one of lower priority, which may be waiting for this core."""
     sleep(_WAY_S)
 
 
@@ -62,7 +59,6 @@ class Lifeline:
         self.early: Futex | None = None
         """Once it is armed: where a thread waits for the early news."""
         self.marked = False
-        """The early news has come."""
 
     def died(self, ready: dict[int, int]) -> bool:
         """True when this wake-up, or the early news before it, says that the process has died."""
@@ -87,21 +83,14 @@ class Lifeline:
         """Take real-time rights from every thread of the dying process; call when the stop is out.
 
         Its memory takes the kernel half a millisecond and more to tear down, and at real-time priority that keeps a
-        core from the kernel's own workers, one of which may be carrying the stop. Measured on two cores through a pty,
-        kill to board, p50: gate 1.1 ms without and 0.4 ms with, supervisor 1.2 and 0.4 ms.
+        core from the kernel's own workers, one of which may be carrying the stop.
         """
-        try:
-            threads = os.listdir(f"/proc/{self.pid}/task")
-        except OSError:
-            return
-        for thread in threads:
-            try:
-                os.sched_setscheduler(int(thread), _DEMOTED, _ORDINARY)
-            except OSError:
-                continue
+        with contextlib.suppress(OSError):
+            for thread in os.listdir(f"/proc/{self.pid}/task"):
+                with contextlib.suppress(OSError):
+                    os.sched_setscheduler(int(thread), _DEMOTED, _ORDINARY)
 
     def close(self) -> None:
-        """Stop watching."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
@@ -121,20 +110,11 @@ class EarlyNews:
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
-    def arm(
-        self, life: Lifeline, block: int, watcher: int, stop: Callable[[], None] | None = None, dying: int = 0
-    ) -> None:
+    def arm(self, life: Lifeline, block: int, watcher: int, stop: Stops = None, dying: int = 0) -> None:
         """Wait for the death of the process of the service that holds this block already."""
         self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop, dying)
 
-    def watch(
-        self,
-        life: Lifeline,
-        segment: Segment,
-        line: int = 0,
-        stop: Callable[[], None] | None = None,
-        dying: int = 0,
-    ) -> None:
+    def watch(self, life: Lifeline, segment: Segment, line: int = 0, stop: Stops = None, dying: int = 0) -> None:
         """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed.
         `stop`: what that thread does before the bell rings; then it makes way for the bytes. `dying`: the priority of
         who holds the line. A thread that stops runs above it, where its process has real-time rights: on one core it
@@ -146,7 +126,7 @@ class EarlyNews:
                 life.early = segment.futex("held", line)
                 _thread.start_new_thread(self._wait, (life, life.early, stop, dying))
 
-    def _wait(self, life: Lifeline, word: Futex, stop: Callable[[], None] | None, dying: int) -> None:
+    def _wait(self, life: Lifeline, word: Futex, stop: Stops, dying: int) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         policy, own = self._policy
         os.sched_setscheduler(0, policy, own)
@@ -160,7 +140,6 @@ class EarlyNews:
                 life.demote()
                 give_way()
             self.bell.ring()
-            # The thread that hears it needs the interpreter now: the rest of this one would cost it three hand-overs of
-            # the lock, 0.1 to 0.2 ms (traced).
+            # The thread that hears it needs the interpreter now, whose lock the rest of this one would take thrice.
             sleep(_QUIET_S)
         word.close()

@@ -12,8 +12,7 @@ from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
 
 HEADER_BYTES = 128
-"""Every segment starts with a header cell (messages/segments.py), frozen for all versions so that they can tell each
-other."""
+"""Of the cell that every segment starts with (messages/segments.py), frozen so that versions can tell each other."""
 
 
 class Record(Data):
@@ -26,7 +25,6 @@ class Record(Data):
     cells: int = 1
 
     def size(self) -> int:
-        """Bytes the record takes in its segment."""
         if self.kind == "word":
             return LINE_BYTES
         if self.kind == "futexes":
@@ -78,7 +76,6 @@ class Segment:
         return Word(self.mapped, offset)
 
     def latest_reader(self, name: str) -> LatestReader:
-        """Reader of a Latest record."""
         record, offset, seed = self._place(name, "latest")
         return LatestReader(self.view, offset, record.capacity, seed)
 
@@ -98,8 +95,7 @@ class Segment:
         return RingWriter(self.view, offset, record.capacity, record.cells, seed)
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """A line that a lifeline hangs on, to wait there or, with `write`, to hold it; only in unmapped segments.
-        Raises OSError."""
+        """A line to wait for a death on or, with `write`, to hold; only in unmapped segments. Raises OSError."""
         record, offset, _ = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")

@@ -14,8 +14,6 @@ LINE_BYTES = 64
 
 
 class Word:
-    """One u64 in shared memory."""
-
     __slots__ = ("_index", "_words")
 
     def __init__(self, mapped: mmap, offset: int) -> None:
@@ -25,7 +23,6 @@ class Word:
         self._index = offset // 8
 
     def get(self) -> int:
-        """The value now."""
         return self._words[self._index]
 
     def set(self, value: int) -> None:

@@ -62,7 +62,6 @@ class BlackBox:
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
-        """The supervisor has written a burst itself."""
         self._ring.put(box.OWN_BURST_RECORD, now_ns)
 
     def latched(self, stop: Stop, epoch: int) -> None:
@@ -108,8 +107,7 @@ class BlackBox:
         self._start(words, self._run.readable)
 
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
-        """Start a saver and return its pid. A machine that is out of descriptors or processes has none (0), and that is
-        all."""
+        """Start a saver and return its pid; 0: the machine is out of descriptors or processes, and that is all."""
         ends: list[_socket.socket] = []
         try:
             ends += _socket.socketpair()

@@ -1,10 +1,10 @@
-"""Children: what the supervisor knows of each process of the table: its state and what changes that, its deaths and
-restarts, its silence."""
+"""Children: the processes of the table as the supervisor knows them: their states, deaths, restarts, silences."""
 
 from __future__ import annotations
 
 import signal
 
+from failstop.data import Data
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import Process
@@ -49,52 +49,41 @@ that it runs, and just before its end, of which the news may come sooner than th
 ALIVE = tuple(state for state, row in NEXT.items() if row[DIED])
 
 
-class Fence:
-    """The record of a hung process that was killed, so that nothing that it still wanted to do can happen: when the
-    hang was noticed, the process killed, the stop written on the supervisor's own descriptor (0: by the port owner, or
-    not at all), its end noticed, and the stop written again for that (0: as before), CLOCK_MONOTONIC; and how long it
-    had been silent. All in ns."""
+class Fence(Data):
+    """The record of a hung process that was killed, so that nothing that it still wanted to do can happen. Times are
+    CLOCK_MONOTONIC in ns; 0: it has not happened."""
 
-    STEPS = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
+    noticed_ns: int
+    kill_ns: int
+    burst_ns: int
+    """When the stop was written on the supervisor's own descriptor, as it is for a port owner."""
+    silent_ns: int = 0
+    was_starved: bool = False
+    """The machine did not run it: no fault of its own."""
+    gone_ns: int = 0
+    again_ns: int = 0
+    """When the stop was written again for its end."""
 
-    def __init__(
-        self, noticed_ns: int, kill_ns: int, burst_ns: int, silent_ns: int = 0, *, was_starved: bool = False
-    ) -> None:
-        self.was_starved = was_starved
-        """The machine did not run it: no fault of its own."""
-        self.kill_ns = kill_ns
-        self._noticed_ns = noticed_ns
-        self._silent_ns = silent_ns
-        self._times_ns = {"kill": kill_ns, "burst": burst_ns, "gone": 0, "again": 0}
-
-    def gone(self, gone_ns: int, again_ns: int) -> None:
-        """It is gone; `again_ns`: when the burst for that was written."""
-        self._times_ns |= {"gone": gone_ns, "again": again_ns}
-
-    def _us(self, step: str) -> float:
-        return (self._times_ns[step] - self._noticed_ns) / 1e3
+    def _steps_us(self) -> list[tuple[str, str, float]]:
+        """The steps that have happened: for programs, for people, and how long after the notice."""
+        words = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
+        times_ns = (self.kill_ns, self.burst_ns, self.gone_ns, self.again_ns)
+        return [(*step, (at - self.noticed_ns) / 1e3) for step, at in zip(words, times_ns, strict=True) if at]
 
     def story(self, name: str) -> str:
         """In words, in ms from the notice."""
-        steps = [f"{told} after {self._us(step) / 1e3:.1f} ms" for step, told in self.STEPS if self._times_ns[step]]
-        return f"{name} was fenced: {', '.join(steps)}"
+        return f"{name} was fenced: {', '.join(f'{told} after {us / 1e3:.1f} ms' for _, told, us in self._steps_us())}"
 
     def fields(self) -> dict[str, float]:
         """Its times for programs: us from the notice."""
-        times = {f"{step}_us": self._us(step) for step, _ in self.STEPS if self._times_ns[step]}
-        return {"silent_ms": round(self._silent_ns / 1e6, 1), **times}
+        return {"silent_ms": round(self.silent_ns / 1e6, 1), **{f"{step}_us": us for step, _, us in self._steps_us()}}
 
 
 class Child:
     """One row of the process table as it is now."""
 
     def __init__(
-        self,
-        row: Process,
-        beat: HeartbeatReader,
-        restart: Timer,
-        limits: tuple[int, int, int],
-        lease_ns: int,
+        self, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int], lease_ns: int
     ) -> None:
         """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
         machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
@@ -103,12 +92,10 @@ class Child:
         self._limits = limits
         self._deadline_ns = max(row.deadline_ns, lease_ns)
         self._deaths: list[int] = []
-        """When it died, as long as that counts."""
         self.state = WAITING
         self.pid = 0
         """0: there is none, since it waits or is down."""
         self.block = 0
-        """The block of futexes that it holds."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
@@ -155,7 +142,6 @@ class Child:
         return 0 if count == 1 else min(backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
 
     def recalled(self) -> None:
-        """People have seen to it."""
         self._deaths.clear()
         self.on(RECALLED)
 
@@ -164,7 +150,6 @@ class Child:
         return self.state in (RUNNING, HUNG)
 
     def heard_ns(self) -> int:
-        """Its last sign of life."""
         return max(self.beat.ns.get(), self.started_ns)
 
     def allowed_ns(self) -> int:
@@ -202,8 +187,7 @@ class Child:
             self.reap()
 
     def reap(self) -> str:
-        """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
-        debugger holds it."""
+        """Collect the dead process; returns how it died, in words; empty: not yet, as while a debugger holds it."""
         if (code := starter.reap(self.pid)) is None:
             return ""
         self.killed = code < 0

@@ -1,5 +1,4 @@
-"""Where the supervisor starts, after `failstop run` has become it: the stop is on the wire, the port open, the name
-locked."""
+"""Entry of the supervisor, which `failstop run` has become: the stop is written, the port open, the name locked."""
 
 from __future__ import annotations
 
@@ -10,13 +9,13 @@ import signal
 from failstop.board.kinds import board_of
 from failstop.files.instance import InstanceError
 from failstop.messages.segments import AttachError
+from failstop.notify import Notify, Outbox
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
-from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
+from failstop.supervisor.events import JOURNAL, Events, is_journal
 from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
-from failstop.supervisor.status import Notify
 
 SUPERVISOR_COMM = "fs:supervisor"
 """The supervisor's name as the kernel shows it."""

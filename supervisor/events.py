@@ -5,7 +5,6 @@ Told is not yet sent: events wait for flush(), which comes at the end of a turn,
 
 from __future__ import annotations
 
-import _socket
 import os
 import select
 from collections import Counter
@@ -15,6 +14,7 @@ from time import monotonic_ns, time
 from failstop.files import instance
 from failstop.messages import layout
 from failstop.messages.packing import NEXT, fitting
+from failstop.notify import Outbox
 from failstop.policy import causes
 from failstop.shm.cell import RingWriter
 from failstop.supervisor.kinds import BY_NAME, LEVELS
@@ -89,32 +89,6 @@ def say(text: str) -> None:
         return
 
 
-class Outbox:
-    """Datagrams for a Unix socket that somebody else keeps, never waited for."""
-
-    def __init__(self, address: str | bytes) -> None:
-        self._address = address
-        self._socket: _socket.socket | None = None
-
-    def send(self, data: bytes) -> bool:
-        """Send one datagram; False when it could not be handed over at once: nobody is there, or the queue is full."""
-        try:
-            if self._socket is None:
-                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
-                self._socket = _socket.socket(_socket.AF_UNIX, kind)
-            # By its address each time: whoever was restarted may have another socket there.
-            self._socket.sendto(data, self._address)
-        except (OSError, ValueError):
-            return False
-        return True
-
-    def close(self) -> None:
-        """Let the socket go."""
-        if self._socket:
-            self._socket.close()
-            self._socket = None
-
-
 class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
@@ -127,7 +101,6 @@ class Events:
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
         self._spent: Counter[Sort] = Counter()
-        """Bytes of each sort in it."""
         self._left_out: Counter[Sort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 

@@ -11,8 +11,6 @@ LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
 
 
 class EventKind:
-    """One kind of event."""
-
     __slots__ = ("fields", "level", "message_id", "name")
 
     def __init__(self, name: str, level: str, message_id: str, fields: str = "") -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from failstop.messages import layout, records
 from failstop.messages.records import CAUSE
 from failstop.policy import causes
-from failstop.policy.reply import Reply, asked_before
+from failstop.policy.causes import Reply, asked_before
 from failstop.shm.words import Barrier
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
@@ -25,7 +25,6 @@ class Latch:
         """The epoch that was raised for it; 0: nothing is latched."""
         self.newest: Stop | None = None
         self.reset_epoch = 0
-        """The epoch in which the last reset was made."""
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:

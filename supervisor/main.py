@@ -14,6 +14,7 @@ import msgpack
 
 from failstop.board.interface import SUPERVISOR as ITS_REPEATS
 from failstop.messages import layout, records
+from failstop.notify import Notify
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.policy.proofs import UNASKED, UNPROVEN
@@ -29,7 +30,7 @@ from failstop.supervisor.monitor import Monitor
 from failstop.supervisor.port_handover import OwnPort, PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
-from failstop.supervisor.status import LEASE, Notify, Status, advice, lacking
+from failstop.supervisor.status import LEASE, Status, advice, lacking
 from failstop.supervisor.stops import Stop, explained
 
 MS = 1_000_000
@@ -85,14 +86,9 @@ class Supervisor:
         self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
         self._gate_stops = run.views[layout.GATE].ring_reader("stops")
         self.status.publish(self.status.missing(stopping=False))
-        self._begin()
-
-    def _begin(self) -> None:
-        """Nothing has happened yet."""
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """When the port owner has had its time to answer, or the first of the processes counts as hanging unless it
-        beats before."""
+        """When the port owner has had its time to answer, or the first process counts as hanging unless it beats."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeat = self.loop.timer()
         """When a stop of its own is written again."""
@@ -162,7 +158,7 @@ class Supervisor:
         written_ns = self._burst() if port_owner in dead else 0
         for child in dead:
             if child.fence:
-                child.fence.gone(now_ns, written_ns if child is port_owner else 0)
+                child.fence.gone_ns, child.fence.again_ns = now_ns, written_ns if child is port_owner else 0
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
@@ -241,8 +237,7 @@ class Supervisor:
         return now_ns - heard_ns < LATE_NS or self._motion()
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
-        death was answered."""
+        """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered."""
         stops = []
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
@@ -278,8 +273,8 @@ class Supervisor:
             self.processes.recall(now_ns)
 
     def _follow_answer(self, now_ns: int) -> None:
-        """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
-        writes the burst itself."""
+        """The port owner answers a raised epoch with a stop. If it does not, or can't, the supervisor writes the
+        burst."""
         stop = self._unanswered
         if stop is None:
             return
@@ -381,9 +376,8 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (UNPROVEN, UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board has answered a ping from after the stop that was written then (0: it could not be), and
-        return how long after it that was in ns; 0: it has not, within HEAR_NS, or answers nothing. The processes that
-        ask and listen must live for it."""
+        """Wait until the board has answered a ping from after the stop that was written then (0: none was); returns how
+        long after it, in ns; 0: not within HEAR_NS. The processes that ask and listen must live for it."""
         until_ns = monotonic_ns() + (0 if self.monitor.link.state == UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
             self.monitor.follow(now_ns, listening=True)

@@ -75,7 +75,7 @@ class Monitor:
     def also(self, stop: Stop) -> None:
         """A cause that came together with others, or before their stop was answered."""
         if self._news_of(stop.cause):
-            fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
+            fields = {**stop.fields(), "noticed_by": stop.noticed_by}
             self._run.events.tell("stop_also", f"also: {stop.cause}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
@@ -92,7 +92,7 @@ class Monitor:
         else:
             wrote, level = f"stop frame written {how}", ""
         fields = {
-            **stop.cause.fields(),
+            **stop.fields(),
             "noticed_by": stop.noticed_by,
             "written_by": stop.by if stop.written_ns else "nobody",
             "latency_us": round(written_us, 1) if stop.written_ns else None,

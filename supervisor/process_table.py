@@ -195,8 +195,7 @@ class ProcessTable:
             self._starved, self._starved_ms = "", 0
 
     def starved_record(self) -> dict[str, object]:
-        """For clients: the longest silence that the machine explains, of those that are shown, and the number of all in
-        this run."""
+        """For clients: the longest of the silences that are shown, and how many there were in this run."""
         self._forget_starved(monotonic_ns())
         shown = {"longest_ms": self._starved_ms, "process": self._starved} if self._starved else None
         return {"starved": shown, "starved_times": self._starved_times}

@@ -36,9 +36,8 @@ class Proof:
     """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float) -> None:
-        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. A supervisor that was
-        held up follows late: the stop has the time of its cause, and the board and the wheels have the usual time from
-        now on."""
+        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. Where that is late, board
+        and wheels have the usual time from now on."""
         self.stop = stop
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
         """The wall clock when its cause was noticed, for people."""
@@ -50,7 +49,6 @@ class Proof:
         self.held = False
         """Its bytes were still in the kernel when it was told of: the board takes none."""
         self.told = False
-        """All that can be known of it was told."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns
@@ -114,9 +112,8 @@ class Proof:
         return f"{self.stop.cause}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:
-        """The outcome, for programs."""
         return {
-            **self.stop.cause.fields(),
+            **self.stop.fields(),
             "epoch": self.stop.epoch,
             "link": link,
             "sent": not self.held,
@@ -130,6 +127,7 @@ class Proof:
             "cause": self.stop.cause.pack(),
             "latched": (self.stop.behind or self.stop).cause.pack(),
             "noticed_by": self.stop.noticed_by,
+            "noticed_ns": self.stop.t_ns,
             "written_by": self.stop.by,
             "t": self.unix_s,
             "epoch": self.stop.epoch,

@@ -16,6 +16,7 @@ import os
 from failstop.files import instance
 from failstop.messages import layout, segments
 from failstop.messages.packing import pack
+from failstop.notify import Outbox
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
@@ -25,7 +26,7 @@ from failstop.shm import bell, claim
 from failstop.shm.bell import EventBell
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.segment import Segment
-from failstop.supervisor.events import Events, Outbox
+from failstop.supervisor.events import Events
 
 GROUP = "failstop"
 """The group whose members may drive; everyone may stop."""
@@ -36,8 +37,7 @@ LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The group whose members may drive; -1 (the service's own) where it does not exist, or this user may give nothing
-    to it."""
+    """The group whose members may drive; -1 (the service's own): there is none, or this user may not use it."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -49,16 +49,10 @@ class Run:
     """Shared memory, pipes, claims, bells and control sockets of one run; its settings, loop and events."""
 
     def __init__(
-        self,
-        settings: Settings,
-        name: str,
-        runtime_dir: str,
-        journal: Outbox | None = None,
-        again: str = "",
+        self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
-        """The caller holds the instance's lock: all that is found there is a dead run's. It is not to be found until
-        publish(). Raises segments.AttachError, instance.InstanceError, OSError; then nothing is left but a dead run's
-        memory."""
+        """The caller holds the instance's lock. The run is not to be found until publish(). Raises
+        segments.AttachError, instance.InstanceError, OSError; then nothing is left but a dead run's memory."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
@@ -66,12 +60,10 @@ class Run:
         """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segments.memory(name, self.incarnation)
-        """The name that the segments share."""
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """The segments of a run that was not ended in order: its black box. Their names go when this run has its
-        own."""
+        """The black box of a run that was not ended in order. Its names go when this run has its own."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
         """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
@@ -128,9 +120,8 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self) -> None:
-        """Let the run be found by its name. Last of all: by now everything is there that clients read at once (rules,
-        settings, the supervisor's heartbeat and process table). How it was started is kept for when it has ended.
-        Raises OSError."""
+        """Let the run be found by its name: by now everything is there that clients read at once. How it was started is
+        kept for when it has ended. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))

@@ -17,7 +17,6 @@ from failstop.supervisor.child import PATH_VARIABLE
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 CHILD = ("supervisor", "child.py")
-"""Where a process of the service starts."""
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 """One heap for all threads: a second one costs 200 kB at the first job of a thread, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")

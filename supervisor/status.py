@@ -18,18 +18,17 @@ gives it those to real-time scheduling and locked memory, where it runs.
 from __future__ import annotations
 
 import os
-from collections.abc import MutableMapping
 
 import msgpack
 
 from failstop.messages import layout
 from failstop.messages.packing import pack
+from failstop.notify import Notify
 from failstop.policy.processes import BY_NAME, PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor.children import DOWN, RUNNING
-from failstop.supervisor.events import Outbox
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
@@ -49,9 +48,6 @@ WAITED_NS = 2_000_000_000
 """A wait of motion is told of after this long: a restart takes a fraction of it."""
 TELL_EVERY_NS = 100_000_000
 """Its line is made this often: what is in it of the gate is new at every tick while something drives."""
-VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
-"""Variables of the service manager, for the supervisor alone."""
-STATUS_CHARACTERS = 200
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
@@ -74,55 +70,6 @@ CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run
 CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
 """Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited where nobody clears it."""
-
-
-class Notify(Outbox):
-    """The socket of the service manager; without one, nothing is sent."""
-
-    def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
-        """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
-        self.active = bool(address)
-        """True when somebody listens."""
-        abstract = address.startswith("@")
-        super().__init__(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
-        self.every_ns = watchdog_us * 1000 // 2
-        """Half of the timeout: one datagram may get lost."""
-        self._beat_ns = 0
-        self._said = ""
-        self._told_ready = False
-
-    @classmethod
-    def taken_from(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
-        """As `environ` says, from which the variables are taken away: nothing that this process starts may speak for
-        it. A watchdog for another pid is none."""
-        address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
-        if address[:1] not in ("/", "@"):
-            return cls()
-        for_us = not wanted or wanted == str(pid)
-        return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
-
-    def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
-        """Tell the service manager the news, and the watchdog's beat when it is due and the supervisor does its job.
-        `ready`: the service has been, once."""
-        lines = ["READY=1"] if ready and not self._told_ready else []
-        if status != self._said:
-            lines.append(f"STATUS={_one_line(status)}")
-        beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
-        if beats:
-            lines.append("WATCHDOG=1")
-        if lines and self.say("\n".join(lines)):
-            self._told_ready = ready
-            self._said = status
-            if beats:
-                self._beat_ns = now_ns
-
-    def stopping(self, status: str) -> None:
-        """The service ends now."""
-        self.say(f"STOPPING=1\nSTATUS={_one_line(status)}")
-
-    def say(self, lines: str) -> bool:
-        """Send one datagram; False when it could not be handed over at once."""
-        return self.active and self.send(lines.encode("utf-8", "replace"))
 
 
 class Status:
@@ -237,11 +184,6 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
     return f"motion enabled; {blocked or ', '.join(who) or 'nobody drives'}"
 
 
-def _one_line(text: str) -> str:
-    """A line break would begin another assignment: a reason is not to say that a service is ready."""
-    return "".join(c if c.isprintable() else "?" for c in text)[:STATUS_CHARACTERS]
-
-
 def advice(*, realtime: bool, managed: bool) -> str:
     """Advice for when this process is late, the command in backquotes; `realtime`: it has the rights;
     `managed`: a service manager has started it."""
@@ -252,8 +194,7 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """The settings with a lease that this process's rights can keep. A lease among the keys that people have `chosen`
-    stays as it is."""
+    """The settings with a lease that this process's rights can keep, unless it is among the `chosen` keys."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -276,8 +217,7 @@ def cost(lease_s: float) -> str:
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
-    """The rights that were not `granted` (heartbeat bits), with a text for people on each; `lease_s`: the one in
-    force."""
+    """The rights that were not `granted` (heartbeat bits), each with a text for people; `lease_s`: in force."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]

@@ -5,6 +5,7 @@ A stop that nobody could write is written later, by whoever gets the port back. 
 
 from __future__ import annotations
 
+from failstop.data import Data
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -27,35 +28,34 @@ SOONER_NS = 20_000_000
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """The better cause of a silence of the supervisor that others noticed: it knows that it was suspended for so long
-    (0: it was not)."""
+    """The better cause of a silence of the supervisor's, which was suspended for so long (0: it was not)."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
 
-class Stop:
+class Stop(Data):
     """One stop. Times are CLOCK_MONOTONIC in ns."""
 
-    def __init__(self, t_ns: int, noticed_by: str, cause: Cause, written_ns: int = 0) -> None:
-        """`t_ns`: when the process `noticed_by` noticed it; `written_ns`: when that wrote the burst, where it says."""
-        self.cause = cause
-        self.noticed_by = noticed_by
-        self.t_ns = t_ns
-        self.written_ns = written_ns
-        """When its burst was handed to the kernel; 0: not known, or not written."""
-        self.answer_by_ns = 0
-        """Until when the port owner may answer it."""
-        self.by = ""
-        """The process that wrote it; empty while none has answered it."""
-        self.epoch = 0
-        """The epoch that was raised for it."""
-        self.behind: Stop | None = None
-        """The one that was latched when it was answered; None: this one itself."""
+    t_ns: int
+    noticed_by: str
+    cause: Cause
+    written_ns: int = 0
+    """When its burst was handed to the kernel; 0: not known, or not written."""
+    answer_by_ns: int = 0
+    """Until when the port owner may answer it."""
+    by: str = ""
+    """The process that wrote it; empty while none has answered it."""
+    epoch: int = 0
+    behind: Stop | None = None
+    """The one that was latched when it was answered; None: this one itself."""
+
+    def fields(self) -> dict[str, str | int]:
+        """Of an event: its cause, and the time that tells it from any other stop for the same cause."""
+        return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait: see WRITERS. `answered`:
-        the port owner has answered the epoch; `may_answer`: it lives and has had little time; `port_owner_ns`: its
-        last burst."""
+        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait: see WRITERS.
+        `may_answer`: the port owner lives and has had little time; `port_owner_ns`: its last burst."""
         own = self.noticed_by == layout.PORT_OWNER
         recent = not own and port_owner_ns >= self.t_ns - SOONER_NS
         row = WRITERS[0 if self.written_ns else 1 if recent else 2]

@@ -19,7 +19,7 @@ from failstop.api.errors import FailstopError, NoService, Undeclared
 from failstop.api.held import HeldByThread
 from failstop.files import instance
 from failstop.messages import layout, records, segments
-from failstop.policy.reply import Reply, unpack
+from failstop.policy.causes import Reply, unpack_reply
 from failstop.shm import bell, claim, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import pid_namespace
@@ -282,7 +282,7 @@ class Client:
         """The answer to a request; None while there is none. What the request has changed is in the state from then
         on. A later request that was answered meanwhile, by another thread, has taken its place."""
         if (entry := self._reply.read()) is not None:
-            session, number, reply = unpack(entry[2])
+            session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
                 Barrier()()
                 return reply if number == asked else Reply(records.REFUSED, GIVEN_UP)

@@ -22,9 +22,11 @@ class Refused(FailstopError):
     exit_code = 2
     """Of a command that ends with it."""
 
-    def __init__(self, template: str, cause: Cause | None = None, step: str = "") -> None:
-        """`template`: the reason, with CAUSE in the place of the cause's own text."""
-        super().__init__(template, cause, step)
+    def __init__(self, template: str, cause: Cause | None = None, step: str = "", refused_for: int = 0) -> None:
+        """`template`: the reason, with CAUSE in the place of the cause's own text; `refused_for`: 1 what is latched, 2
+        an interlock, 0 anything else."""
+        super().__init__(template, cause, step, refused_for)
+        self.refused_for = refused_for
         self.template = template
         self.cause = cause
         """Of the stop that it was refused for; None: for something else."""

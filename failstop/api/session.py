@@ -25,7 +25,7 @@ from failstop.api.steps import Purpose
 from failstop.files.instance import DEFAULT_NAME
 from failstop.messages import records
 from failstop.policy import causes
-from failstop.policy.reply import Reply
+from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
@@ -227,8 +227,8 @@ class Session:
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
             with contextlib.suppress(FailstopError):  # the service ends: the reason is all there is
-                step = steps.after_refusal(self.state, goal, answer.text)
-        return Refused(answer.text, answer.cause, step)
+                step = steps.after_refusal(self.state, goal, told=answer.refused_for == records.FOR_AN_INTERLOCK)
+        return Refused(answer.text, answer.cause, step, answer.refused_for)
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int

@@ -6,7 +6,7 @@ import dataclasses
 import enum
 from typing import Any, Literal, NamedTuple
 
-from failstop.messages import blocks
+from failstop.messages import box
 from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
 
@@ -31,7 +31,7 @@ class Block(enum.Enum):
     @classmethod
     def of(cls, text: str | None) -> Block | None:
         """The block of the gate's words (`State.blocked`)."""
-        told = {blocks.DISABLED: cls.DISABLED, blocks.NO_COMMAND: cls.NO_COMMAND, blocks.NO_SCAN: cls.NO_SCAN}
+        told = {box.DISABLED: cls.DISABLED, box.NO_COMMAND: cls.NO_COMMAND, box.NO_SCAN: cls.NO_SCAN}
         return None if text is None else told.get(text, cls.LATCHED)
 
 

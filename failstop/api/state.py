@@ -14,7 +14,7 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import Run, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
-from failstop.messages import blocks, box, layout, records
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
@@ -36,7 +36,7 @@ NOTHING_YET: dict[str, Any] = {
     "enabled": False,
     "limit": 100,
     "estop": None,
-    "blocked": blocks.DISABLED,
+    "blocked": box.DISABLED,
     "body_vel": (0.0, 0.0, 0.0),
     "wheels_rps": (0.0, 0.0, 0.0, 0.0),
     "sources": [],
@@ -223,7 +223,7 @@ class StateReader(Run):
         if cause and not own:
             decided |= {
                 "enabled": False,
-                "blocked": f"{blocks.LATCHED}{cause}",
+                "blocked": f"{box.LATCHED}{cause}",
                 "body_vel": (0.0, 0.0, 0.0),
                 "wheels_rps": (0.0, 0.0, 0.0, 0.0),
                 "sources": [],

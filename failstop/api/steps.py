@@ -63,9 +63,9 @@ ELSEWHERE = {
 """How everybody else comes by it: their page has no such buttons."""
 
 
-def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
-    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: what the
-    reader has just been told; `how`: HERE or ELSEWHERE."""
+def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
+    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: the
+    reader has just been told of the interlock; `how`: HERE or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -89,7 +89,7 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
-        [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told == state.unmet else interlock))],
+        [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told else interlock))],
         [
             (
                 state.block is Block.NO_COMMAND and complains,
@@ -105,8 +105,8 @@ def _table(state: State, told: str, how: Mapping[str, str]) -> list[list[tuple[o
     ]
 
 
-def todo(state: State, told: str = "", how: Mapping[str, str] = HERE) -> list[Step]:
-    """Every step, in order; none while the wheels move. `told`: what the reader has just been told."""
+def todo(state: State, how: Mapping[str, str] = HERE, *, told: bool = False) -> list[Step]:
+    """Every step, in order; none while the wheels move. `told`: the reader has just been told of the interlock."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, told, how)]
@@ -116,9 +116,9 @@ def todo(state: State, told: str = "", how: Mapping[str, str] = HERE) -> list[St
     ]
 
 
-def typed(state: State, told: str = "") -> list[str]:
+def typed(state: State, *, told: bool = False) -> list[str]:
     """The steps for a terminal, short: without what the cause of a stop asks for."""
-    return [step.typed for step in todo(state, told) if step.purpose is not Purpose.HEED]
+    return [step.typed for step in todo(state, told=told) if step.purpose is not Purpose.HEED]
 
 
 def line(state: State) -> str:
@@ -140,7 +140,7 @@ def before(state: State, goal: Purpose) -> list[Step]:
     return [step for step in todo(state) if step.purpose in REFUSED_WITHOUT[goal]]
 
 
-def after_refusal(state: State, goal: Purpose, reason: str) -> str:
+def after_refusal(state: State, goal: Purpose, *, told: bool = False) -> str:
     """The remedy when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
-    from being done, so that nobody is sent to ask for the same again."""
-    return ", then ".join(typed(state, reason)) if before(state, goal) else ""
+    from being done, so that nobody is sent to ask for the same again. `told`: the reason is the interlock's own."""
+    return ", then ".join(typed(state, told=told)) if before(state, goal) else ""

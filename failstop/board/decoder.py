@@ -124,7 +124,6 @@ class Decoder:
 
 
 def battery_mv(data: bytes) -> int | None:
-    """SYS: the battery voltage in mV."""
     if len(data) != _BATTERY.size or data[0] != 0x04:
         return None
     millivolts: int = _BATTERY.unpack(data)[1]

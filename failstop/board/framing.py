@@ -7,22 +7,9 @@ covers func, len and data (vendor protocol description).
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
-SYS = 0
-LED = 1
-BUZZER = 2
-MOTOR = 3
-PWM_SERVO = 4
-BUS_SERVO = 5
-KEY_FUNC = 6
-IMU_FUNC = 7
-GAMEPAD = 8
-SBUS = 9
-OLED = 10
-RGB = 11
+SYS, LED, BUZZER, MOTOR, PWM_SERVO, BUS_SERVO, KEY_FUNC, IMU_FUNC, GAMEPAD, SBUS, OLED, RGB = range(12)
 
 HEAD = b"\xaa\x55"
 WHEELS = 4
@@ -105,8 +92,8 @@ def integer(field: str, value: int, low: int, high: int) -> int:
 
 
 def number(field: str, value: float, low: float, high: float, unit: str) -> float:
-    """The value as a float, if it is a number from low to high, else FrameError; NaN and bool are no numbers here.
-    Minus zero becomes zero."""
+    """The value as a float, if from low to high, else FrameError; NaN and bool are no numbers. Minus zero becomes
+    zero."""
     real = isinstance(value, (int, float)) and not isinstance(value, bool)
     # The chained comparison is false for NaN.
     if not real or not low <= value <= high:

@@ -10,14 +10,11 @@ What writes a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) has 
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from struct import Struct
 
 from failstop.board import framing
 from failstop.board.framing import BUS_SERVO, HEAD, FrameError, crc8, frame
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
 
 SERVO_MOVE = 0x01
 SERVO_STOP = 0x03
@@ -107,8 +104,8 @@ def bus_servo_stops(servos: Sequence[int]) -> tuple[bytes, ...]:
 
 
 def bus_servo_read(servo: int, what: int) -> bytes:
-    """Ask a bus servo for POSITION (0 to 1000 when in range), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1
-    when it is on)."""
+    """Ask a bus servo for its POSITION (0 to 1000 in range), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1:
+    on)."""
     if what not in READS:
         raise FrameError(f"what is {what!r}, must be one of {READS}")
     return frame(BUS_SERVO, bytes((what, _id(servo))))

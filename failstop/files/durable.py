@@ -20,8 +20,7 @@ KINDS = {
 
 
 def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a file that must be a regular one, through links too. Returns at once, where the open of a pipe would wait
-    for its other end. Raises OSError."""
+    """Open a regular file, through links too. Returns at once, where that of a pipe would wait. Raises OSError."""
     # Looked at before it is opened: the open of a device does something, such as to raise a port's modem lines.
     with contextlib.suppress(FileNotFoundError):
         _check_regular(os.lstat(path) if flags & os.O_NOFOLLOW else os.stat(path), path)
@@ -35,8 +34,7 @@ def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
 
 
 def open_own(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a file that the service keeps: a regular one, by its only name and not through a link, of this user or of
-    its folder's owner. Raises OSError."""
+    """Open a file of the service's: regular, by its only name, this user's or its folder's owner's. Raises OSError."""
     fd = open_regular(path, flags | os.O_NOFOLLOW)
     try:
         found = os.fstat(fd)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from collections.abc import Callable
 
 from failstop.data import Data
 from failstop.files import place, root
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
@@ -29,7 +26,6 @@ class Last(Data):
     command: str = ""
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
-    """Of the robot's arm."""
     board: str = ""
     """The kind of its board; empty: not known."""
 
@@ -50,8 +46,7 @@ def check_name(name: str) -> str:
 
 
 def option(name: str) -> str:
-    """The option by which a command of failstop means this instance: " --name NAME", and nothing for the default
-    one."""
+    """The option that means this instance: " --name NAME", and nothing for the default one."""
     return "" if name == DEFAULT_NAME else f" --name {name}"
 
 
@@ -130,7 +125,7 @@ def _read(path: str) -> tuple[int, list[str]]:
 
 
 def _put(runtime_dir: str, path: str, data: bytes) -> int:
-    """Put a file that everybody may read into a runtime directory, whole or not at all; returns its descriptor. Raises
+    """Put a file for everybody into a runtime directory, whole or not at all; returns its descriptor. Raises
     OSError."""
     draft = _draft_of(path)
     above = place.directory(runtime_dir)
@@ -152,8 +147,7 @@ def _put(runtime_dir: str, path: str, data: bytes) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Take away what a run has put into its directory, its name first, all but the lock and how it was started; as far
-    as it is there."""
+    """Take away what a run has put into its directory, its name first, but for the lock and how it was started."""
     try:
         where = place.directory(runtime_dir)
     except OSError:

@@ -24,7 +24,7 @@ from failstop.fleet.broker import Broker
 from failstop.fleet.roster import Roster
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.supervisor.status import Notify
+from failstop.notify import Notify
 
 EXAMPLES = """\
 failstop fleet                       # every robot, live

@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
-from failstop.messages import blocks, records
+from failstop.messages import box, records
 from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN
 from failstop.version import VERSION
 
@@ -26,7 +26,7 @@ GAUGE = "gauge"
 COUNTER = "counter"
 NAMESPACE = "failstop"
 LATCHED = "latched"
-BLOCKS = {blocks.DISABLED: "disabled", blocks.NO_COMMAND: "no_command", blocks.NO_SCAN: "no_scan"}
+BLOCKS = {box.DISABLED: "disabled", box.NO_COMMAND: "no_command", box.NO_SCAN: "no_scan"}
 OTHER_BLOCK = "other"
 PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
 

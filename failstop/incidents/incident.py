@@ -15,7 +15,7 @@ from failstop.board import framing, servos
 from failstop.board.rrc.board import BOARD
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
-from failstop.messages import blocks, box, layout, records
+from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
@@ -29,9 +29,9 @@ SILENT = "silent"
 SAYS = {
     DRIVING: "the wheels may turn",
     "estop": "a stop is latched",
-    blocks.DISABLED: "motion is disabled",
-    blocks.NO_COMMAND: "no command",
-    blocks.NO_SCAN: "no obstacle sensor",
+    box.DISABLED: "motion is disabled",
+    box.NO_COMMAND: "no command",
+    box.NO_SCAN: "no obstacle sensor",
     SILENT: "the gate is silent",
 }
 """The gate's word, or that it says nothing, for people."""

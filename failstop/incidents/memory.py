@@ -113,9 +113,9 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     return {"written_by": written[first_ns], "written_us": (first_ns - cause_ns) / 1e3}
 
 
-def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | None:
-    """LEVELS and `wheels` (still, unstill or unknown) of the stop for this cause, as far as the supervisor has told;
-    None when nothing was told of it.
+def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
+    """LEVELS and `wheels` (still, unstill or unknown) of the stop whose cause was noticed then, as far as the
+    supervisor has told; None when nothing was told of it.
 
     The supervisor's record of the last stop (supervisor/proof.py) may be of a later one by now; what was told as
     events `stop` and `stop_outcome` is of this one for good.
@@ -123,15 +123,11 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
     supervisor = segments[layout.SUPERVISOR]
     found: dict[str, Any] = {}
     last = as_map(supervisor["latest"].get("stop", (0, 0, b""))[2])
-    if last.get("epoch", 0) >= epoch and last.get("cause") == cause.pack():
+    if last.get("noticed_ns") == cause_ns:
         found = {level: last.get(level) for level in LEVELS}
     for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
         fields = event.get("fields", {})
-        if not isinstance(fields, dict) or fields.get("cause") != cause.kind.name or fields.get("epoch", 0) < epoch:
-            continue
-        # It may have been cut, or completed since.
-        reason = str(fields.get("reason", ""))
-        if not str(cause).startswith(reason) and causes.NOT_KNOWN not in reason:
+        if not isinstance(fields, dict) or fields.get("noticed_ns") != cause_ns:
             continue
         if event.get("kind") == "stop":
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}

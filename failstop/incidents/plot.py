@@ -17,7 +17,7 @@ from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
 from failstop.incidents.story import Line
-from failstop.messages import blocks, layout
+from failstop.messages import box, layout
 from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 
 if TYPE_CHECKING:
@@ -55,9 +55,9 @@ WRITTEN = {Sort.MOTION: INK, Sort.ZERO: FAINT, Sort.STOP_BURST: ALARM, Sort.PING
 SHADES = {
     DRIVING: "white",
     "estop": "#fdeaea",
-    blocks.DISABLED: "#e8ebef",
-    blocks.NO_COMMAND: "#fff3d1",
-    blocks.NO_SCAN: "#e3effa",
+    box.DISABLED: "#e8ebef",
+    box.NO_COMMAND: "#fff3d1",
+    box.NO_SCAN: "#e3effa",
     SILENT: "#e6dff3",
 }
 """The shade behind the curves for each word of the gate's."""

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from failstop.policy.causes import Cause
 
-SLUG_LENGTH = 32
 RETURN_NS = 12_000_000_000
 """A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
 LOOK_NS = 250_000_000
@@ -121,7 +120,7 @@ def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segment
     now_s, release = time.time(), os.uname()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
-    stop = memory.told_stop(segments, epoch, why)
+    stop = memory.told_stop(segments, cause_ns)
     if not stop or stop["written_us"] is None:
         # Perhaps it was written later than the supervisor knew.
         stop = (stop or {}) | memory.left_stop(segments, cause_ns) or None
@@ -149,12 +148,10 @@ def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segment
 
 
 def slug(cause: Cause) -> str:
-    """A cause in a few whole words, as part of a file name: what it is, without the words of whoever asked for it, and
-    without details after a colon."""
-    plain = "".join(c if c.isascii() and c.isalnum() else " " for c in str(cause).split(": ")[0].lower()).split()
-    while len("-".join(plain)) > SLUG_LENGTH:
-        plain.pop()
-    return "-".join(plain) or "stop"
+    """A cause as part of a file name: the process that it is about, where there is one, and the name of its row."""
+    process = cause.named().get("process")
+    about = f"{process}-" if process in layout.PROCESSES else ""
+    return f"{about}{cause.kind.name}".replace("_", "-")
 
 
 def machine() -> dict[str, Any]:

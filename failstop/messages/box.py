@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 
 from failstop.messages import records
-from failstop.messages.blocks import DISABLED, NO_COMMAND, NO_SCAN
 from failstop.messages.records import Payload, Shape
 
 TYPE_CHECKING = False
@@ -33,27 +32,25 @@ BEATS_CELLS = 768
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
+LATCHED = "estop: "
+"""The gate's words for why the wheels may not turn, as its record has them too. The latch's reason follows."""
+DISABLED = "disabled"
+NO_COMMAND = "cmd timeout"
+NO_SCAN = "no scan"
+EVERY_BLOCK = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
+"""The first that holds is told."""
 DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
-ENABLED = 1
-MANUAL = 2
-DRIVES = 4
-"""Flag: the newest command is the one that drives, and not one that waits behind a higher source."""
+ENABLED, MANUAL, DRIVES = 1, 2, 4
+"""Flags. The last: the newest command is the one that drives, and not one that waits behind a higher source."""
 
-WIRE_BURST = 1
-"""Wire: the stop burst."""
-WIRE_FRAME = 2
-"""Wire: one frame; its first bytes follow."""
-WIRE_REST = 3
-"""Wire: what the kernel had not taken of either before."""
+WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
+"""Bytes for the board: the stop burst; one frame, whose first bytes follow; what the kernel had not taken of either."""
 WIRE_HEAD = 35
 """Bytes of a frame that are kept: a motor frame of four wheels is 27."""
 
-IMU_KIND = 1
-BATTERY_KIND = 2
-PAD_KIND = 3
-SERVO_KIND = 4
+IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
 """Of an arm's goal; empty: nobody moves it from here on."""
@@ -73,8 +70,7 @@ REPORTS: dict[int, Shape] = {
     PAD_KIND: records.PAD,
     SERVO_KIND: records.SERVO,
 }
-"""Reports that telemetry has decoded, by the kind that is their first byte. An IMU sample is as it is published:
-corrected, the rate less its bias."""
+"""Reports that telemetry has decoded, by the kind that is their first byte; the IMU's as it is published."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -122,8 +118,7 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
-    that was seen."""
+    """The longest silence of each of layout.PROCESSES since the last record, and how long ago that was seen."""
     return OF_BEATS.pack(BEATS, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
@@ -151,8 +146,7 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst of the supervisor's own. Raises
-    ValueError."""
+    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst. Raises ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)

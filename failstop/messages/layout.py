@@ -95,7 +95,7 @@ SEGMENTS = (
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
             _latest("latch", records.LATCH, "gate, clients"),  # the latch, or the one before
             _word("resets", "gate"),  # the number of the newest reset that was decided
-            _latest("reset", records.REPLY, "gate"),  # the answer to it (failstop/policy/reply.py)
+            _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/causes.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
@@ -187,18 +187,11 @@ SEGMENTS = (
 )
 
 BY_NAME = {spec.name: spec for spec in SEGMENTS}
-
-
-def _fingerprint() -> int:
-    text = f"layout {LAYOUT_VERSION}\n" + "\n".join(
-        f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.cells} {spec.offsets[r.name]}"
-        for spec in SEGMENTS
-        for r in spec.records.values()
-    )
-    data = text.encode()
-    return crc32(data) << 32 | crc32(data, 0x5AFE)
-
-
-LAYOUT_HASH = _fingerprint()
+_TEXT = f"layout {LAYOUT_VERSION}\n" + "\n".join(
+    f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.cells} {spec.offsets[r.name]}"
+    for spec in SEGMENTS
+    for r in spec.records.values()
+)
+LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
 """Of all declarations above: processes of different layouts refuse each other. Raise LAYOUT_VERSION when a payload
 format in records.py changes without any size changing."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import msgpack
 
 from failstop.data import Data
 from failstop.messages.layout import NOTE_BYTES
 from failstop.messages.records import cut
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 Value = str | int | float
 Fields = dict[str, Value]
@@ -47,9 +45,9 @@ def fitting(
 
 
 class Note(Data):
-    """A note for people, on its way from gate or telemetry to the supervisor, which makes an event of it. A msgpack
-    list: kind (supervisor/kinds.py), level (empty: the kind's own), text, what (the characters of the text before its
-    step; 0: it names none), fields."""
+    """A note for people, on its way from gate or telemetry to the supervisor's events. A msgpack list: kind
+    (supervisor/kinds.py), level (empty: the kind's own), text, characters of it before its step (0: it has none),
+    fields."""
 
     kind: str
     text: str

@@ -19,14 +19,9 @@ if TYPE_CHECKING:
     Values = TypeVarTuple("Values")
     Rows = Sequence[tuple[float, Sequence[float]]]
 
-MOTION = 1
-"""Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
-WRITE_BURST = 2
-"""Frame kind: write the stop burst now (latched or not)."""
-OTHER = 3
-"""Frame kind: a frame that is not motion, the buzzer's, in order."""
-ARM = 4
-"""Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
+MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
+"""Kinds of frames: a motor frame, of which the newest wins and dies with its epoch and the lease; the stop burst, now;
+another that is not motion, in order; one for the arm's servos, in order, which dies as motion does."""
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
@@ -49,33 +44,20 @@ WIRE_BYTES = 260
 CAUSE_BYTES = 282
 """A cause, packed (failstop/policy/causes.py)."""
 
-PORT_CLOSED = 0
-PORT_OPEN = 1
-PORT_LOST = 2
+PORT_CLOSED, PORT_OPEN, PORT_LOST = range(3)
 PORT_STATES = ("closed", "open", "lost")
 
-ENABLE = 1
-DISABLE = 2
-RESET = 3
-ARM_MOVE = 4
-ARM_DRIVE = 5
-ARM_TUCK = 6
-ARM_HOLD = 7
-ARM_RELEASE = 8
-ARM_READ = 9
-LIMIT = 10
+ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, ARM_READ, LIMIT = range(1, 11)
 
-REFUSED = 0
-DONE = 1
-UNDER_WAY = 2
-"""A reply that is not the last one, which follows."""
-ARM_FOLLOW = 1
-ARM_JOG = 2
+REFUSED, DONE, UNDER_WAY = range(3)
+"""Replies; behind UNDER_WAY another one follows."""
+FOR_THE_LATCH, FOR_AN_INTERLOCK = 1, 2
+"""Reasons of a refusal: what is latched, whose cause is told; an interlock, whose text is told."""
+ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_ROWS = 200
 
-PAD_RESET = 1
-PAD_FRAME = 2
+PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive", "joint")
 
@@ -136,7 +118,6 @@ def life(pid: int, block: int) -> int:
 
 
 def unpack_life(word: int) -> tuple[int, int]:
-    """Return (pid, block)."""
     return word & 0xFFFFFFFF, word >> 32
 
 
@@ -177,7 +158,6 @@ def _whole(text: str, room: int) -> bytes:
 
 
 def rest(most: int) -> Tail:
-    """Bytes, as they are."""
     return Tail(bytes, lambda data: (data,), most)
 
 
@@ -256,8 +236,8 @@ _COUNTS = struct.Struct("<BH")
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
 """An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, WRITE_BURST nothing."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not), its
-cause, packed."""
+"""A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), its cause,
+packed."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch was
 raised last; the cause that is latched, else that of the last stop, packed."""
@@ -281,8 +261,7 @@ ASSERTED: Payload[int, list[str]] = Payload(
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """A line of a client session on itself: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""The holder of a client slot: a random session number, the pid it says it has and in which namespace of pids
-(lifeline.pid_namespace), its name."""
+"""The holder of a client slot: a random session number, its pid and in which namespace of pids, its name."""
 LEFT: Payload[int] = Payload("<Q")
 """The goodbye of the session that has left a client slot in order."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
@@ -291,16 +270,16 @@ SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a session's request is about, in percent of the settings' speeds."""
 SEEN: Payload[int, int] = Payload("<QQ")
 """The epoch that a session's person had seen who asks for a reset; 0: the asking itself is all that is known."""
-REPLY: Payload[int, int, int, str, bytes] = Payload(
-    "<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
+REPLY: Payload[int, int, int, int, str, bytes] = Payload(
+    "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
-text; where that says CAUSE, this cause is meant, packed."""
+"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK or 0
+(refused for something else, or not at all); the text; the cause, packed, that is meant where it says CAUSE."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
-"""A session's goal that is renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, ARM_JOG with its rate
-(rad/s); MOST_JOINTS at most."""
+"""A session's goal, renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, or ARM_JOG with its rate
+(rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )
@@ -320,8 +299,7 @@ OF_SESSION: dict[str, Shape] = {
 }
 """The records that a client writes into its slot after its hello: each begins with its session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
-"""An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
-none."""
+"""An answer of a bus servo: which, to which question (board/servos.py), the value; None: it did not answer."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
 """A sample: acceleration (m/s2), then rate (rad/s); x forward, y left, z up."""
 RATE_VARIANCE = 0.0012**2
@@ -336,8 +314,7 @@ POSE_VARIANCE = 1e3
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
-"""The gamepad's last frame: a bit a button, the hat, raw axes lx, ly, rx, ry of -128..127; its mode, an index of
-PAD_MODES."""
+"""The gamepad's last frame: a bit a button, the hat, axes lx, ly, rx, ry of -128..127; an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
 """The command of the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")

@@ -44,7 +44,6 @@ def memory(instance: str, incarnation: int) -> str:
 
 
 def path_of(memory: str, segment: str, folder: str = SHM) -> str:
-    """Where a segment's file is."""
     return f"{folder}/failstop.{memory}.{segment}"
 
 
@@ -88,7 +87,6 @@ def unlink(memory: str, name: str) -> None:
 
 
 def unlink_all(memory: str) -> None:
-    """Remove every segment of a run."""
     for spec in layout.SEGMENTS:
         unlink(memory, spec.name)
 
@@ -108,8 +106,7 @@ def living(memory: str) -> bool:
 
 
 def open_life(memory: str, owner: int) -> int:
-    """A descriptor by which lives() tells of this run's supervisor, for whoever wants to know it more than once.
-    Raises AttachError."""
+    """A descriptor for lives() of this run's supervisor, to ask more than once. Raises AttachError."""
     return _open(memory, SUPERVISOR, False, owner)
 
 
@@ -185,15 +182,14 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
-    and each record carries the incarnation in its CRC."""
+    """A client's segment as the service reads it, by records that carry the incarnation in their CRC: clients may have
+    scribbled over its header. One whose name was taken away is out of use: nothing is ever in it."""
     name = f"client.{index}"
-    return Segment(BY_NAME[name], incarnation, fd=_open(memory, name, False))
-
-
-def no_client_slot(index: int, incarnation: int) -> Segment:
-    """In the place of a client's segment that can't be opened: nothing is ever in it."""
-    return Segment(BY_NAME[f"client.{index}"], incarnation, fd=os.open(os.devnull, os.O_RDONLY))
+    try:
+        fd = _open(memory, name, False)
+    except AttachError:
+        fd = os.open(os.devnull, os.O_RDONLY)
+    return Segment(BY_NAME[name], incarnation, fd=fd)
 
 
 def open_all(memory: str) -> dict[str, int]:
@@ -214,8 +210,8 @@ def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
-    """A segment's descriptor; a pipe that somebody has put there is not waited for. Raises OSError; place.Untrusted for
-    one that is not `owner`'s."""
+    """A segment's descriptor; a pipe in its place is not waited for. Raises OSError, place.Untrusted (not
+    `owner`'s)."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _FLAGS)
     found = os.fstat(fd)

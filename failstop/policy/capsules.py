@@ -21,8 +21,6 @@ STEP_RAD = 0.05
 
 
 class Model:
-    """The arm's shape."""
-
     def __init__(self, settings: Settings) -> None:
         self._links = [
             (name, str(table["turns"]), float(table["length_m"]), float(table["radius_m"]))
@@ -65,7 +63,6 @@ class Model:
 
 
 def would_hit(name: str, other: str, when: str = "") -> str:
-    """In words."""
     return f"the arm would hit something {when}on its way: {name} and {other}"
 
 

@@ -71,7 +71,6 @@ class Cause:
         self.arguments = arguments
 
     def named(self) -> dict[str, Value]:
-        """The arguments by name."""
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def as_map(self) -> dict[str, Value]:
@@ -140,8 +139,7 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """The cause of a stop that was asked for with this line in the stop pipe (records.asking): whatever it says, it is
-    somebody's words."""
+    """The cause of a stop that was asked for with this line in the stop pipe (records.asking): somebody's words."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
@@ -299,3 +297,38 @@ TWO_MOVE_THE_ARM = Kind(
 
 BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
 BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}
+
+
+class Reply(Data):
+    """The answer to a request; in its text CAUSE (records) stands where the cause's own belongs."""
+
+    done: int
+    text: str
+    cause: Cause | None = None
+    refused_for: int = 0
+
+    def __str__(self) -> str:
+        return self.text.replace(records.CAUSE, str(self.cause))
+
+    def pack(self, session: int, number: int) -> bytes:
+        """For the request of this number, of this client's session."""
+        cause = self.cause.pack() if self.cause else b""
+        return records.REPLY.pack(session, number, self.done, self.refused_for, self.text, cause)
+
+
+def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
+    """Return (session, number, reply). Raises ValueError."""
+    session, number, done, refused_for, text, cause = records.REPLY.unpack(payload)
+    return session, number, Reply(done, text, read(cause) if cause else None, refused_for)
+
+
+def refused(why: str, latched: Cause | None = None) -> Reply:
+    """Refused; for what is `latched`, where something is, which then stands behind the reason."""
+    if latched is None:
+        return Reply(records.REFUSED, why)
+    return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)
+
+
+def asked_before(cause: Cause) -> Reply:
+    """Refused: who asked before the last stop, which is for this cause, did not know of it."""
+    return Reply(False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", cause)

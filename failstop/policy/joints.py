@@ -50,7 +50,6 @@ class Joint:
         return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
-        """An angle as pulses."""
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
@@ -58,7 +57,6 @@ class Joint:
         return self.sign * angle_rad * PULSES_PER_RAD
 
     def rad(self, pulses: float) -> float:
-        """Pulses as an angle."""
         return (pulses - self.zero) * self.sign / PULSES_PER_RAD
 
     def range_rad(self) -> tuple[float, float]:

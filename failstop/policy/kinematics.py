@@ -32,7 +32,6 @@ class Wheels:
         self._turns_per_m = 1 / (pi * diameter_m)
         self._lever_m = lever_m
         self._wheels = [(signs[wheel] * self._turns_per_m, *WAYS[wheel]) for wheel in map(ids.index, IDS)]
-        """By wire id."""
         self.axes = (1.0, sideways, 1.0)
         """Factors of (vx, vy, wz) that the wheels can follow: a limit times its factor is the limit that holds."""
 

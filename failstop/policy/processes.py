@@ -5,9 +5,8 @@ from __future__ import annotations
 from failstop.data import Data
 
 SUPERVISOR_PRIORITY = 30
-"""SCHED_FIFO priorities: the higher runs first. The port owner is above all, since every stop goes through it. The
-supervisor is below the others of the stop path: it is needed only when they have died, and its own death must not hold
-up those who answer it (p50 0.4 ms at 30, 0.8 ms at 34)."""
+"""SCHED_FIFO priorities: the higher runs first, the port owner before all, since every stop goes through it. Last is
+the supervisor: it is needed when they have died, and its death must not hold up those who answer it."""
 
 MS = 1_000_000
 
@@ -24,7 +23,6 @@ class Process(Data):
 
     @property
     def module(self) -> str:
-        """Its program."""
         return f"failstop.procs.{self.name}.main"
 
 

@@ -295,11 +295,8 @@ class Settings:
     def interlocks(self) -> dict[str, tuple[int, str]]:
         """The interlocks by name: (timeout_ns, what a refused enable is told)."""
         return {
-            name: (
-                round(float(table["timeout_s"]) * 1e9),
-                str(table["refusal"]) or f"interlock {name} is not satisfied",
-            )
-            for name, table in self.named["interlocks"].items()
+            name: (round(float(own["timeout_s"]) * 1e9), str(own["refusal"]) or f"interlock {name} is not satisfied")
+            for name, own in self.named["interlocks"].items()
         }
 
     def board(self) -> tuple[str, float, float]:
@@ -324,7 +321,6 @@ class Settings:
 
     @classmethod
     def from_lines(cls, text: str) -> Settings:
-        """The inverse of lines()."""
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)

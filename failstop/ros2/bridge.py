@@ -10,7 +10,6 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
-from failstop.procs import rights
 from failstop.ros2 import mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
 from failstop.ros2.inward import Inward
@@ -19,6 +18,7 @@ from failstop.ros2.mirrors import BY_NAME
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
 from failstop.ros2.spinner import Spinner
+from failstop.shm import futex
 
 CONNECT_S = 1.0
 """How long the start waits for a service, whose settings the parameters show."""
@@ -178,7 +178,7 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    rights.leave_no_dump()
+    futex.leave_no_dump()
     try:
         rclpy.init(args=["failstop", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:

@@ -8,7 +8,7 @@ from typing import Any
 
 from failstop.api import steps
 from failstop.api.state import State
-from failstop.messages import blocks
+from failstop.messages import box
 from failstop.policy.proofs import NOT_SENT, wheels_seen
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
@@ -19,7 +19,7 @@ NOBODY = "nobody publishes cmd_vel"
 
 def blocked(state: State) -> str | None:
     """Why the wheels may not turn, in the words of the driver before."""
-    return f"{blocks.LATCHED}{words.plain(state.cause)}" if state.cause else state.blocked
+    return f"{box.LATCHED}{words.plain(state.cause)}" if state.cause else state.blocked
 
 
 def driver(state: State) -> str | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.messages.records import CAUSE
+from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2.contract import ARM_ACTION, CLIENT
 
-LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
+LATCHED = f"e-stop latched ({CAUSE})"
 TOPIC_CAUSE = "estop topic"
 SERVICE_CAUSE = "stop service"
 NO_ANSWER = "no answer from the gate in 0.5 s: wheels stopped"
@@ -29,7 +29,8 @@ def refused(error: FailstopError) -> str:
     """The answer to what was not done."""
     if not isinstance(error, Refused):
         return f"refused: {error}"
-    return f"refused: {error.template.replace(LATCHED, LATCHED_BEFORE).replace(CAUSE, plain(error.cause))}"
+    template = LATCHED if error.refused_for == FOR_THE_LATCH else error.template
+    return f"refused: {template.replace(CAUSE, plain(error.cause))}"
 
 
 def reset(was: Cause | None) -> str:

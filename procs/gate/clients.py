@@ -31,8 +31,7 @@ ONCE = ("command", "request", "arm_goal")
 
 
 def seen(reader: LatestReader) -> int:
-    """The number of the newest entry. A restarted gate takes none that is there for new: its predecessor may have acted
-    on it."""
+    """The number of the newest entry. What is there at a restart is not new: the gate before may have acted on it."""
     entry = reader.read()
     return entry[0] if entry else 0
 
@@ -59,7 +58,6 @@ class Slot:
         self.session = 0
 
     def who(self) -> str:
-        """The client as people see it."""
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
@@ -90,7 +88,6 @@ class Slot:
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record of this name, once."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -107,7 +104,6 @@ class Slot:
         return (entry[1], *values) if writer == self.session else None
 
     def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
-        """The values of a command as one of this session."""
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
@@ -125,8 +121,7 @@ def bounded(text: str, room: int) -> str:
 
 
 class ClientTable:
-    """All slots. `active` is the ones that a session holds. Each look yields the news in order: act on each before the
-    next is looked for."""
+    """All slots; `active`: those that a session holds. Act on each of a look's news before asking for the next."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]

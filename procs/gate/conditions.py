@@ -33,7 +33,6 @@ class ScanGate:
         """When the sensor delivered last; 0: never yet."""
 
     def deliver(self, t_ns: int, now_ns: int) -> None:
-        """The sensor delivered."""
         self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
 
     def silent(self, now_ns: int) -> bool:
@@ -41,7 +40,6 @@ class ScanGate:
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
-        """When the last delivery stops counting."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
@@ -60,8 +58,7 @@ class ScanGate:
 
 
 class Interlocks:
-    """Named conditions that a client asserts, such as an arm in its drive pose. Enabling motion needs all of them, and
-    losing one disables."""
+    """Named conditions that a client asserts. Enabling motion needs all of them, and losing one disables."""
 
     def __init__(self, declared: dict[str, tuple[int, str]]) -> None:
         """`declared`: name -> (timeout in ns, the refusal's text)."""
@@ -84,9 +81,8 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are there, where motion needs one (setting attend.required): who was there last, and when, by
-    the session that says so. An operator's device proves again and again that it was there at some moment; what counts
-    is that moment, and not when the proof came."""
+    """The operators who are there, where motion needs one (attend.required), by the session that says so. What counts
+    is the moment at which an operator's device proves to have been there, not when the proof came."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
@@ -127,5 +123,4 @@ class Attendance:
         return NOBODY_ATTENDS if self.on and not self.names(now_ns) else ""
 
     def gone(self, now_ns: int) -> Cause | None:
-        """Why motion may not go on."""
         return causes.OPERATOR_GONE(*self._last) if self.unmet(now_ns) else None

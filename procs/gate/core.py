@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from math import isfinite
 
-from failstop.messages.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
+from failstop.messages.box import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.messages.packing import Note
-from failstop.messages.records import CAUSE
+from failstop.messages.records import FOR_AN_INTERLOCK, REFUSED
 from failstop.policy import causes
-from failstop.policy.causes import Cause
+from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.kinematics import Wheels
-from failstop.policy.reply import Reply
 from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
@@ -30,7 +29,7 @@ Speeds = tuple[float, float, float, float]
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
-IS_LATCHED = f"a stop is latched ({CAUSE})"
+IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
@@ -93,8 +92,7 @@ class GateCore:
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing
-        moves them."""
+        """When what moves the wheels now stops counting: they stop then, not at a later tick; None: nothing does."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None
@@ -150,8 +148,8 @@ class GateCore:
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
-        """Stop by itself: disable, stand still, and say so until the supervisor has latched it. True when nothing is
-        latched yet, so that this is news."""
+        """Stop by itself, until the supervisor has latched it. True when nothing is latched yet, so that this is
+        news."""
         self.stand_still()
         if self.latch is not None:
             return False
@@ -176,11 +174,13 @@ class GateCore:
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
         if self.latch is not None:
-            return Reply(False, IS_LATCHED, self.latch)
+            return refused(IS_LATCHED, self.latch)
         if missing:
-            return Reply(False, f"not ready: {missing}")
-        unmet = self.interlocks.unmet(now_ns) or self.attendance.unmet(now_ns)
-        return Reply(False, unmet) if unmet else None
+            return refused(f"not ready: {missing}")
+        if unmet := self.interlocks.unmet(now_ns):
+            return Reply(REFUSED, unmet, refused_for=FOR_AN_INTERLOCK)
+        alone = self.attendance.unmet(now_ns)
+        return refused(alone) if alone else None
 
     def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
         """Allow motion in this epoch, if nothing is against it."""
@@ -193,16 +193,14 @@ class GateCore:
         return Reply(True, "motion enabled")
 
     def disable(self) -> Reply:
-        """Forbid motion."""
         self.stand_still()
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
         """Allow this share of the settings' speeds. It counts from the next step on, by the ramps."""
         if not LEAST_LIMIT <= percent <= 100:
-            return Reply(False, f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
+            return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
-        """Percent of the settings' speeds."""
         self._limits = tuple(most * percent / 100 for most in self._most)
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
@@ -246,5 +244,4 @@ class GateCore:
 
 
 def _toward(now: float, want: float, most: float) -> float:
-    """Move from `now` to `want` by at most `most`."""
     return max(now - most, min(now + most, want))

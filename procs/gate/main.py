@@ -9,8 +9,7 @@ from failstop.files import instance, place
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes, kinematics
-from failstop.policy.causes import Cause
-from failstop.policy.reply import Reply
+from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
@@ -67,9 +66,7 @@ class Gate:
         self._watch_others(context)
         self.epoch = self._frames.epoch = self._epoch_word.get()
         self._raised_ns = 0
-        """When the epoch was raised last."""
         self._last = causes.UNKNOWN()
-        """The cause of the last stop."""
         self.core.limit_to(self._limit_word.get() or 100)
         self.requests = Requests(context, self.core.notes, now_ns)
         self.follow_latch()
@@ -221,7 +218,6 @@ class Gate:
             self._said_record.write(pack(self._said.table()), now_ns)
 
     def _tell(self) -> None:
-        """Pass on what people are told."""
         if self.core.notes:
             for note in self.core.notes:
                 self._notes.put(note.pack())
@@ -234,7 +230,6 @@ class Gate:
             self._frames.put(records.MOTION, frame, now_ns, self.core.epoch)
 
     def _follow_epoch(self) -> None:
-        """Somebody stopped."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             self.epoch = self._frames.epoch = epoch
@@ -274,12 +269,11 @@ class Gate:
     # Requests.
 
     def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
-        """Decide, act, answer."""
         request = Request(verb, asked_ns, number, slot.session, slot)
         enabled = self.core.enabled
         reply = self.requests.refusal(request, self._raised_ns, self._last)
         if reply is None:
-            reply = self._do[verb](request, now_ns) if verb in self._do else Reply(False, f"unknown request {verb}")
+            reply = self._do[verb](request, now_ns) if verb in self._do else refused(f"unknown request {verb}")
         if reply:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
@@ -307,16 +301,16 @@ class Gate:
 
     def _ask_arm(self, request: Request, now_ns: int) -> Reply:
         if self.arm is None:
-            return Reply(False, NO_ARM)
+            return refused(NO_ARM)
         if request.verb == records.ARM_HOLD:
             return self.arm.hold(request, now_ns)
         if closed := self.core.arm_closed():
-            return Reply(False, closed, self.core.latch)
+            return refused(closed, self.core.latch)
         done = self.arm.move(request, now_ns)
         if isinstance(done, Reply):
             return done
         self._stop(done, now_ns)
-        return Reply(False, IS_LATCHED, done)
+        return refused(IS_LATCHED, done)
 
     # Other news of clients.
 

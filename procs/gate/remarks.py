@@ -1,11 +1,10 @@
-"""Remarks: what people are told by the gate - who enabled, disabled, reset, was refused, left off driving; what clients
-say of themselves. Pure."""
+"""Remarks: what people are told of requests and of those who left off driving; what clients say of themselves. Pure."""
 
 from __future__ import annotations
 
 from failstop.messages import records
 from failstop.messages.packing import Note
-from failstop.policy.reply import Reply
+from failstop.policy.causes import Reply
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.gate.sources import Command
 
@@ -29,13 +28,11 @@ EVERY_NS = 200_000_000
 """A program that asks without end is told of five times a second, not a thousand times."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""A program that commands more slowly than its timeout starts and stops the wheels forever: that is told of too, now
-and then."""
+"""A program that commands more slowly than its timeout starts and stops the wheels forever."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """A note of a request's effect, or of its refusal; None when it has changed nothing. `enabled`: as it was
-    before."""
+    """A note of a request's effect, or of its refusal; None: it has changed nothing. `enabled`: as before."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -121,8 +118,8 @@ class Said:
         self._budget = Budget(now_ns)
 
     def follow(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """The words of all sessions that said something; returns what people are told of, None when nothing has
-        changed, not even when it was said."""
+        """The words of all sessions; returns what people are told, None when nothing has changed, not even the
+        times."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None

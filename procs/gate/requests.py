@@ -6,8 +6,7 @@ from __future__ import annotations
 from failstop.data import Data
 from failstop.messages import layout, records
 from failstop.messages.packing import Note
-from failstop.policy.causes import Cause
-from failstop.policy.reply import Reply, asked_before, unpack
+from failstop.policy.causes import Cause, Reply, asked_before, refused, unpack_reply
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
@@ -22,8 +21,7 @@ UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""Requests after which something may move, and what each gives way to that was asked for after it and came before it;
-and all to a stop."""
+"""Requests after which something may move, and the later ones that each of them gives way to; and all to a stop."""
 
 
 class Request(Data):
@@ -38,7 +36,6 @@ class Request(Data):
 
     @property
     def who(self) -> str:
-        """Its asker as people see it."""
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
@@ -76,13 +73,13 @@ class Requests:
         if request.verb == records.RESET:
             _, seen = request.about("seen") or (0, 0)
             # A stop that comes after this look is newer than the request, which the supervisor refuses for that.
-            return Reply(False, UNSEEN) if seen and seen != self._epoch_word.get() else None
+            return refused(UNSEEN) if seen and seen != self._epoch_word.get() else None
         if request.verb not in GIVES_WAY:
             return None
         if request.asked_ns < stopped_ns:
             return asked_before(last)
         if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY[request.verb]):
-            return Reply(False, "a later request took its place: ask again")
+            return refused("a later request took its place: ask again")
         return None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
@@ -105,8 +102,7 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the answers, after the state that has come of their requests: whoever reads one reads no older
-        state."""
+        """Write the answers, after the state that has come of them: whoever reads one reads no older state."""
         if self._answers:
             self._barrier()
             for index, answer in self._answers:
@@ -124,8 +120,8 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def ask_reset(self, request: Request) -> None:
-        """Pass one on, when it is its turn. Of those who ask again before it is, the newest counts: the line is no
-        longer than there are slots."""
+        """Pass one on, when it is its turn. Of those who ask again before, the newest counts: one waits for each
+        slot."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -138,8 +134,7 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True when the supervisor has decided a reset since the last call: the latch is to be read before its
-        answer."""
+        """True when one was decided since the last call: read the latch before its answer."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
@@ -152,4 +147,4 @@ class Requests:
         request = self._resets.pop(0)
         if self._resets:
             self._pass_reset_on()
-        self.settle(request, unpack(entry[2])[2], now_ns)
+        self.settle(request, unpack_reply(entry[2])[2], now_ns)

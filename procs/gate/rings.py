@@ -26,7 +26,6 @@ class Frames:
         self._port_owner_bell.ring()
 
     def stop(self, now_ns: int) -> None:
-        """Have the stop burst written now."""
         self.put(records.WRITE_BURST, b"", now_ns)
 
 
@@ -39,12 +38,10 @@ class GateBox:
         self._count = 0
 
     def command(self, command: Command) -> None:
-        """A command came, good or bad."""
         self._newest = command
         self._count += 1
 
     def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
-        """The end of a tick."""
         command = self._newest
         flags = (
             (box.ENABLED if core.enabled else 0)

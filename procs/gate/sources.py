@@ -8,6 +8,7 @@ service's own: no client commands as it.
 
 from __future__ import annotations
 
+from failstop.data import Data
 from failstop.messages import records
 from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
@@ -16,27 +17,15 @@ PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""
 
 
-class Command:
+class Command(Data):
     """A velocity command: who gave it, as which source, when (CLOCK_MONOTONIC ns), and what."""
 
-    __slots__ = ("manual", "session", "source", "t_ns", "velocity", "who")
-
-    def __init__(
-        self,
-        session: int,
-        who: str,
-        t_ns: int,
-        velocity: tuple[float, float, float],
-        *,
-        manual: bool = False,
-        source: str = FIRST_SOURCE,
-    ) -> None:
-        self.session = session
-        self.who = who
-        self.t_ns = t_ns
-        self.velocity = velocity
-        self.manual = manual
-        self.source = source
+    session: int
+    who: str
+    t_ns: int
+    velocity: tuple[float, float, float]
+    manual: bool = False
+    source: str = FIRST_SOURCE
 
 
 class Sources:
@@ -60,7 +49,6 @@ class Sources:
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """When a command stops counting."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:
@@ -73,24 +61,17 @@ class Sources:
         command.t_ns = min(command.t_ns, now_ns)
         self._commands[command.source] = command
 
-    def drop(self, session: int) -> bool:
-        """Forget every command of a session; True when there was one."""
-        gone = [source for source, command in self._commands.items() if command.session == session]
-        for source in gone:
-            del self._commands[source]
-        return bool(gone)
+    def drop(self, session: int) -> None:
+        """Forget every command of a session."""
+        self._commands = {source: kept for source, kept in self._commands.items() if kept.session != session}
 
     def clear(self) -> None:
-        """Forget every command."""
         self._commands.clear()
         self._driver = ""
 
     def driving(self, now_ns: int) -> Command | None:
         """The command of the highest source that is fresh."""
-        for source in self._rank:
-            if command := self.fresh(source, now_ns):
-                return command
-        return None
+        return next(filter(None, (self.fresh(source, now_ns) for source in self._rank)), None)
 
     def last_driver(self) -> Command | None:
         """The last command of the source that drove last, however old it is."""
@@ -106,9 +87,8 @@ class Sources:
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
         """The source that drives and those that wait, highest first, for people."""
         driving = self.driving(now_ns)
-        rows: list[dict[str, str | int]] = []
-        for source in self._rank:
-            if command := self.fresh(source, now_ns):
-                state = "drives" if command is driving else "waits"
-                rows.append({"source": source, "priority": self._rank[source], "who": command.who, "state": state})
-        return rows
+        return [
+            {"source": name, "priority": rank, "who": fresh.who, "state": "drives" if fresh is driving else "waits"}
+            for name, rank in self._rank.items()
+            if (fresh := self.fresh(name, now_ns))
+        ]

@@ -1,5 +1,4 @@
-"""The battery: a low one stops the robot, a step of its voltage is the charger, and a line of the log is due now and
-then. Pure; state_files.py writes."""
+"""The battery: a low one stops the robot, a step of its voltage is the charger, a log has a line now and then. Pure."""
 
 from __future__ import annotations
 
@@ -52,7 +51,6 @@ class Charger:
         self.state = state
 
     def follow(self, enabled: bool, now_ns: int) -> None:
-        """Motion is enabled or disabled."""
         if enabled:
             self._disabled_since_ns = None
         elif self._disabled_since_ns is None:
@@ -87,8 +85,7 @@ class BatteryLog:
         self._due_ns: int | None = None
 
     def take(self, millivolts: int, enabled: bool, t_ns: int, unix_s: float) -> tuple[str, str] | None:
-        """One reading. Returns (file name, line) when a line is due; the file is the day's, in UTC: a day has no
-        second half past two."""
+        """One reading. Returns (file name, line) when a line is due; the file is the day's, in UTC."""
         if not self._on or (self._due_ns is not None and t_ns < self._due_ns):
             return None
         # Readings come every 1.05 s: counted from the reading that was late, the lines would be 10.5 s apart.

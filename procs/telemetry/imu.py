@@ -30,13 +30,11 @@ class Accelerometer:
         self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
-        """The acceleration in m/s2."""
         (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
         return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
 
 
 def radps(x_dps: float, y_dps: float, z_dps: float) -> Vector:
-    """Degrees per second to rad/s."""
     return x_dps * RAD_PER_DEG, y_dps * RAD_PER_DEG, z_dps * RAD_PER_DEG
 
 
@@ -105,7 +103,6 @@ class GyroBias:
         return ""
 
     def corrected(self, rate_radps: Vector) -> Vector:
-        """The rate less its bias."""
         (x, y, z), (bias_x, bias_y, bias_z) = rate_radps, self.bias_radps
         return x - bias_x, y - bias_y, z - bias_z
 

@@ -62,14 +62,12 @@ class GateState:
         """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
         self.tucks = False
         """The arm has announced that it goes to its tuck pose."""
-        self.velocity = STANDSTILL
-        """m/s forward, m/s left, rad/s counter-clockwise."""
+        self.velocity = STANDSTILL  # m/s forward, m/s left, rad/s counter-clockwise
         self.since_ns = 0
         """When this state began, as far as is known."""
 
     @property
     def commanded(self) -> bool:
-        """Whether a velocity other than zero is commanded."""
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
@@ -175,8 +173,7 @@ class Telemetry:
         self.loop.watch(self._bell.fd, READ)
 
     def _inherit(self, own: Segment) -> None:
-        """A successor goes on with the bias and the pose of the process before it, and calibrates again only if the
-        wheels stand."""
+        """A successor goes on with the bias and the pose of the one before it."""
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:

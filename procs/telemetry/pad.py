@@ -7,6 +7,7 @@ any --any latch, any other button--> locked     and locked it stays while latche
 
 from __future__ import annotations
 
+from failstop.data import Data
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
@@ -43,19 +44,15 @@ TUCK_SOUND = (2000, 50, OFF_MS, 4)
 """Four short ones: the arm is about to move by itself."""
 
 
-class PadNews:
-    """The meaning of one frame: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, a joint to
-    turn with a share of its speed or None, and whether to request a reset."""
+class PadNews(Data):
+    """The meaning of one frame."""
 
-    __slots__ = ("arm", "cause", "command", "reset")
-
-    def __init__(
-        self, cause: Cause | None, command: Velocity | None, reset: bool, arm: tuple[int, float] | None
-    ) -> None:
-        self.arm = arm
-        self.cause = cause
-        self.command = command
-        self.reset = reset
+    cause: Cause | None
+    command: Velocity | None
+    """To command: m/s, m/s, rad/s."""
+    reset: bool
+    arm: tuple[int, float] | None
+    """A joint to turn, and the share of its speed."""
 
 
 class Pad:
@@ -80,7 +77,6 @@ class Pad:
         self._hold_spent = False
         self._chose = False
         self.joint = 0
-        """The chosen joint, by its place in the settings."""
         self.mode = LOCKED
 
     def follow(self, latched: bool, now_ns: int) -> None:
@@ -120,7 +116,6 @@ class Pad:
         return causes.BUTTON(pressed) if pressed else None
 
     def _turns_joint(self, lx: int, rx: int) -> tuple[int, float]:
-        """The joint and the share of its speed."""
         side = self._axis(lx)
         if abs(side) >= CHOOSES and not self._chose:
             self.joint = (self.joint + (1 if side > 0 else -1)) % self._joints

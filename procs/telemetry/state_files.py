@@ -8,15 +8,12 @@ from __future__ import annotations
 import _thread
 import os
 from _queue import SimpleQueue
+from collections.abc import Callable
 from errno import ENOSPC
 
 from failstop.files import durable
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Job = tuple[str, Callable[[], None]]
+Job = tuple[str, Callable[[], None]]
 
 THREAD_STACK_BYTES = 256 * 1024
 """The thread's: all memory is locked as it is touched, and counts against the limit even before."""
@@ -43,8 +40,7 @@ def append_line(path: str, header: str, line: str) -> None:
 
 
 def write_whole(path: str, text: str) -> None:
-    """Replace a file's content: after a crash or power cut it is the old one or the new one. Raises OSError, and then
-    the old one is there."""
+    """Replace a file's content, whole or not at all. Raises OSError, and then the old one is there."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     draft = f"{path}.new"
     durable.write_draft(draft, text.encode())
@@ -61,7 +57,6 @@ class StateFiles:
         self._failing: dict[str, str] = {}
         """The last attempt that failed, and why; the thread's own."""
         self.running = False
-        """Whether the thread is there."""
 
     def read(self, what: str, name: str) -> str:
         """A file's text; empty when there is none. At the start only: it does not go through the thread."""
@@ -82,7 +77,6 @@ class StateFiles:
         self._put(what, lambda: append_line(os.path.join(self.folder, name), header, line))
 
     def replace(self, what: str, name: str, text: str) -> None:
-        """Replace a file's content soon."""
         self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[tuple[str, str]]:
@@ -107,7 +101,6 @@ class StateFiles:
             self._jobs.put((what, write))
 
     def _work(self) -> None:
-        """The thread."""
         while job := self._jobs.get():
             what, write = job
             try:

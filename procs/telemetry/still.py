@@ -1,23 +1,9 @@
 """Whether the wheels stand still, as the gyro shows it. Pure.
 
-Wheels that turn shake the robot: the standard deviation of gyro x and of gyro y over a window tells. Measured on the
-robot in rad/s: still 0.0016 to 0.0025, 0.2 m/s 0.005 to 0.006, 0.35 m/s 0.006 to 0.010, turning on the spot down to
-0.004. The limit of 0.0035 is near to both sides, so one quiet window proves little: at 0.0040 a window of 0.45 s is
-quiet by chance in every fourth stretch of 1.5 s. Hence the verdict is "still" when every window has been quiet for
-another HOLD_NS.
-
-How long both must be is a matter of computed chances. White noise at 110 Hz, 6,000,000 samples each; false still: 1.5 s
-stretches with any such verdict; false shaking: share of the time.
-
-    window + hold   false still at 0.0040 / 0.0043 / 0.0050   false shaking at 0.0025 / 0.0020
-    0.45 + 0.00 s   25 %   / 3.3 %   / 0.01 %                 0.00009 / 0
-    0.40 + 0.20 s   1.6 %  / 0.04 %  / 0                      0.0017  / 0
-    0.50 + 0.20 s   0.9 %  / 0.03 %  / 0                      0.0003  / 0
-    0.50 + 0.25 s   0.6 %  / 0.014 % / 0                      0.0003  / 0
-    0.60 + 0.30 s   0.2 %  / 0       / 0                      0.00004 / 0
-
-A longer sum is safer and later, and the supervisor waits 1.5 s from the stop, of which the wheels take up to 0.75 s to
-come to rest. docs/dev/telemetry.md has the delay, and what an IMU of another rate makes of it.
+Wheels that turn shake the robot: the standard deviation of gyro x and of gyro y over a window tells. The limit between
+still and turning is near to both, so one window is quiet by chance now and then: the verdict is "still" when every
+window has been quiet for another HOLD_NS. docs/dev/telemetry.md has how often windows and holds of several lengths are
+wrong, the delay, and what an IMU of another rate makes of it.
 """
 
 from __future__ import annotations
@@ -49,8 +35,7 @@ class StillJudge:
         """The first sample and the last of the first window of the present run of quiet ones; zeros: it is not."""
         self.still_ns = 0
         """Since when the wheels are still: all samples from then on are in quiet windows. 0: they turn, or nobody
-        knows. A window that begins with the end of a movement is quiet as soon as the rest outweighs it, so this may be
-        0.2 s early after a straight drive at 0.2 m/s, 0.4 s after a turn at 1.0 rad/s, and before the stop itself."""
+        knows. It may be before the stop: a window is quiet as soon as its rest outweighs the end of a movement."""
         self.judged_ns = 0
         """The last sample that there is a verdict of; 0: there is none, as while the first quiet windows must hold."""
 

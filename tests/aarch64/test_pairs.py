@@ -254,7 +254,7 @@ def test_a_client_loads_the_reply_before_the_state() -> None:
     class Reply:
         def read(self) -> tuple[int, int, bytes]:
             trace.done.append("load reply")
-            return 1, 1, records.REPLY.pack(7, 3, True, "enabled", b"")
+            return 1, 1, records.REPLY.pack(7, 3, True, 0, "enabled", b"")
 
     kind = machine.load("failstop.api.client").Client
     client = kind.__new__(kind)

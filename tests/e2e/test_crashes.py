@@ -11,7 +11,8 @@ import pytest
 from failstop.lab.faults import ptrace
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages.layout import PROCESSES, SUPERVISOR
-from failstop.procs.rights import LOOP_US, NO_DUMP
+from failstop.procs.rights import LOOP_US
+from failstop.shm.futex import NO_DUMP
 
 LATEST_MS = 1500.0
 """Of a stop for who loops on the only core: the kernel ends it after 0.1 s; without real-time rights the deadlines are

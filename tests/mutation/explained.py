@@ -179,7 +179,6 @@ SHM: tuple[Reason, ...] = (
     Reason("data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
     Reason("messages/layout.py", r"\n\+.*.sensed.: 65, ", "room for a byte more", same=False),
-    Reason("messages/layout.py", r"\n\+.*crc32\(data, 23295\)", "any start of the second sum will do", same=False),
     Reason("shm/lifeline.py", r"\n\+.*os\.eventfd\(0, \)", "EFD_CLOEXEC is the default"),
     Reason("shm/lifeline.py", r"\n\+.*poll\.register\(self\.fd, \)", "a pidfd has no events but this one"),
     Reason("shm/lifeline.py", r"\n\+.*timeout_s \* 1001", "longer by a thousandth", same=False),

@@ -7,8 +7,7 @@ import pytest
 from failstop.messages import records
 from failstop.messages.layout import NOTE_BYTES
 from failstop.messages.packing import Note
-from failstop.policy.causes import Cause
-from failstop.policy.reply import Reply
+from failstop.policy.causes import Cause, Reply
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_request
 from tests.support.why import why
 

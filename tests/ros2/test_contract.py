@@ -8,7 +8,7 @@ import pytest
 
 from failstop.api.errors import NoService, Refused
 from failstop.lab.trial import wait_for
-from failstop.messages.records import CAUSE
+from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
@@ -122,7 +122,8 @@ def test_words_of_the_driver_before() -> None:
     assert words.DISABLED == "disabled"
     own = causes.REQUESTED("estop topic", "ros2", 77)
     for cause, text in ((causes.KEY(1), "key1"), (own, "estop topic")):
-        assert words.refused(Refused(f"a stop is latched ({CAUSE})", cause)) == f"refused: e-stop latched ({text})"
+        latched = Refused(f"a stop is latched ({CAUSE})", cause, refused_for=FOR_THE_LATCH)
+        assert words.refused(latched) == f"refused: e-stop latched ({text})"
         assert words.reset(cause) == f"e-stop cleared (was: {text}); motion still disabled"
     assert words.refused(Refused("arm is not in the drive pose")) == "refused: arm is not in the drive pose"
     assert words.refused(NoService("no service")) == "refused: no service"

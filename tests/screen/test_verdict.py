@@ -9,7 +9,7 @@ import pytest
 from failstop.api import steps, verdict
 from failstop.api.snapshot import Block, Device
 from failstop.api.steps import Purpose
-from failstop.messages import blocks
+from failstop.messages import box
 from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
@@ -107,7 +107,7 @@ def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
     ],
 )
 def test_a_refusal_names_what_stands_in_its_way_alone(found: Any, goal: Purpose, begins: str) -> None:
-    told = steps.after_refusal(found, goal, "no")
+    told = steps.after_refusal(found, goal, told=bool(found.unmet))
     assert told.startswith(begins)
     assert bool(told) == bool(begins)
 
@@ -160,9 +160,9 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
     found = _gate_reasons()
     assert found.pop("nothing") == ""
     for reason in found.values():
-        assert reason.startswith(blocks.KINDS)
+        assert reason.startswith(box.EVERY_BLOCK)
     assert [Block.of(found[key]) for key in ("latched", "disabled", "no command", "no sensor")] == list(Block)
-    assert len(set(found.values())) == len(Block) == len(blocks.KINDS)
+    assert len(set(found.values())) == len(Block) == len(box.EVERY_BLOCK)
 
 
 def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_gone() -> None:

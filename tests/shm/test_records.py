@@ -84,7 +84,7 @@ def test_what_is_packed_comes_back(kind: str, data: st.DataObject) -> None:
 TEXTS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...], int, st.SearchStrategy[tuple[bytes, ...]]]] = {
     "port": (records.PORT, (U64, U64, st.sampled_from([0, 1, 2])), 300, st.just(())),
     "hello": (records.HELLO, (U64, U32, U64), 64, st.just(())),
-    "reply": (records.REPLY, (U64, U64, st.booleans()), 290, st.tuples(CAUSE)),
+    "reply": (records.REPLY, (U64, U64, st.booleans(), st.sampled_from([0, 1, 2])), 290, st.tuples(CAUSE)),
 }
 
 
@@ -140,7 +140,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "left": (lambda _: records.LEFT.pack(TOP), each("client.{}/left")),
     "hello": (lambda text: records.HELLO.pack(TOP, 2**32 - 1, TOP, text), each("client.{}/hello")),
     "reply": (
-        lambda text: records.REPLY.pack(TOP, TOP, True, text, causes.PIPED(text).pack()),
+        lambda text: records.REPLY.pack(TOP, TOP, True, 0, text, causes.PIPED(text).pack()),
         each("gate/reply.{}"),
     ),
     "asserted": (lambda _: records.ASSERTED.pack(TOP, ["x" * records.HELD_BYTES]), each("client.{}/interlocks")),
@@ -195,7 +195,7 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
     for found, room in (
         (records.PORT.unpack(records.PORT.pack(1, 1, 1, text))[-1], 300),
         (records.HELLO.unpack(records.HELLO.pack(1, 1, 1, text))[-1], 64),
-        (records.REPLY.unpack(records.REPLY.pack(1, 1, True, text, b"cause"))[-2], 290),
+        (records.REPLY.unpack(records.REPLY.pack(1, 1, True, 0, text, b"cause"))[-2], 290),
         (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ROOM),
     ):
         assert is_cut(str(found), text, room)
@@ -272,7 +272,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "latch": (records.LATCH, 24),
     "left": (records.LEFT, 8),
     "hello": (records.HELLO, 20),
-    "reply": (records.REPLY, 19),
+    "reply": (records.REPLY, 20),
     "request": (records.REQUEST, 17),
     "seen": (records.SEEN, 16),
     "command": (records.COMMAND, 49),
@@ -328,7 +328,7 @@ def test_a_text_that_is_no_utf_8_is_shown_as_far_as_it_goes(kind: str) -> None:
 
 
 def test_no_bytes_of_a_client_are_too_strange_to_be_read() -> None:
-    assert records.REPLY.unpack(struct.pack("<QQBH", 1, 2, 0, 1) + b"\xff\xfe") == (1, 2, False, "\ufffd", b"\xfe")
+    assert records.REPLY.unpack(struct.pack("<QQBBH", 1, 2, 0, 0, 1) + b"\xff\xfe") == (1, 2, 0, 0, "\ufffd", b"\xfe")
     assert causes.unpack(struct.pack("<H", causes.PIPED.number) + b"\xff") == causes.PIPED("\ufffd")
     command = records.COMMAND.pack(1, 0.0, 0.0, 0.0, False, "teleop")
     assert records.COMMAND.unpack(command[:-16] + b"\xff" * 16)[-1] == "\ufffd" * 16

@@ -30,7 +30,6 @@ def test_absent(name: str) -> None:
         lambda: segments.attach(name, "gate"),
         lambda: segments.attach(name, "gate", RUN, write=True),
         lambda: segments.attach(name, "client.0", RUN, write=True),
-        lambda: segments.read_client_slot(name, 0, RUN),
     ):
         kind, message = refusal(attempt)
         assert kind == "absent"

@@ -252,12 +252,18 @@ def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> No
     also, stop = scene.events()
     assert (also["kind"], also["fields"]) == (
         "stop_also",
-        {"reason": str(why("multiple cmd_vel publishers")), "cause": "piped", "noticed_by": "gate"},
+        {
+            "reason": str(why("multiple cmd_vel publishers")),
+            "cause": "piped",
+            "noticed_ns": scene.now_ns - MS,
+            "noticed_by": "gate",
+        },
     )
     assert (stop["kind"], stop["level"]) == ("stop", "warning")
     assert stop["fields"] == {
         "reason": "key1",
         "cause": "key",
+        "noticed_ns": scene.now_ns - MS,
         "noticed_by": "port_owner",
         "written_by": "port owner",
         "latency_us": 50.0,
@@ -279,7 +285,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene) -> None:
 
 def watched(scene: Scene) -> Any:
     """A service manager has started it, which nobody reaches; its Status."""
-    scene.supervisor.status.notify = scene.load("failstop.supervisor.status").Notify("/nobody", 2)
+    scene.supervisor.status.notify = scene.load("failstop.notify").Notify("/nobody", 2)
     return scene.supervisor.status
 
 

@@ -174,7 +174,7 @@ def test_a_restart_is_refused_when_and_only_when_the_window_is_full(limit: int, 
 def test_a_fence_tells_its_times_in_order() -> None:
     fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
     assert fence.story("port_owner") == "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms"
-    fence.gone(T0 + MS, T0 + 2 * MS)
+    fence.gone_ns, fence.again_ns = T0 + MS, T0 + 2 * MS
     assert fence.story("port_owner") == (
         "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms, "
         "gone after 1.0 ms, stop again after 2.0 ms"
@@ -188,6 +188,6 @@ def test_a_fence_tells_its_times_in_order() -> None:
     }
     assert not fence.was_starved
     gate = Fence(T0, T0 + MS, 0, 61_250_001)
-    gate.gone(T0 + 200 * MS, 0)
+    gate.gone_ns = T0 + 200 * MS
     assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 200.0 ms"
     assert gate.fields() == {"silent_ms": 61.3, "kill_us": 1000.0, "gone_us": 200000.0}

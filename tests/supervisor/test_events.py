@@ -12,8 +12,9 @@ from pathlib import Path
 import msgpack
 import pytest
 
+from failstop.notify import Outbox
 from failstop.supervisor import kinds
-from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Outbox, journal_entry, pack, say
+from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, journal_entry, pack, say
 from tests.supervisor.streams import stderr_is
 from tests.support.supervisor_scene import Scene
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.supervisor.events import Outbox, encode, is_journal
+from failstop.notify import Outbox
+from failstop.supervisor.events import encode, is_journal
 from tests.support.supervisor_scene import Scene
 
 

@@ -150,12 +150,20 @@ def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
 
 
 def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
+    noticed_ns = scene.now_ns
     scene.stops("the first")
     scene.said()
     scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
     assert follow(scene, 1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
     told = {"reason": FIRST, "epoch": 2}
-    outcome = {**told, "cause": "piped", "link": "unproven", "sent": True, "wheels": "unstill"}
+    outcome = {
+        **told,
+        "cause": "piped",
+        "noticed_ns": noticed_ns,
+        "link": "unproven",
+        "sent": True,
+        "wheels": "unstill",
+    }
     assert scene.said() == [
         ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
         ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
@@ -167,6 +175,7 @@ def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
 
 
 def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene) -> None:
+    noticed_ns = scene.now_ns
     scene.stops("the first")
     scene.said()
     scene.pings(0)
@@ -176,6 +185,7 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene)
     outcome = next(event for event in scene.said() if event[0] == "stop_outcome")
     acknowledged_us = outcome[3].pop("acknowledged_us")
     assert acknowledged_us == 2_000.0
+    assert outcome[3].pop("noticed_ns") == noticed_ns
     text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
     fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "sent": True, "wheels": "unknown"}
     assert outcome == ("stop_outcome", "notice", text, fields)

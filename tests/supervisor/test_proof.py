@@ -153,7 +153,7 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
 
 def test_what_programs_are_told_of_it() -> None:
     last = proof()
-    told = {"reason": "gate died", "cause": "died", "epoch": 2, "link": "alive", "sent": True}
+    told = {"reason": "gate died", "cause": "died", "noticed_ns": T0, "epoch": 2, "link": "alive", "sent": True}
     assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
     assert last.ponged(T0 + MS, T0 + 2 * MS)
     last.judged(0, T0 + AFTER, T0 + AFTER)
@@ -165,6 +165,7 @@ def test_what_programs_are_told_of_it() -> None:
         "cause": why("gate died").pack(),
         "latched": why("gate died").pack(),
         "noticed_by": "gate",
+        "noticed_ns": T0,
         "written_by": "port owner",
         "t": 1.0,
         "epoch": 2,

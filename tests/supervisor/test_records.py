@@ -61,7 +61,7 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
 def heard(scene: Scene) -> list[str]:
     """What a service manager hears from now on."""
     said: list[str] = []
-    notify = scene.load("failstop.supervisor.status").Notify("/nowhere")
+    notify = scene.load("failstop.notify").Notify("/nowhere")
     notify.say = lambda message: not said.extend(message.split("\n"))
     scene.supervisor.status.notify = notify
     return said

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from failstop.supervisor.status import OWED_NS, UNDYING_NS, VARIABLES, Notify, fault, status_line
+from failstop.notify import VARIABLES, Notify
+from failstop.supervisor.status import OWED_NS, UNDYING_NS, fault, status_line
 
 NOW = 10**12
 S = 10**9

@@ -127,6 +127,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
+        "noticed_ns": stop.t_ns,
         "noticed_by": stop.noticed_by,
         "written_by": "nobody" if after_ns is None else "stopper",
         "epoch": 7,
@@ -141,7 +142,7 @@ def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Sce
     also = (
         "stop_also",
         "also: gate died",
-        {"reason": "gate died", "cause": "died", "noticed_by": layout.SUPERVISOR},
+        {"reason": "gate died", "cause": "died", "noticed_ns": DEATH.t_ns, "noticed_by": layout.SUPERVISOR},
         "",
     )
     for _ in range(2):

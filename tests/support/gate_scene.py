@@ -17,8 +17,7 @@ from failstop.lab.sim.servos import Servos
 from failstop.messages import layout, records
 from failstop.messages.packing import Note
 from failstop.policy import causes
-from failstop.policy.causes import Cause
-from failstop.policy.reply import unpack
+from failstop.policy.causes import Cause, unpack_reply
 from failstop.procs.loop import NEVER
 from failstop.procs.port_owner.admission import ServoBus
 from failstop.supervisor.latch import Latch
@@ -246,7 +245,7 @@ class Scene(Stage):
         entry = self.own.latest_reader(f"reply.{client}").read()
         if entry is None:
             return 0, records.UNDER_WAY, ""
-        _, number, reply = unpack(entry[2])
+        _, number, reply = unpack_reply(entry[2])
         return number, reply.done, str(reply)
 
     def answered(self, client: int = 0) -> tuple[int, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from failstop.lab.pages.rooms import LINKED, PACKAGE, ROOT, folder, imported, modules
 
 __all__ = ["CORE", "LINKED", "PACKAGE", "ROOT", "folder", "imported", "modules", "name_of", "package"]
-CORE = ("files", "shm", "messages", "board", "policy", "procs", "supervisor")
+CORE = ("files", "notify", "shm", "messages", "board", "policy", "procs", "supervisor")
 
 
 def package() -> list[Path]:

@@ -16,7 +16,7 @@ from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
-from failstop.policy.reply import unpack
+from failstop.policy.causes import unpack_reply
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
@@ -58,7 +58,7 @@ class Scene(PortMachine):
         self.run = self.new_run(journal)
         board = self.load("failstop.board.kinds").board_of(*self.settings.board())
         self.port = self.load("failstop.supervisor.port_handover").OwnPort(self.open(self.wire), board)
-        notify = self.load("failstop.supervisor.status").Notify()
+        notify = self.load("failstop.notify").Notify()
         self.supervisor = self.load("failstop.supervisor.main").Supervisor(self.run, self.port, notify)
         self.run.publish()
         attach = self.load("failstop.messages.segments").attach
@@ -278,7 +278,7 @@ class Scene(PortMachine):
         """The answer to the last reset; None: it is not decided."""
         if self.word("resets").get() != self.gate.word("resets_asked").get():
             return None
-        return told(unpack(self.read("reset"))[2])
+        return told(unpack_reply(self.read("reset"))[2])
 
     def boxed(self) -> list[tuple[int, bytes]]:
         """The black box's entries since the last call, with their times."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from failstop.policy import causes
-from failstop.policy.causes import Cause
-from failstop.policy.reply import Reply
+from failstop.policy.causes import Cause, Reply
 
 KNOWN = {
     str(cause): cause

@@ -21,7 +21,7 @@ from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Decoder, Ho
 from failstop.cli.screen.summary import row
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
-from failstop.messages import blocks
+from failstop.messages import box
 from failstop.messages.layout import GATE
 from failstop.policy.joints import PULSES_PER_RAD
 from failstop.policy.settings import FIRST_SOURCE
@@ -156,7 +156,7 @@ class Pilot:
             if against := self._against(state):
                 self.note, moving = against, []
                 self.hold.let_go()
-            elif self.note[1] in (WARN, FAIL) and state.blocked in (None, blocks.NO_COMMAND):
+            elif self.note[1] in (WARN, FAIL) and state.blocked in (None, box.NO_COMMAND):
                 self.note = ("", PLAIN)
         self._send(self.hold.pressed(moving, now_s), now_s)
 

@@ -139,7 +139,6 @@ def make_rights(calls: Calls) -> ModuleType:
         name_process=nothing,
         die_with_parent=die_with_parent,
         take_rights=lambda priority: EVERY_RIGHT & ~calls.machine.refused,
-        leave_no_dump=nothing,
         settle=nothing,
         take_descriptors=nothing,
         take_stack=nothing,

@@ -28,10 +28,8 @@ ROOMS = {
         "api board cli config doctor files fleet instances messages policy procs ros2 shm stopping supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
-    "fleet": Room(
-        "the robots of a broker, and metrics", "api cli config doctor extras files messages policy supervisor"
-    ),
-    "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy procs"),
+    "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
+    "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy shm"),
     "cli": Room(
         "the commands, and what they draw on a terminal",
         "api board config doctor files incidents instances messages policy procs stopping supervisor",
@@ -48,13 +46,15 @@ ROOMS = {
     "discovery": Room("serial devices, for error messages", ""),
     "extras": Room("packages that a part may lack", ""),
     "supervisor": Room(
-        "starts and watches the processes; the latch, the stops, the events", "board files messages policy procs shm"
+        "starts and watches the processes; the latch, the stops, the events",
+        "board files messages notify policy procs shm",
     ),
     "procs": Room("the four other processes", "board files messages policy shm"),
     "policy": Room("settings, causes, the process table, kinematics: pure", "messages"),
     "messages": Room("the records that processes exchange", "files shm"),
     "board": Room("the wire and the port", ""),
     "shm": Room("shared memory, futexes and lifelines", "files"),
+    "notify": Room("datagrams for the service manager", ""),
     "files": Room("files and folders that nobody can plant", ""),
 }
 """The most important first: the picture's order within a level."""

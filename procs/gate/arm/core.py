@@ -9,13 +9,13 @@ moves again.
 from __future__ import annotations
 
 from failstop.board.servos import HIGHEST_POSITION
+from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
-from failstop.procs.gate.arm.space import Space
-from failstop.procs.gate.arm.stream import Stream
+from failstop.procs.gate.arm.stream import Space, Stream
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -50,7 +50,6 @@ class ArmCore:
         self._stream = Stream(settings, board, self._space)
         self._journey: Journey | None = None
         self._goal: Goal | None = None
-        """The newest of a stream."""
         self._ended: dict[int, int] = {}
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
         self._torque_ns = 0
@@ -58,12 +57,10 @@ class ArmCore:
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
         self.letting_go: list[Joint] = []
-        """Joints whose torque is still to be switched off."""
         self.active_ns = 0
         """When it was last moved, or asked to; 0: never, or let go since."""
         self.released = False
         self.refused = ""
-        """Why the last goal of a stream was not taken."""
 
     # Goals.
 
@@ -119,7 +116,6 @@ class ArmCore:
         return closed or ENDED
 
     def pause(self, session: int) -> None:
-        """Its stream is over, by its own doing."""
         self._ended.pop(session, None)
 
     def travel(self, journey: Journey, now_ns: int, why: str = "preempted") -> bool:
@@ -139,25 +135,25 @@ class ArmCore:
         return Journey(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
     def _ends(self, purpose: str) -> dict[Joint, float]:
-        """Where the joints are that are part of a pose."""
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     # Ends.
 
-    def drop(self, why: str) -> bool:
-        """Forget every goal; True when the arm may still move, and a stop is to be written for it."""
+    def drop(self, why: str, cause: Cause | None = None) -> bool:
+        """Forget every goal; True: a stop is to be written, as the arm may still move. `cause`: of a latched stop."""
         was = self.streaming()
         if way := self.way:
             way.finish(why, dropped=True)
+            way.stopped_for = cause
         self._goal = None
         self._stream.end()
         return was
 
-    def stop(self, why: str) -> None:
+    def stop(self, why: str, cause: Cause | None = None) -> None:
         """As drop(), for a stop that is written already: it ends what was let go of, too, and every stream."""
         self.end_streams()
         self.letting_go.clear()
-        self.drop(why)
+        self.drop(why, cause)
 
     def end_streams(self, but: int | None = None) -> None:
         """Those of all sessions but one: they count again after a pause."""
@@ -214,7 +210,6 @@ class ArmCore:
         return self._board.servo_read(question[0].servo, question[1]) if question else b"", hold
 
     def _unknown(self, joints: list[Joint]) -> list[Joint]:
-        """The joints whose position must be read before these may move."""
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
     def _free_ns(self) -> int:
@@ -222,7 +217,6 @@ class ArmCore:
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
-        """The joints that a goal wants to move now."""
         if (way := self.way) and way.phase not in (goals.LOADING, goals.ON_ITS_WAY):
             return []
         return list(self.followed.ends) if self.followed else []
@@ -342,7 +336,6 @@ class ArmCore:
     # News.
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
-        """The board's answer to a question."""
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
             # A servo turned beyond what a move can say is as near as one can.
             joint.position = float(max(0, min(joint.measured or 0, HIGHEST_POSITION)))

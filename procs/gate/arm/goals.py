@@ -11,6 +11,8 @@ from itertools import pairwise
 from math import isfinite
 from operator import itemgetter
 
+from failstop.data import Data
+from failstop.policy.causes import Cause
 from failstop.policy.joints import PULSES_PER_RAD, Joint
 
 FOLLOW = "follow"
@@ -30,20 +32,17 @@ Waypoint = tuple[float, dict[Joint, float]]
 """When (s from the begin), and the pulses of each joint of the goal."""
 
 
-class Goal:
+class Goal(Data):
     """Follow or jog: a target of each joint, in pulses or pulses/s."""
 
-    share = 1.0
-
-    def __init__(self, mode: str, session: int, who: str, t_ns: int, ends: dict[Joint, float]) -> None:
-        self.mode = mode
-        self.session = session
-        self.who = who
-        self.t_ns = t_ns
-        self.ends = ends
+    mode: str
+    session: int
+    who: str
+    t_ns: int
+    ends: dict[Joint, float]
+    share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The targets or rates that hold until then."""
         return self.ends
 
 
@@ -69,6 +68,8 @@ class Journey:
         self.done = self.dropped = False
         """Over; over because somebody took the arm."""
         self.outcome = ""
+        self.stopped_for: Cause | None = None
+        """The latched cause that has ended it; None: another reason has."""
 
     @property
     def ends(self) -> dict[Joint, float]:
@@ -77,7 +78,6 @@ class Journey:
 
     @property
     def length_s(self) -> float:
-        """How long it takes, once it has begun."""
         return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
@@ -92,7 +92,6 @@ class Journey:
         return too_fast_between(self._rows)
 
     def targets(self, then_ns: int) -> dict[Joint, float]:
-        """Where each joint is to be then."""
         t_s = (then_ns - self.begun_ns) * 1e-9
         after = bisect_right(self._rows, t_s, key=itemgetter(0))
         if after == len(self._rows):
@@ -102,7 +101,6 @@ class Journey:
         return {joint: a + share * (end[joint] - a) for joint, a in begin.items()}
 
     def left_s(self, now_ns: int) -> float:
-        """Until its end."""
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:

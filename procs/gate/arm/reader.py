@@ -18,8 +18,7 @@ QUIET_NS = LONGEST_MOVE_MS * 1_000_000 + 4 * LATE_NS
 APART_NS = SILENT_NS + LATE_NS
 """Between two questions: the port owner lets none pass while an earlier one may still hold the receiver."""
 WAIT_NS = 40_000_000
-"""An answer that is not there by then does not come: it takes some milliseconds through board, port owner and
-telemetry."""
+"""An answer takes some milliseconds through board, port owner and telemetry; later than this none comes."""
 IDLE_NS = 150_000_000
 """Between two questions that nobody waits for."""
 AGREE = 5
@@ -49,7 +48,6 @@ class Reader:
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
-        """When to look again."""
         return self._asked_ns + WAIT_NS if self._asked else max(self._next_ns, self._quiet_ns)
 
     def ask(self, wanted: list[Joint], now_ns: int) -> tuple[Joint, int] | None:
@@ -105,16 +103,11 @@ class Reader:
         elif what == SUPPLY:
             joint.supply_mv = value
         elif what == POSITION:
-            return self._position(joint, value, t_ns)
+            before, joint.unpaired = joint.unpaired, value
+            if before is not None and abs(value - before) <= AGREE:
+                joint.measured, joint.measured_ns = round((value + before) / 2), t_ns
+                return joint
         return None
-
-    @staticmethod
-    def _position(joint: Joint, value: int, t_ns: int) -> Joint | None:
-        before, joint.unpaired = joint.unpaired, value
-        if before is None or abs(value - before) > AGREE:
-            return None
-        joint.measured, joint.measured_ns = round((value + before) / 2), t_ns
-        return joint
 
     def _missed(self, joint: Joint) -> None:
         self._asked = None

@@ -5,13 +5,12 @@ A request that takes time has more than one reply: how far it is (records.UNDER_
 
 from __future__ import annotations
 
+from failstop.data import Data
 from failstop.messages import box, records
 from failstop.messages.packing import Note
-from failstop.messages.records import CAUSE
 from failstop.policy import causes
-from failstop.policy.causes import Cause
+from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.joints import PULSES_PER_RAD, too_far
-from failstop.policy.reply import Reply
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
@@ -37,19 +36,16 @@ PAD_PUBLISHER = -1
 """The gamepad's session: no client's."""
 
 
-class Waiter:
+class Waiter(Data):
     """A client that waits for the end of a journey, and whether it wants motion to be enabled then."""
 
-    def __init__(self, request: Request, journey: Journey, *, enables: bool = False) -> None:
-        self.request = request
-        self.journey = journey
-        self.enables = enables
-        self.told_ns = 0
+    request: Request
+    journey: Journey
+    enables: bool = False
+    told_ns: int = 0
 
 
 class Arm:
-    """The arm of a gate whose robot has one."""
-
     def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
         """`requests`: where they are answered; `notes`: where news for people is put."""
         settings = context.settings
@@ -73,7 +69,6 @@ class Arm:
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """The last news of each joint for people."""
-        self._stopped_for: Cause | None = None
 
     # The gate's turn.
 
@@ -85,7 +80,6 @@ class Arm:
         return self._follow_pad(closed, now_ns)
 
     def step(self, now_ns: int) -> None:
-        """The next step, while motion is not enabled."""
         frame, hold = self.core.step(now_ns)
         if hold:
             self._frames.stop(now_ns)
@@ -93,7 +87,6 @@ class Arm:
             self._frames.put(records.ARM, frame, now_ns)
 
     def tell(self, closed: str, now_ns: int) -> None:
-        """Tell people and the black box what the arm does."""
         self._follow_tuck(closed, now_ns)
         self._tell_joints()
         self._keep(now_ns)
@@ -111,8 +104,7 @@ class Arm:
 
     def stop(self, why: str, cause: Cause | None = None) -> None:
         """A stop is written: it ends whatever moves the arm. `cause`: of one that is latched."""
-        self._stopped_for = cause
-        self.core.stop(why)
+        self.core.stop(why, cause)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
@@ -176,8 +168,8 @@ class Arm:
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Any other request of a client about the arm, while it takes goals; returns what becomes of it, or the cause
-        to stop for."""
+        """Any other request about the arm, while it takes goals; returns what becomes of it, or the cause to stop
+        for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -190,7 +182,7 @@ class Arm:
         else:
             journey = self._journey(request)
         if isinstance(journey, str):
-            return Reply(records.REFUSED, journey)
+            return refused(journey)
         return self._travel(Waiter(request, journey), "preempted", now_ns)
 
     def _journey(self, request: Request) -> Journey | str:
@@ -240,12 +232,11 @@ class Arm:
         if waiter.enables and not journey.dropped:
             if not (fault := self._out_of_pose(journey)):
                 return request
-            self._requests.answer(request, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}"))
+            self._requests.answer(request, refused(f"{NOT_IN_POSE}: {fault}"))
         else:
-            done, cause = records.DONE, None
-            if journey.outcome:
-                done, cause = records.REFUSED, self._stopped_for if CAUSE in journey.outcome else None
-            self._requests.answer(request, Reply(done, journey.outcome or "arm is there", cause))
+            fault = journey.outcome
+            there = Reply(records.DONE, "arm is there")
+            self._requests.answer(request, refused(fault, journey.stopped_for) if fault else there)
         return None
 
     # Enabling motion.
@@ -254,10 +245,10 @@ class Arm:
         """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
         have no drive pose, so the arm stands where it is, and motion may be enabled now."""
         if self.core.letting_go:
-            return Reply(records.REFUSED, "the arm is being released: ask again in a moment")
+            return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
         if waiter and waiter.enables and waiter.request.session != request.session:
-            return Reply(records.REFUSED, f"{waiter.request.who} is enabling motion")
+            return refused(f"{waiter.request.who} is enabling motion")
         journey = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
         if journey is None:
@@ -336,8 +327,8 @@ class Arm:
             "phase": way.phase if way else "",
             "moving": core.streaming(),
             "by": followed.who if followed else "",
-            "refused": _without_cause(core.why_not()),
-            "closed": _without_cause(closed),
+            "refused": core.why_not(),
+            "closed": closed,
             "released": core.released,
             "silent": [joint.servo for joint in core.joints if joint.silent],
             "joints": [joint.state() for joint in core.joints],
@@ -347,8 +338,3 @@ class Arm:
             "pad_joint": self._pad_joint if core.moved_by(PAD_PUBLISHER) else None,
             "tucks": left_s is not None and left_s <= self._notice_s and not followed,
         }
-
-
-def _without_cause(text: str) -> str:
-    """For the state, which tells the cause elsewhere."""
-    return text.removesuffix(f" ({CAUSE})")
