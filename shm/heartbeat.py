@@ -6,10 +6,10 @@ from time import process_time_ns
 
 from failstop.shm.segment import Segment
 
-STARTING = 1
-RUNNING = 2
-STOPPING = 3
-STATES = {0: "absent", STARTING: "starting", RUNNING: "running", STOPPING: "stopping"}
+BEAT_STARTING = 1
+BEAT_RUNNING = 2
+BEAT_STOPPING = 3
+STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME = 1
 MEMORY_LOCKED = 2
@@ -38,7 +38,7 @@ class HeartbeatReader:
 
     def running(self, pid: int) -> bool:
         """True when the process with this pid has said that it runs."""
-        return self.pid.get() == pid and self.state.get() == RUNNING
+        return self.pid.get() == pid and self.state.get() == BEAT_RUNNING
 
 
 class Heartbeat:
@@ -53,7 +53,7 @@ class Heartbeat:
         self._last_ns = now_ns
         for word in (words.loops, words.worst_ns, words.epoch):
             word.set(0)
-        words.state.set(STARTING)
+        words.state.set(BEAT_STARTING)
         words.rights.set(rights)
         words.cpu_ns.set(process_time_ns())
         words.pid.set(pid)
@@ -73,7 +73,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish STARTING, RUNNING or STOPPING. A start that took long was no silence."""
+        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A start that took long was no silence."""
         self._words.cpu_ns.set(process_time_ns())
         self._words.ns.set(now_ns)
         self._words.state.set(state)

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from failstop.files import root
-from failstop.lab.machine.kernel import living
+from failstop.lab.machine.kernel import running_machines
 from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.
@@ -69,9 +69,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def _no_machine_is_left() -> Iterator[None]:
     """The simulated machines that a test made end with it: their threads would keep them in memory."""
-    before = set(living)
+    before = set(running_machines)
     yield
-    for machine in set(living) - before:
+    for machine in set(running_machines) - before:
         machine.end()
 
 

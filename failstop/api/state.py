@@ -18,7 +18,7 @@ from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings
 from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
@@ -52,7 +52,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "said": (layout.GATE, msgpack.unpackb),
     "port": (layout.PORT_OWNER, records.PORT.unpack),
     "imu": (layout.TELEMETRY, records.IMU.unpack),
-    "battery": (layout.TELEMETRY, records.BATTERY.unpack),
+    "battery": (layout.TELEMETRY, records.BATTERY_STATE.unpack),
     "bias": (layout.TELEMETRY, records.BIAS.unpack),
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
@@ -81,7 +81,7 @@ class StateReader(Run):
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
         super().__init__(name)
-        others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
+        others = (which for which in layout.PROCESS_NAMES if which != layout.SUPERVISOR)
         views = {layout.SUPERVISOR: self.supervisor, **{which: attach(name, which, self.found) for which in others}}
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = self.supervisor.word("epoch")
@@ -253,7 +253,7 @@ class StateReader(Run):
             age_s = beat.age_ns(now_ns) / 1e9
             state = row.get("state") or heartbeat.STATES[beat.state.get()]
             if dead:
-                state = "stopping" if name in table and BY_NAME[name].outlives_supervisor else "dead"
+                state = "stopping" if name in table and PROCESS_BY_NAME[name].outlives_supervisor else "dead"
             elif state == "running" and age_s > HANGING_S:
                 state = "suspended" if self._is_suspended(row["pid"]) else "hanging"
             granted = beat.rights.get()

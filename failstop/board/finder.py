@@ -10,7 +10,7 @@ import os
 
 from failstop.board import port
 
-LOOK_NS = 50_000_000
+SEARCH_EVERY_NS = 50_000_000
 """How often sysfs is looked through, which takes some 0.1 ms."""
 USB_DEPTH = 6
 """A tty is so many directories below its USB device at most."""
@@ -62,7 +62,7 @@ class Finder:
         if not self._may_be_it(path):
             if now_ns < self._look_at_ns:
                 return -1
-            self._look_at_ns = now_ns + LOOK_NS
+            self._look_at_ns = now_ns + SEARCH_EVERY_NS
             path = self._elsewhere()
         descriptor = port.open_if_there(path) if path else -1
         if descriptor >= 0:

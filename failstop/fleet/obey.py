@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from failstop.fleet import levels, replay, signed
 from failstop.fleet.levels import Answer, Order
-from failstop.policy.proofs import ALIVE, UNASKED
+from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Duty:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
         return stop.epoch > self._epoch or (
-            was_latched and state.epoch > self._epoch and state.device.link in (ALIVE, UNASKED)
+            was_latched and state.epoch > self._epoch and state.device.link in (LINK_ALIVE, LINK_UNASKED)
         )
 
     def open(self, now_s: float) -> bool:
@@ -76,7 +76,7 @@ class Duty:
 def confirming(state: State) -> str:
     """The level that confirms a stop of this robot: what its board answers, or where that answers nothing by its nature
     what its IMU sees, or where there is none that the stop was written."""
-    if state.device.link != UNASKED:
+    if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
 

@@ -216,7 +216,7 @@ class Publisher:
         """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
         found = []
         if off := self._off or self._denied():
-            found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
+            found.append(vda5050.warning(vda5050.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
             found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))

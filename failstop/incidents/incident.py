@@ -17,7 +17,7 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
 Payload = TypeVar("Payload")
@@ -107,7 +107,7 @@ class Incident:
         supervisor = self._entries(layout.SUPERVISOR, "box", box.unpack_beats)
         self.beats = [(ns, times) for ns, times in supervisor if times]
         """(when, (silent_us, before_us) of each process: its longest silence since the sample before, and how long
-        before this sample that was seen), as layout.PROCESSES."""
+        before this sample that was seen), as layout.PROCESS_NAMES."""
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
@@ -199,13 +199,13 @@ class Incident:
         """How long a process may be silent without anybody minding."""
         if process in (layout.GATE, layout.SUPERVISOR):
             return round(self.number("gate.lease_s") * 1e9)
-        return BY_NAME[process].deadline_ns
+        return PROCESS_BY_NAME[process].deadline_ns
 
     def silences(self) -> list[tuple[str, int, int]]:
         """(process, its last beat before, when it was last seen to be silent) of each that was silent for too long, as
         the supervisor saw it; of its own silences, those that it noticed afterwards."""
         found = []
-        for index, process in enumerate(layout.PROCESSES):
+        for index, process in enumerate(layout.PROCESS_NAMES):
             allowed_us = self.allowed_ns(process) / 1000
             seen = [(times[index][0] > allowed_us, ns, *times[index]) for ns, times in self.beats]
             for late, run in groupby(seen, itemgetter(0)):

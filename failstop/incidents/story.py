@@ -148,7 +148,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
     for process, since_ns, until_ns in incident.silences():
         said = f"last beat of the {named(process)} for {(until_ns - since_ns) / 1e6:.0f} ms"
         yield Line(since_ns, "beat", said, until_ns)
-    for process in layout.PROCESSES if incident.left else ():
+    for process in layout.PROCESS_NAMES if incident.left else ():
         if last_ns := incident.words(process).get("beat_ns"):
             yield Line(last_ns, "beat", f"the last beat of the {named(process)}")
 

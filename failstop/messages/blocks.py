@@ -7,5 +7,5 @@ LATCHED = "estop: "
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
-KINDS = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
+BLOCK_WORDS = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
 """Every one; the first that holds is told."""

@@ -58,7 +58,7 @@ SERVO_KIND = 4
 ARM_MODES = ("", "trajectory", "follow", "jog")
 """Of an arm's goal; empty: nobody moves it from here on."""
 
-BEATS = 1
+SILENCES = 1
 OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 MOST_U32 = 0xFFFFFFFF
@@ -69,7 +69,7 @@ WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
 """Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
-    BATTERY_KIND: records.BATTERY,
+    BATTERY_KIND: records.BATTERY_STATE,
     PAD_KIND: records.PAD,
     SERVO_KIND: records.SERVO,
 }
@@ -122,9 +122,9 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
-    that was seen."""
-    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
+    """The longest silence of each process of layout.PROCESS_NAMES since the record before, and how long before this
+    record that was seen."""
+    return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
 OWN_BURST_RECORD = bytes((OWN_BURST,))
@@ -151,11 +151,11 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst of the supervisor's own. Raises
+    """Return (silent_us, before_us) of each of layout.PROCESS_NAMES; empty for a burst of the supervisor's own. Raises
     ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)
-    if kind != BEATS:
+    if kind != SILENCES:
         raise ValueError(f"a record of beats of the kind {kind}")
     return tuple(zip(times[:5], times[5:], strict=True))

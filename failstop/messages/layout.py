@@ -32,7 +32,7 @@ PORT_OWNER = "port_owner"
 GATE = "gate"
 TELEMETRY = "telemetry"
 STOPPER = "stopper"
-PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
+PROCESS_NAMES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
 def _word(name: str, readers: str) -> Record:
@@ -57,7 +57,7 @@ def _beat() -> tuple[Record, ...]:
         _word("beat_pid", "everyone"),
         _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
         _word("beat_epoch", "everyone"),  # the epoch it saw last
-        _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
+        _word("beat_state", "everyone"),  # heartbeat.BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING
         _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED | EARLY_NEWS
     )
 
@@ -152,7 +152,7 @@ SEGMENTS = (
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
-            _latest("battery", records.BATTERY, "clients"),
+            _latest("battery", records.BATTERY_STATE, "clients"),
             _latest("bias", records.BIAS, "its successor, clients"),
             _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _latest("pad", records.PAD, "clients"),
@@ -185,7 +185,7 @@ SEGMENTS = (
     *(_client(i) for i in range(CLIENT_SLOTS)),
 )
 
-BY_NAME = {spec.name: spec for spec in SEGMENTS}
+SEGMENT_BY_NAME = {spec.name: spec for spec in SEGMENTS}
 
 
 def _fingerprint() -> int:

@@ -12,7 +12,9 @@ from math import pi
 
 from failstop.policy.settings import Settings
 
-Four = tuple[float, float, float, float]
+Velocity = tuple[float, float, float]
+"""(vx, vy, wz) in m/s and rad/s."""
+WheelSpeeds = tuple[float, float, float, float]
 Whole = tuple[int, ...]
 
 # The right-hand motors are mounted the other way round.
@@ -36,7 +38,7 @@ class Wheels:
         self.axes = (1.0, sideways, 1.0)
         """Factors of (vx, vy, wz) that the wheels can follow: a limit times its factor is the limit that holds."""
 
-    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
+    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""
         turn, aside = wz_radps * self._lever_m, vy_mps * self.axes[1]
         # Adding zero makes +0.0 of -0.0.

@@ -15,7 +15,7 @@ from failstop.ros2 import mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
 from failstop.ros2.inward import Inward
 from failstop.ros2.link import Link
-from failstop.ros2.mirrors import BY_NAME
+from failstop.ros2.mirrors import MIRROR_BY_NAME
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
 from failstop.ros2.spinner import Spinner
@@ -58,7 +58,7 @@ class Bridge:
             own[setting.name] = _checked(setting, given)
         shown = mirrors.values(self._settings())
         for name, value in shown.items():
-            text = ", ".join(BY_NAME[name].keys)
+            text = ", ".join(MIRROR_BY_NAME[name].keys)
             descriptor = ParameterDescriptor(description=f"shows {text}" if text else "", dynamic_typing=True)
             given = self._node.declare_parameter(name, value, descriptor).value
             if given != value:

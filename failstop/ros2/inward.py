@@ -35,7 +35,7 @@ from failstop.ros2.turn import Turn
 WATCH_NS = 50_000_000
 EARLY_NS = 20_000_000
 SAY_NS = 1_000_000_000
-LOOK_NS = 500_000_000
+INWARD_LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
 """How long the stop service waits for the proofs of its stop."""
 LOG_NS = 5_000_000_000
@@ -129,7 +129,7 @@ class Inward:
         """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
         now_ns = monotonic_ns()
         self._follow_service()
-        if now_ns - self._looked_ns >= LOOK_NS:
+        if now_ns - self._looked_ns >= INWARD_LOOK_NS:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)

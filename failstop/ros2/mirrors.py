@@ -77,7 +77,7 @@ TABLE = (
     Mirror("pad_sounds", ("buzzer.tones",), lambda settings: settings["buzzer.tones"] == "on"),
     Mirror("drive_pan", ("arm.drive_pan",), lambda settings: int(settings["arm.drive_pan"])),
 )
-BY_NAME = {mirror.name: mirror for mirror in TABLE}
+MIRROR_BY_NAME = {mirror.name: mirror for mirror in TABLE}
 
 
 def values(settings: Settings) -> dict[str, Value]:
@@ -87,7 +87,7 @@ def values(settings: Settings) -> dict[str, Value]:
 
 def refusal(name: str) -> str:
     """Why a parameter can't be set, and what to change instead."""
-    mirror = BY_NAME.get(name)
+    mirror = MIRROR_BY_NAME.get(name)
     if mirror is None:
         return f"{name} is read once, at the start of the bridge: set it in its launch file or YAML"
     if not mirror.keys:
@@ -101,7 +101,7 @@ def differing(given: Mapping[str, object], shown: Mapping[str, Value]) -> list[s
     lines = []
     for name, value in given.items():
         if name in shown and not _equal(value, shown[name]):
-            keys = " and ".join(BY_NAME[name].keys)
+            keys = " and ".join(MIRROR_BY_NAME[name].keys)
             where = f"change {keys} in failstop's TOML file, or remove it here" if keys else f"remove it: {FIXED}"
             lines.append(f"parameter {name} = {_shown(value)} is not taken, {_shown(shown[name])} holds: {where}")
     return lines

@@ -15,7 +15,7 @@ from failstop.policy.reply import Reply
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
-from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, seen
+from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
@@ -116,7 +116,7 @@ class Gate:
         self._ready_word = supervisor.word("ready")
         self._latch = supervisor.latest_reader("latch")
         self._pad_command = telemetry.latest_reader("pad_command")
-        self._pad_seq = seen(self._pad_command)
+        self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
         self._client_bell = context.fd("client_bell")
         self._bells = (context.bell("bell"), context.early.bell)

@@ -12,7 +12,7 @@ from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
+from failstop.messages.packing import NEXT_STEP, NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -246,7 +246,7 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        whole, what = (f"{text}{NEXT}{step}", len(text)) if step else (text, 0)
+        whole, what = (f"{text}{NEXT_STEP}{step}", len(text)) if step else (text, 0)
         self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
         self.supervisor_bell.ring()
 
@@ -297,7 +297,7 @@ class Telemetry:
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
-            self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
+            self._latest["battery"].write(records.BATTERY_STATE.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
@@ -335,7 +335,7 @@ class Telemetry:
         before it if the supervisor has not seen that yet."""
         index = BOARD.pong(framing.PWM_SERVO, data)
         if index is not None:
-            self._pong_word.set(records.pong(t_ns, index))
+            self._pong_word.set(records.pack_pong(t_ns, index))
             self.supervisor_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:

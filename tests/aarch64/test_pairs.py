@@ -60,7 +60,7 @@ class Trace:
         segment, _, name = record.partition(".")
         names: dict[str, Any] = self._machine.root.folder("/dev/shm").names
         file = next(file for path, file in names.items() if path.endswith(f".{segment}"))
-        return id(file.mapped()), layout.BY_NAME[segment].offsets[name]
+        return id(file.mapped()), layout.SEGMENT_BY_NAME[segment].offsets[name]
 
     def has(self, *wanted: str) -> bool:
         """True when these follow one another, with other things between them at most."""

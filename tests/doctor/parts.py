@@ -12,13 +12,13 @@ from failstop.discovery import BOARD_USB
 from failstop.doctor.look import Look
 from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Node, System
-from failstop.messages.layout import PROCESSES
+from failstop.messages.layout import PROCESS_NAMES
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.support.states import process, state, stop
 
 NODE = Node("/dev/ttyACM0", "/dev/ttyACM0", pseudo=False, group="dialout", modem_ignored=True, accessible=True)
-STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)}, last_stop=stop())
+STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESS_NAMES)}, last_stop=stop())
 SERVICE = (STATE, VERSION, "")
 NOBODY = (None, "", "")
 """No service."""

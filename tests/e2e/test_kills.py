@@ -17,7 +17,7 @@ LATEST_MS = 100
 """A generous absolute limit for shared and busy machines; the bars are in the bench, beside their floor."""
 
 
-@pytest.mark.parametrize("process", layout.PROCESSES)
+@pytest.mark.parametrize("process", layout.PROCESS_NAMES)
 def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
     trial = hardy_trial
     chance = random.Random(process)
@@ -35,7 +35,7 @@ def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
         assert not trial.moving(), "a restarted process must not enable motion"
 
 
-@pytest.mark.parametrize("process", layout.PROCESSES)
+@pytest.mark.parametrize("process", layout.PROCESS_NAMES)
 def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
     simulated = Simulated({"restart.deaths": 100_000, "restart.backoff_s": 0.001})
     for number in range(8):

@@ -61,7 +61,7 @@ def other_layout(simulated: Simulated, which: str) -> None:
 def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Simulated) -> None:
     latch = simulated.load("failstop.api.client").attach(simulated.name, layout.SUPERVISOR).word("epoch")
     epoch = latch.get()
-    for which in layout.PROCESSES:
+    for which in layout.PROCESS_NAMES:
         other_layout(simulated, which)
     with simulated.failstop.Robot() as robot:
         for call in CALLS.values():
@@ -196,7 +196,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
         path = segments.path_of(run_of(trial.name)[0], f"client.{index}")
-        spec = layout.BY_NAME[f"client.{index}"]
+        spec = layout.SEGMENT_BY_NAME[f"client.{index}"]
         with open(path, "rb") as file:
             data = file.read()
         at = spec.offsets["command"]

@@ -56,7 +56,7 @@ def another_layout(name: str) -> Iterator[None]:
     before: list[tuple[int, bytes]] = []
     run, _ = client.run(name)
     try:
-        for process in layout.PROCESSES:
+        for process in layout.PROCESS_NAMES:
             memory = os.open(segments.path_of(run, process), os.O_RDWR)
             raw = os.pread(memory, HEADER_BYTES, 0)
             before.append((memory, raw))

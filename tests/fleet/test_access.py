@@ -133,7 +133,7 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
             f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
             "see its access list"
         )
-        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.DEAF]
+        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.FLEET_STOP_OFF]
         assert error["errorDescription"] == publisher.deaf()
         publisher.turn(0.0)
         assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())

@@ -165,7 +165,7 @@ def pose(attempt: Attempt) -> bool:
 def take_slot(attempt: Attempt) -> bool:
     def take() -> bool:
         fd = claim.open_claims(instance.claims_path(attempt.directory))
-        return any(claim.take(fd, index) for index in range(layout.CLIENT_SLOTS))
+        return any(claim.acquire(fd, index) for index in range(layout.CLIENT_SLOTS))
 
     return bool(attempt.does(take))
 
@@ -175,7 +175,7 @@ def overhear(attempt: Attempt) -> bool:
 
 
 def write_memory(attempt: Attempt) -> bool:
-    paths = [segments.path_of(attempt.memory, of) for of in (*layout.PROCESSES, "lifelines")]
+    paths = [segments.path_of(attempt.memory, of) for of in (*layout.PROCESS_NAMES, "lifelines")]
     return any(attempt.opens(path, os.O_RDWR) for path in paths)
 
 
@@ -327,7 +327,7 @@ def plant_link(attempt: Attempt) -> bool:
             lambda: send_stop("robot", "overwrites it"),
             lambda: instances.lock(str(path)),
             lambda: claim.open_claims(instance.claims_path(str(path)), create=True, mode=0o666),
-            lambda: os.close(instance.publish(str(path), 7)),
+            lambda: os.close(instance.publish_run(str(path), 7)),
         ):
             with contextlib.suppress(FailstopError, OSError, instance.InstanceError):
                 write()

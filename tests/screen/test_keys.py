@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, STILL, Decoder, Hold
+from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, NO_VELOCITY, Decoder, Hold
 
 KEYS: tuple[tuple[bytes, list[str]], ...] = (
     (b"w", ["w"]),
@@ -68,7 +68,7 @@ class Bench:
     def __init__(self) -> None:
         self.hold = Hold()
         self.now_s = 100.0
-        self._command: tuple[float, float, float] = STILL
+        self._command: tuple[float, float, float] = NO_VELOCITY
         self._command_s = 0.0
 
     def key(self, name: str) -> None:
@@ -79,7 +79,7 @@ class Bench:
             self._command, self._command_s = sent, self.now_s
 
     def wheels(self) -> tuple[float, float, float]:
-        return self._command if self.now_s - self._command_s <= COMMAND_S else STILL
+        return self._command if self.now_s - self._command_s <= COMMAND_S else NO_VELOCITY
 
     def pass_time(self, seconds: float) -> float:
         """Let time pass; returns how much of it the wheels turned."""
@@ -87,7 +87,7 @@ class Bench:
         for _ in range(round(seconds / 0.01)):
             self.now_s += 0.01
             self._take(self.hold.pressed([], self.now_s))
-            turned += self.wheels() != STILL
+            turned += self.wheels() != NO_VELOCITY
         return turned * 0.01
 
 
@@ -120,7 +120,7 @@ def test_keys_that_were_held_up_on_the_way_drive_nothing() -> None:
     bench = Bench()
     assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) is None
     bench.key("w")
-    assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) == STILL
+    assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) == NO_VELOCITY
     assert not bench.hold.active
 
 
@@ -131,5 +131,5 @@ def test_whatever_was_typed_the_wheels_stop_soon_after_the_last_of_it(typed: lis
         bench.key(name)
         bench.pass_time(wait_s)
     bench.pass_time(ENDS_S + 0.02)
-    assert bench.wheels() == STILL
+    assert bench.wheels() == NO_VELOCITY
     assert bench.pass_time(2.0) == 0

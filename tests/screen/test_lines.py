@@ -21,7 +21,7 @@ from failstop.cli.commands.status import Live, spark
 from failstop.cli.screen import summary
 from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
-from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.kinds import EVENT_KINDS
 from tests.support.states import NOW_S, arm, driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
@@ -191,7 +191,7 @@ def test_an_event_is_a_line() -> None:
 
 
 def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
-    assert {kind.level for kind in KINDS} <= set(summary.LEVELS)
+    assert {kind.level for kind in EVENT_KINDS} <= set(summary.LEVEL_STYLES)
     assert events.kinds("stop, died") == {"stop", "died"}
     with pytest.raises(FailstopError, match="no kind of event is called foo"):
         events.kinds("stop,foo")

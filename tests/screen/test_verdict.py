@@ -160,9 +160,9 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
     found = _gate_reasons()
     assert found.pop("nothing") == ""
     for reason in found.values():
-        assert reason.startswith(blocks.KINDS)
+        assert reason.startswith(blocks.BLOCK_WORDS)
     assert [Block.of(found[key]) for key in ("latched", "disabled", "no command", "no sensor")] == list(Block)
-    assert len(set(found.values())) == len(Block) == len(blocks.KINDS)
+    assert len(set(found.values())) == len(Block) == len(blocks.BLOCK_WORDS)
 
 
 def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_gone() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.messages import records
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
+from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.messages.packing import pack
 from failstop.messages.records import Shape
 from failstop.policy import causes
@@ -25,13 +25,13 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
-CAUSE = st.binary(max_size=causes.ROOM + 2)
+CAUSE = st.binary(max_size=causes.CAUSE_BYTES + 2)
 """A packed one; what is in it is no matter of the records."""
 
 
 def capacity(place: str) -> int:
     of, _, record = place.partition("/")
-    return BY_NAME[of].records[record].capacity
+    return SEGMENT_BY_NAME[of].records[record].capacity
 
 
 def text_strategy(room: int) -> st.SearchStrategy[str]:
@@ -63,7 +63,7 @@ ROUND_TRIPS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...]]] = {
         records.ASSERTED,
         (U64, st.lists(st.sampled_from(["bumper", "front left", "e-stop of the arm"]), max_size=8)),
     ),
-    "battery": (records.BATTERY, (U32, st.just(2))),
+    "battery": (records.BATTERY_STATE, (U32, st.just(2))),
     "pad": (records.PAD, (st.integers(0, 65535), U8, I8, I8, I8, I8, st.just(1))),
     "servo": (records.SERVO, (U8, U8, st.none() | st.integers(-(2**15), 2**16))),
     "pad_arm": (records.PAD_ARM, (U8, st.floats(-1, 1))),
@@ -117,7 +117,7 @@ def test_said(session: int, sees: str, wrong: str) -> None:
 
 @given(pid=U32, block=U32, arrival_ns=st.integers(0, 2**62 - 1), index=st.integers(0, 3))
 def test_a_life_and_a_pong_are_words(pid: int, block: int, arrival_ns: int, index: int) -> None:
-    life, pong = records.life(pid, block), records.pong(arrival_ns, index)
+    life, pong = records.life(pid, block), records.pack_pong(arrival_ns, index)
     assert all(0 <= word < 2**64 for word in (life, pong))
     assert records.unpack_life(life) == (pid, block)
     assert records.unpack_pong(pong) == (arrival_ns, index)
@@ -153,7 +153,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "seen": (lambda _: records.SEEN.pack(TOP, TOP), each("client.{}/seen")),
     "speed_limit": (lambda _: records.SPEED_LIMIT.pack(TOP, 255), each("client.{}/speed_limit")),
     "imu": (lambda _: records.IMU.pack(*TOPS, *TOPS), ["telemetry/imu"]),
-    "battery": (lambda _: records.BATTERY.pack(2**32 - 1, 2), ["telemetry/battery"]),
+    "battery": (lambda _: records.BATTERY_STATE.pack(2**32 - 1, 2), ["telemetry/battery"]),
     "pad": (lambda _: records.PAD.pack(65535, 255, -128, -128, 127, 127, 1), ["telemetry/pad"]),
     "bias": (lambda _: records.BIAS.pack(*TOPS, True, True), ["telemetry/bias"]),
     "odometry": (lambda _: records.ODOMETRY.pack(*TOPS, *TOPS, 1e308, 1e308), ["telemetry/odometry"]),
@@ -196,7 +196,7 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
         (records.PORT.unpack(records.PORT.pack(1, 1, 1, text))[-1], 300),
         (records.HELLO.unpack(records.HELLO.pack(1, 1, 1, text))[-1], 64),
         (records.REPLY.unpack(records.REPLY.pack(1, 1, True, text, b"cause"))[-2], 290),
-        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ROOM),
+        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.CAUSE_BYTES),
     ):
         assert is_cut(str(found), text, room)
         assert "\ufffd" not in str(found)
@@ -279,7 +279,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "asserted": (records.ASSERTED, 8),
     "said": (records.SAID, 8),
     "imu": (records.IMU, 48),
-    "battery": (records.BATTERY, 5),
+    "battery": (records.BATTERY_STATE, 5),
     "bias": (records.BIAS, 26),
     "odometry": (records.ODOMETRY, 64),
     "pad_command": (records.PAD_COMMAND, 24),

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
+from failstop.messages.layout import CLIENT_SLOTS, PROCESS_NAMES, SEGMENT_BY_NAME
 from failstop.shm.segment import HEADER_BYTES, Segment
 from tests.support.children import NOBODY, Child
 
@@ -29,11 +29,11 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
     for expected in (RUN, None):
         found = segments.attach(name, of, expected)
         assert found.incarnation == RUN
-        assert found.spec is BY_NAME[of]
+        assert found.spec is SEGMENT_BY_NAME[of]
         assert (found.mapped is None) is (of in PRIVATE_NAMES)
         assert (found.fileno() == -1) is (of in SERVICE), "a mapping needs no descriptor"
         found.close()
-    assert os.stat(path_of(name, of)).st_size == BY_NAME[of].size
+    assert os.stat(path_of(name, of)).st_size == SEGMENT_BY_NAME[of].size
     made.close()
 
 
@@ -61,8 +61,8 @@ def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
             on.segments.create("r", of, RUN, *([gid] if gid >= 0 else []))
     for of in NAMES:
         found = on.os.stat(path_of("r", of))
-        assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
-        assert (found.st_uid, found.st_gid) == (0, group if BY_NAME[of].mode & 0o060 == 0o060 else own)
+        assert stat.S_IMODE(found.st_mode) == SEGMENT_BY_NAME[of].mode
+        assert (found.st_uid, found.st_gid) == (0, group if SEGMENT_BY_NAME[of].mode & 0o060 == 0o060 else own)
 
 
 def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
@@ -134,7 +134,7 @@ def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: st
 
 
 CLIENT_RECORDS = [
-    name for name, record in BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
+    name for name, record in SEGMENT_BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
 ]
 
 
@@ -162,7 +162,7 @@ def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str, slot: Slot) -> None
 def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
     for index in range(CLIENT_SLOTS):
         none = segments.no_client_slot(index, RUN)
-        assert none.spec is BY_NAME[f"client.{index}"]
+        assert none.spec is SEGMENT_BY_NAME[f"client.{index}"]
         assert none.incarnation == RUN
         assert not os.get_inheritable(none.fileno())
         for record in CLIENT_RECORDS:
@@ -280,9 +280,9 @@ def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: Simp
 
 
 def test_what_is_left_of_a_run_is_opened_whatever_is_missing(on: SimpleNamespace) -> None:
-    for of in PROCESSES[1:2] + PROCESSES[3:]:
+    for of in PROCESS_NAMES[1:2] + PROCESS_NAMES[3:]:
         on.segments.create("r", of, RUN)
-    assert list(on.segments.open_all("r")) == [PROCESSES[1], *PROCESSES[3:]]
+    assert list(on.segments.open_all("r")) == [PROCESS_NAMES[1], *PROCESS_NAMES[3:]]
 
 
 def test_a_lock_that_can_not_be_asked_for_is_nobody_s(on: SimpleNamespace) -> None:

@@ -14,7 +14,7 @@ from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.messages import layout
 
 DIRECTORY = "/run/failstop/failstop"
-SUPERVISOR = 1 + len(layout.PROCESSES)
+SUPERVISOR = 1 + len(layout.PROCESS_NAMES)
 """How many eventfds a supervisor makes before it can begin: a bell each, and one for the early news."""
 
 
@@ -100,7 +100,7 @@ def test_all_that_a_client_reads_is_there_when_the_name_is(service: Service) -> 
         assert not robot.drive(0.1, 0.0, 0.0, manual=True)
         robot.sensed()
     assert state.processes[layout.SUPERVISOR].pid == service.process.pid
-    assert set(state.processes) == set(layout.PROCESSES)
+    assert set(state.processes) == set(layout.PROCESS_NAMES)
     assert state.waiting_for == "port_owner, stopper, gate, telemetry"
     assert (state.enabled, state.blocked, state.cause) == (False, "disabled", None)
     assert (state.device.path, state.device.state, state.device.link) == (DEVICE, "open", "unproven")

@@ -64,7 +64,7 @@ class Board:
 
     def pad(self, buttons: int = 0, *, ly: int = 0, hold: bool = False) -> None:
         """One gamepad frame; with `hold` 20 a second."""
-        self._model.pad(upward.gamepad(buttons, ly=ly), self._robot.machine.now_ns, hold=hold)
+        self._model.pad(upward.gamepad_frame(buttons, ly=ly), self._robot.machine.now_ns, hold=hold)
         self._robot.board.plan()
 
     def pad_silent(self) -> None:
@@ -175,7 +175,7 @@ class Simulated:
 
     @staticmethod
     def _lives(process: Process) -> bool:
-        return process.name in layout.PROCESSES and process.code is None
+        return process.name in layout.PROCESS_NAMES and process.code is None
 
     def _of(self, name: str) -> Process:
         found = self.lab.named(name)

@@ -240,7 +240,7 @@ class Stage(PortMachine):
         }
         self.port_number = 1
         self._bells = {name: self._bell.EventBell.create() for name in BELLS}
-        self.views = {name: self.owned(name) for name in layout.PROCESSES}
+        self.views = {name: self.owned(name) for name in layout.PROCESS_NAMES}
         self.frames = self.views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
@@ -278,7 +278,7 @@ class Stage(PortMachine):
         for process in processes:
             self.views[process].word("beat_ns").set(self.clock() - age_ns)
 
-    def start(self, process: str, state: int = heartbeat.RUNNING) -> Dummy:
+    def start(self, process: str, state: int = heartbeat.BEAT_RUNNING) -> Dummy:
         """A new process which the supervisor names."""
         dummy = Dummy(self.machine, process)
         self.views[process].word("beat_pid").set(dummy.pid)
@@ -289,7 +289,7 @@ class Stage(PortMachine):
 
     def runs(self, process: str) -> None:
         """It says so."""
-        self.views[process].word("beat_state").set(heartbeat.RUNNING)
+        self.views[process].word("beat_state").set(heartbeat.BEAT_RUNNING)
 
     def ask_to_stop(self, message: bytes) -> None:
         self.os.write(self._fds["stop"], message)

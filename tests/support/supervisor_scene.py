@@ -10,14 +10,14 @@ from typing import Any
 import msgpack
 
 from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS, Process
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.reply import unpack
-from failstop.shm.heartbeat import RUNNING
+from failstop.shm.heartbeat import BEAT_RUNNING
 from failstop.supervisor import main
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
@@ -64,7 +64,7 @@ class Scene(PortMachine):
         self.view = attach(self.run.memory, layout.SUPERVISOR)
         self.word = self.view.word
         self._told, self._box = self.view.ring_reader("events"), self.view.ring_reader("box")
-        self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESSES}
+        self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESS_NAMES}
         self.port_owner, self.gate, self.telemetry, self.stopper = (
             self.own[name] for name in (layout.PORT_OWNER, layout.GATE, layout.TELEMETRY, layout.STOPPER)
         )
@@ -140,7 +140,7 @@ class Scene(PortMachine):
         child = self.supervisor.processes[name]
         if not child.pid:
             self.supervisor.processes.start(child)
-        for word, value in (("beat_pid", child.pid), ("beat_state", RUNNING)):
+        for word, value in (("beat_pid", child.pid), ("beat_state", BEAT_RUNNING)):
             self.own[name].word(word).set(value)
         self.beat(name)
         self.supervisor.processes.arm()
@@ -149,7 +149,7 @@ class Scene(PortMachine):
     def dies(self, who: str | Process, code: int = -9) -> None:
         """A process dies, and the late news of it has come; by its name one that runs."""
         self.machine.die(self.employ(who) if isinstance(who, str) else who, code)
-        self.now_ns += LATE_NS
+        self.now_ns += TAKEDOWN_NS
 
     def starve(self, name: str) -> None:
         """The machine does not run it."""
@@ -170,7 +170,7 @@ class Scene(PortMachine):
 
     def keep_beating(self) -> None:
         """Every process beats from now on, each millisecond."""
-        self.beat(*layout.PROCESSES[1:])
+        self.beat(*layout.PROCESS_NAMES[1:])
         self.machine.at(self.now_ns + MS, self.keep_beating)
 
     def has_port(self, name: str, number: int = 1, state: int = records.PORT_OPEN) -> None:
@@ -208,7 +208,7 @@ class Scene(PortMachine):
         """A ping goes out now; its answer comes a millisecond later."""
         self.port_owner.word(f"ping_{index}").set(self.now_ns)
         if answered:
-            self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
+            self.telemetry.word("pong").set(records.pack_pong(self.now_ns + MS, index))
 
     def judge(self, *, still: bool) -> None:
         """The IMU's verdict of just now."""

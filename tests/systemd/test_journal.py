@@ -17,7 +17,7 @@ import failstop
 from bench import installed
 from bench.service_scene import UNIT, Scene
 from failstop.lab.trial import wait_for
-from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS
+from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "journal.md").read_text(), re.MULTILINE)
@@ -85,7 +85,7 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
         entry["FAILSTOP_EVENT"] for entry in found
     }
     for entry in found:
-        kind = BY_NAME[entry["FAILSTOP_EVENT"]]
+        kind = EVENT_BY_NAME[entry["FAILSTOP_EVENT"]]
         assert entry["MESSAGE_ID"] == kind.message_id
         assert entry["FAILSTOP_NAME"] == "failstop"
         assert int(entry["PRIORITY"]) in LEVELS.values()
@@ -104,7 +104,7 @@ def test_the_catalog_is_accepted_and_explains_a_stop(incident: Scene) -> None:
     done = incident.box.run("journalctl", "--update-catalog")
     assert done.stdout + done.stderr == ""
     listed = incident.box.run("journalctl", "--list-catalog").stdout
-    assert all(f"{kind.message_id} failstop: " in listed for kind in KINDS)
+    assert all(f"{kind.message_id} failstop: " in listed for kind in EVENT_KINDS)
     explained = incident.box.run("journalctl", "-b", "-x", "-n", "1", "FAILSTOP_EVENT=fenced").stdout
     assert "Subject: stopper hung and was fenced" in explained
     assert "Next: was the machine overloaded or frozen?" in explained

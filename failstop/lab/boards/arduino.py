@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from failstop.board.wire import Stop, Write
-from failstop.lab.boards.line import Model
+from failstop.lab.boards.line import ReceiverModel
 
 BYTE_NS = 175_000
 """At the AVR's real rate for 57600, 16 MHz / 280."""
@@ -161,7 +161,7 @@ def _receivers() -> Iterator[Arduino]:
     yield Arduino()
 
 
-MODEL = Model(
+MODEL = ReceiverModel(
     any_state=_longest_answers,
     every_state=_receivers,
     before=(),

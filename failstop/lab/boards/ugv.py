@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from failstop.board.ugv import codec
 from failstop.board.wire import Stop, Write
 from failstop.lab.boards import arduino_json
-from failstop.lab.boards.line import Model
+from failstop.lab.boards.line import ReceiverModel
 
 LOOP_NS = 1_000_000
 """How often its main loop comes round; its real time is not known."""
@@ -148,7 +148,7 @@ def _float(value: object) -> float:
     """As ArduinoJson converts: a text by the number in it, anything else is 0."""
     if isinstance(value, bytes):
         try:
-            return float(arduino_json.number(value))
+            return float(arduino_json.number_text(value))
         except arduino_json.NotJson:
             return 0.0
     return float(value) if isinstance(value, (int, float)) else 0.0
@@ -168,7 +168,7 @@ def _every_state() -> Iterator[Ugv]:
     yield from (Ugv(loop_ns) for loop_ns in (_MS // 2, _MS, 3 * _MS))
 
 
-MODEL = Model(
+MODEL = ReceiverModel(
     any_state=_any_state,
     every_state=_every_state,
     # Some are JSON by themselves, or become it by the line feed of the stop.

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from failstop.lab.machine.kernel import Machine, Process, Thread
 
 IN, PRI, OUT, ERR, HUP = 1, 2, 4, 8, 16
-EDGE = 1 << 31
+EDGE_TRIGGERED = 1 << 31
 PIPE_BYTES = 65536
 COUNTER_MOST = 2**64 - 2
 
@@ -388,7 +388,7 @@ class Epoll(Node):
         for fd in tuple(self.maybe):
             opened, events = self.wanted[fd]
             mask = opened.mask() & (events & 0xFFFF | ERR | HUP)
-            if not mask or events & EDGE:
+            if not mask or events & EDGE_TRIGGERED:
                 del self.maybe[fd]
             if mask:
                 found.append((fd, mask))

@@ -28,10 +28,10 @@ from failstop.lab.machine.files import Directory, Open
 
 STEP_NS = 2_000
 """Of a call of the system."""
-START_NS = 40_000_000
-LOOK_NS = 50
+SPAWN_NS = 40_000_000
+CLOCK_READ_NS = 50
 """Of a look at the clock."""
-LATE_NS = 400_000
+TAKEDOWN_NS = 400_000
 """From a death to its late news: the kernel takes the memory down first (docs/dev/architecture.md, Choices)."""
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
 IGNORED = (SIGCHLD, SIGCONT)
@@ -151,7 +151,7 @@ class Process:
         opened.release(self, fd)
 
 
-living: weakref.WeakSet[Machine] = weakref.WeakSet()
+running_machines: weakref.WeakSet[Machine] = weakref.WeakSet()
 """The machines that have not ended."""
 _collector = 0
 """The thread of Python's in which the garbage collector runs; 0: it does not."""
@@ -173,12 +173,12 @@ class Machine:
     """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
     raises is what the call raises. Its threads keep it in memory until end()."""
 
-    def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
+    def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = CLOCK_READ_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
         passes by the timers alone, a loop that only looks at the clock never ends, and a program starts at once."""
         self.now_ns = 1_000_000_000_000
         self.step_ns, self.look_ns = step_ns, look_ns
-        self.start_ns = START_NS if step_ns else 0
+        self.start_ns = SPAWN_NS if step_ns else 0
         """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
@@ -204,11 +204,11 @@ class Machine:
         self._order = 0
         self._next_pid = FIRST_PID
         self._threads = 0
-        living.add(self)
+        running_machines.add(self)
 
     def end(self) -> None:
         """End every thread, and forget all that is on the machine: each later call of a process is a Death."""
-        living.discard(self)
+        running_machines.discard(self)
         processes, self.processes = self.processes, {}
         self.current = self.inline = self.at_seam = None
         self.told = lambda kind, process, what: None
@@ -418,7 +418,7 @@ class Machine:
         self.told("died", process, code)
         for thread in process.threads:
             self.mark(thread)
-        self.at(self.now_ns + LATE_NS, lambda: self._taken_down(process, code))
+        self.at(self.now_ns + TAKEDOWN_NS, lambda: self._taken_down(process, code))
         if self.current is not None and self.current.process is process:
             self.hub.switch()
             raise Death

@@ -24,7 +24,7 @@ COMMAND_EVERY_S = 0.02
 ENVIRON = {"HOME": "/root"}
 
 
-class Board:
+class BoardPort:
     """The board's model behind a port of the machine."""
 
     def __init__(self, machine: Machine, imu_hz: float) -> None:
@@ -83,7 +83,7 @@ class Robot:
         self.machine = Machine(seed)
         self.loader = Loader(self.machine, patches)
         self.time: Any = self.loader.system["time"]
-        self.board = Board(self.machine, imu_hz)
+        self.board = BoardPort(self.machine, imu_hz)
         self.stderr = Null()
         self._numbers = 0
         self._make_files(settings or {})
