@@ -24,8 +24,8 @@ from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root
 from failstop.lab.machine.files import Directory
-from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import Robot
 from tests.support.commands import FAILSTOP, failstop
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import Robot
 
 LOCK = struct.Struct("hhqqi4x")

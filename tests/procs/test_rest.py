@@ -10,8 +10,9 @@ from collections.abc import Iterator
 import pytest
 
 from failstop import stopping
-from failstop.lab.machine.kernel import TAKEDOWN_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.loading import File
+from failstop.lab.machine.process import Process
 from tests.support.stage import MS, PortMachine
 
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"

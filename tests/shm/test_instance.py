@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from failstop import instances
 from failstop.files import instance, root
 from failstop.files.instance import InstanceError
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 
 from .simulated import content, kill, living, mode, open_fds, put, refusing, user
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.shm.futex import PER_BLOCK

@@ -8,7 +8,8 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.lab.machine.kernel import TAKEDOWN_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
+from failstop.lab.machine.process import Process
 from failstop.messages import box, layout
 from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, PATIENCE_NS, SAMPLE_NS, START_NS, STEP
 from tests.support.stage import MS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.procs.loop import GONE

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM, Process, Thread
+from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.messages import layout
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import starved

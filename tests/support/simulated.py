@@ -11,7 +11,8 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds

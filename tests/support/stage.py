@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from failstop.lab.machine.files import IN, OUT, Open, Pidfd
-from failstop.lab.machine.kernel import Machine, Thread
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import File, Loader, Patches
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout, records
 from failstop.shm import heartbeat
 

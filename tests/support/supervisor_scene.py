@@ -10,8 +10,9 @@ from typing import Any
 import msgpack
 
 from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.kernel import TAKEDOWN_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.messages import layout, records
 from failstop.messages.packing import pack

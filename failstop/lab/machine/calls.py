@@ -10,7 +10,8 @@ from typing import Any
 
 from failstop.lab.machine import users
 from failstop.lab.machine.files import Directory, Node, Open
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 
 NS = 1_000_000_000
 

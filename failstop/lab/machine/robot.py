@@ -11,10 +11,12 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Epoll, Node, Null, Open, Regular
-from failstop.lab.machine.kernel import Machine, Process, Replaced
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.files import Node, Null, Open, Regular
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Replaced
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"

@@ -9,7 +9,7 @@ from typing import Any
 
 from failstop.lab.machine.calls import Calls, Module
 from failstop.lab.machine.files import Regular
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.procs import rights
 from failstop.procs.starved import LONGEST_NS
 from failstop.shm.futex import BLOCKS, PER_BLOCK

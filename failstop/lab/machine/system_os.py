@@ -11,7 +11,8 @@ from typing import Any
 from failstop.lab.machine import users
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.system_processes import Processes
 
 PLAIN = (

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Any, NoReturn
 
 from failstop.lab.machine.calls import Module
-from failstop.lab.machine.kernel import Process, Replaced, Thread
+from failstop.lab.machine.process import Process, Replaced, Thread
 
 CHILD_SCRIPT = "child.py"
 """The script that becomes whichever process its first word names."""

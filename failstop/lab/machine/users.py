@@ -7,7 +7,8 @@ import os
 from typing import TypeVar
 
 from failstop.lab.machine.files import Directory, Node
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 
 MAY_READ, MAY_WRITE, MAY_PASS = 4, 2, 1
 STICKY = 0o1000

@@ -18,8 +18,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.places import BEFORE, Places

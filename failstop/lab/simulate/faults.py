@@ -11,8 +11,8 @@ from types import FrameType
 from typing import Any
 
 from failstop.lab.machine.files import Fifo, Open, Regular
-from failstop.lab.machine.kernel import Process, Thread
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES

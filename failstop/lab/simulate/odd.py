@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import Fault, faults, line_of
 from failstop.lab.simulate.places import Where

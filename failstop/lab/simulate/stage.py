@@ -10,9 +10,10 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from failstop.board.framing import MOTOR
 from failstop.board.interface import BOARD
-from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.sim.model import BYTE_NS, Frame
 
