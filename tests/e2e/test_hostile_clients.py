@@ -350,8 +350,10 @@ def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
 # Hoarding.
 
 
-def hoards(trial: Trial, program: str) -> None:
-    """With every slot held, a further client is told; a stop is heard; and all is free when the hoarder dies."""
+@pytest.mark.parametrize("program", ["hold_all", "claim_bytes"])
+def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
+    """A further client is told; a stop is heard; and all is free when the hoarder dies."""
+    trial.enable()
     with hostile(trial, program) as hoarder:
         assert int(hoarder.says()) == layout.CLIENT_SLOTS - 1
         os.kill(hoarder.pid, signal.SIGSTOP)
@@ -363,15 +365,8 @@ def hoards(trial: Trial, program: str) -> None:
             asker.says()
             Watch(trial).stop_arrives(asker)
         hoarder.kill()
-    last = Client(trial.name, "after it")
-    last.close()
+    Client(trial.name, "after it").close()
     drives_again(trial)
-
-
-@pytest.mark.parametrize("program", ["hold_all", "claim_bytes"])
-def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
-    trial.enable()
-    hoards(trial, program)
 
 
 def test_a_lock_on_the_whole_claims_file(trial: Trial) -> None:
