@@ -24,14 +24,13 @@ from tests.support.simulated import MS, Simulated
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
 
 KILLS = 200
-TWO_SOURCES = "[sources.nav]\npriority = 10\n"
 
 
 @pytest.fixture
 def two_sources(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A service with a source above the one that the trial's client drives."""
     config = tmp_path / "two-sources.toml"
-    config.write_text(TWO_SOURCES)
+    config.write_text("[sources.nav]\npriority = 10\n")
     with Trial(name, ("--config", str(config))) as running:
         yield running
 
@@ -160,8 +159,7 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
 
 
 def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
-    trial = two_sources
-    watch = Watch(trial)
+    trial, watch = two_sources, Watch(two_sources)
     trial.enable()
     with hostile(trial, "scribble") as client:
         client.says()
@@ -176,8 +174,7 @@ def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
 
 
 def test_scribbling_over_everyone_s_slots(two_sources: Trial) -> None:
-    trial = two_sources
-    watch = Watch(trial)
+    trial, watch = two_sources, Watch(two_sources)
     trial.enable()
     trial.drive(0.3)
     trial.board.events()

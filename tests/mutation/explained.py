@@ -146,8 +146,8 @@ SHM: tuple[Reason, ...] = (
     ),
     Reason(
         "files/durable.py",
-        r"\n\+.*KINDS\.get\(.*, (None)?\)$",
-        "every kind of file that Linux has is one of KINDS",
+        r"\n\+.*FILE_TYPES\.get\(.*, (None)?\)$",
+        "every kind of file that Linux has is one of FILE_TYPES",
     ),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(

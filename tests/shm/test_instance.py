@@ -354,10 +354,10 @@ def test_paths_lie_in_the_runtime_dir_by_their_own_names() -> None:
 def test_the_run_that_is_published_is_the_one_that_is_read(on: SimpleNamespace, bases: list[str]) -> None:
     path, fds = on.instances.make_runtime_dir("robot"), []
     with pytest.raises(on.instance.NoService):
-        on.instance.run(path)
+        on.instance.current_run(path)
     for incarnation in (7, 2**64 - 1, 0):
-        fds.append(on.instance.publish(path, incarnation))
-        assert on.instance.run(path) == (incarnation, USER)
+        fds.append(on.instance.publish_run(path, incarnation))
+        assert on.instance.current_run(path) == (incarnation, USER)
         found = on.os.fstat(fds[-1])
         assert (found.st_nlink, found.st_mode & 0o7777) == (1, 0o644)
     assert on.os.fstat(fds[0]).st_nlink == 0
@@ -369,19 +369,19 @@ def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
     on: SimpleNamespace, bases: list[str]
 ) -> None:
     path = on.instances.make_runtime_dir("robot")
-    on.instance.publish(path, 7)
+    on.instance.publish_run(path, 7)
     before = open_fds(on)
     with refusing(on, "pwrite", errno.EFBIG), pytest.raises(OSError, match="File too large"):
-        on.instance.publish(path, 8)
+        on.instance.publish_run(path, 8)
     on.machine.shortened = True
     with pytest.raises(OSError, match="No space left on device") as full:
-        on.instance.publish(path, 8)
+        on.instance.publish_run(path, 8)
     assert (full.value.errno, full.value.filename) == (errno.ENOSPC, on.instance.run_path(path))
-    assert on.instance.run(path) == (7, USER)
+    assert on.instance.current_run(path) == (7, USER)
     on.os.unlink(f"{on.instance.run_path(path)}.new")
     on.os.symlink(bases[0], f"{on.instance.run_path(path)}.new")
     with pytest.raises(on.place.Untrusted, match="is a link"):
-        on.instance.publish(path, 8)
+        on.instance.publish_run(path, 8)
     assert open_fds(on) == before
 
 
@@ -448,7 +448,7 @@ def test_what_somebody_has_planted_is_not_believed(on: SimpleNamespace, bases: l
     assert remembered(on, "robot") == NO_RUN
     on.os.symlink("/tmp/planted", on.instance.run_path(path))
     with pytest.raises(on.instance.InstanceError, match="run is a link: remove it"):
-        on.instance.run(path)
+        on.instance.current_run(path)
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])
@@ -457,7 +457,7 @@ def test_a_run_that_can_not_be_read_is_no_service(on: SimpleNamespace, bases: li
     put(on, on.instance.run_path(path), junk)
     before = open_fds(on)
     with pytest.raises(on.instance.NoService):
-        on.instance.run(path)
+        on.instance.current_run(path)
     assert open_fds(on) == before
 
 

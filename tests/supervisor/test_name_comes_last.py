@@ -68,7 +68,7 @@ class Service:
 
     def memory(self) -> str:
         """Of the run that has the name."""
-        incarnation, _ = self.load("failstop.files.instance").run(DIRECTORY)
+        incarnation, _ = self.load("failstop.files.instance").current_run(DIRECTORY)
         found: str = self.load("failstop.messages.segments").memory("failstop", incarnation)
         return found
 

@@ -167,7 +167,7 @@ def test_nothing_is_left_but_how_it_was_started(ended: Scene) -> None:
 def test_claims_of_clients_work_on_the_file(scene: Scene) -> None:
     claim, path = scene.load("failstop.shm.claim"), f"{RUNTIME_DIR}/claims"
     client, service = claim.open_claims(path), scene.os.open(path, os.O_RDONLY)
-    assert claim.take(client, 3)
+    assert claim.acquire(client, 3)
     assert claim.held(service, 3)
     scene.os.close(client)
     assert not claim.held(service, 3)

@@ -46,7 +46,7 @@ class Client:
         claim = stage.load("failstop.shm.claim")
         self._claims: int = claim.open_claims(CLAIMS)
         self.segment = stage.owned(f"client.{index}")
-        assert claim.take(self._claims, index)
+        assert claim.acquire(self._claims, index)
         self.hello(session, name, pid, namespace)
 
     def hello(self, session: int, name: str, pid: int = 0, namespace: int | None = None) -> None:
