@@ -72,7 +72,7 @@ def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) ->
 @given(cause=ANY)
 def test_a_cause_comes_back_as_it_went_in(cause: Cause) -> None:
     packed = cause.pack()
-    assert len(packed) <= causes.CAUSE_BYTES + 2
+    assert len(packed) <= causes.ARGUMENTS_BYTES + 2
     found = causes.unpack(packed)
     assert found.kind is cause.kind
     for (_, of), value, given_ in zip(cause.kind.parameters, found.arguments, cause.arguments, strict=True):
@@ -108,10 +108,10 @@ def test_a_separator_in_an_argument_moves_none_of_the_others(words: str, who: st
 def test_arguments_that_are_too_long_are_cut_and_the_cause_stays(cause: Cause, fill: str, length: int) -> None:
     arguments = [fill * length if isinstance(value, str) else value for value in cause.arguments]
     packed = cause.kind(*arguments).pack()
-    assert len(packed) <= causes.CAUSE_BYTES + 2
+    assert len(packed) <= causes.ARGUMENTS_BYTES + 2
     found = causes.unpack(packed)
     assert found.kind is cause.kind
-    before, whole = found.arguments, len(packed) < causes.CAUSE_BYTES - 1
+    before, whole = found.arguments, len(packed) < causes.ARGUMENTS_BYTES - 1
     for (_, of), value, wanted in zip(cause.kind.parameters, before, arguments, strict=True):
         assert type(value) is of
         if of is str:

@@ -20,7 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.messages.packing import Value
 
-CAUSE_BYTES = 280
+ARGUMENTS_BYTES = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
@@ -98,9 +98,9 @@ class Cause:
         return hash((self.kind.number, self.arguments))
 
     def pack(self) -> bytes:
-        """CAUSE_BYTES + 2 bytes at most."""
+        """ARGUMENTS_BYTES + 2 bytes at most."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
-        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), CAUSE_BYTES)
+        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ARGUMENTS_BYTES)
 
 
 def unpack(payload: bytes) -> Cause:

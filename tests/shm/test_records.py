@@ -25,7 +25,7 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
-CAUSE = st.binary(max_size=causes.CAUSE_BYTES + 2)
+CAUSE = st.binary(max_size=causes.ARGUMENTS_BYTES + 2)
 """A packed one; what is in it is no matter of the records."""
 
 
@@ -196,7 +196,7 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
         (records.PORT.unpack(records.PORT.pack(1, 1, 1, text))[-1], 300),
         (records.HELLO.unpack(records.HELLO.pack(1, 1, 1, text))[-1], 64),
         (records.REPLY.unpack(records.REPLY.pack(1, 1, True, text, b"cause"))[-2], 290),
-        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.CAUSE_BYTES),
+        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ARGUMENTS_BYTES),
     ):
         assert is_cut(str(found), text, room)
         assert "\ufffd" not in str(found)
