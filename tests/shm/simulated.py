@@ -21,6 +21,7 @@ MODULES = (
     *(f"shm.{each}" for each in ("bell", "claim", "lifeline")),
 )
 S = 1_000_000_000
+USER, OTHER = 1000, 1001
 
 
 def machine() -> SimpleNamespace:
@@ -109,3 +110,10 @@ def mode(on: Any, path: str) -> int:
 def open_fds(on: Any) -> int:
     """The number of descriptors that the test has open."""
     return len(on.own.files)
+
+
+def give(on: Any, path: str) -> None:
+    """Give a directory, and the one above, to the test's user."""
+    with user(on, 0):
+        for each in (path, os.path.dirname(path)):
+            on.os.chown(each, USER, USER)
