@@ -1,4 +1,4 @@
-"""What a process of the service may still do as it fails, and must not: loop at real-time priority, dump its memory."""
+"""Acts that a failing process of the service must not manage: to loop at real-time priority, to dump its memory."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
 from failstop.procs.rights import LOOP_US, NO_DUMP
 
 LATEST_MS = 1500.0
-"""Of a stop for who loops on the only core: the kernel ends it after 0.1 s; without real-time rights the deadlines are
-0.5 s at most."""
+"""The bar of a stop for a process that loops on the only core: the kernel ends it after 0.1 s; without real-time rights
+the deadlines are 0.5 s at most."""
 
 
 def limits(pid: int) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What the service tells people of itself, as programs read it: kinds and fields, on a simulated machine."""
+"""Events by which the service tells of itself, as programs read them: kinds and fields, on a simulated machine."""
 
 from __future__ import annotations
 

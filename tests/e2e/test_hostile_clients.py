@@ -94,7 +94,7 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 def test_what_is_no_number_latches(simulated: Simulated, axis: int, value: float) -> None:
-    """Past the client's own check, as a program in another language might."""
+    """The value goes past the client's own check, as from a program in another language."""
     client = simulated.load("failstop.api.client").Client(simulated.name, "foreign")
     simulated.enable()
     client.command(0.1, 0.1, 0.1, manual=True, source="cmd_vel")
@@ -333,7 +333,7 @@ def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: 
 
 
 def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
-    """It is above every source: whoever could stand in for it would have the wheels at once."""
+    """The gamepad is above every source: an impostor would have the wheels at once."""
     trial.enable()
     with hostile(trial, "as_the_gamepad") as impostor:
         impostor.says()

@@ -1,4 +1,4 @@
-"""Whichever process is killed, at whatever moment: it stops, in time, and nothing moves again without an enable."""
+"""Kills of each process, at any moment: the robot stops, in time, and nothing moves again without an enable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from tests.support.simulated import MS, Simulated
 
 KILLS = 3
-"""Of real processes; `failstop simulate` and `make chaos` try every moment."""
+"""Kills of real processes; `failstop simulate` and `make chaos` try every moment."""
 LATEST_MS = 100
 """A generous absolute limit for shared and busy machines; the bars are in the bench, beside their floor."""
 

@@ -35,7 +35,7 @@ SEED = cell.seed("header", 0)
 
 
 def stopped(state: Any, *reasons: str) -> None:
-    """Nothing in it says that anything moves, or may; the reason begins as one of these."""
+    """Check that nothing in a state says that anything moves, or may; the reason begins as one of these."""
     assert (state.estop or "").startswith(reasons)
     assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
     assert not any((*state.body_vel, *state.wheels_radps))
@@ -180,7 +180,7 @@ def test_closed_is_closed(simulated: Simulated, call: str) -> None:
 
 
 def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) -> None:
-    """It is in the middle of a call, as likely as not, when another one closes."""
+    """The thread is in the middle of a call, as likely as not, when another one closes."""
     trial.enable()
     for _ in range(10):
         robot = Robot(trial.name, client="threads")

@@ -153,6 +153,6 @@ def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving
 
 
 def silent(trial: Trial, process: str, pid: int) -> bool:
-    """Whether it has been silent for long, or is another one."""
+    """True where it has been silent for long, or is another one."""
     found = trial.robot.state.processes[process]
     return found.pid != pid or found.age_s >= long_s(process)

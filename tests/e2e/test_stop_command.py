@@ -60,7 +60,7 @@ class Tool:
             folder.put(name, port)
 
     def waits(self, *words: str) -> tuple[str, float]:
-        """Where no board is: which port is tried, and for how many seconds."""
+        """The port that is tried where no board is, and for how many seconds."""
         begun_ns = self.machine.now_ns
         code, _, err = self.run(*words)
         found = re.fullmatch(r"failstop: no device (\S+?):? .*", err.splitlines()[-1])
@@ -69,7 +69,7 @@ class Tool:
         return found[1], round((self.machine.now_ns - begun_ns) / 1e9, 1)
 
     def goes(self, *words: str) -> tuple[int, str, str, str]:
-        """Where there are boards: the exit code, the one that has the burst, what is printed, errors."""
+        """The outcome where there are boards: the exit code, the one that has the burst, what is printed, errors."""
         self.plug(*PORTS)
         code, out, err = self.run(*words)
         assert self.failed == []
@@ -205,14 +205,14 @@ def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
 
 
 def in_service(tool: Tool, *others: int, group: str = "0::/system.slice/failstop.service\n") -> None:
-    """As systemd runs it, after the service, with these processes in its control group."""
+    """Run it as systemd does, after the service, with these processes in its control group."""
     tool.environ["SERVICE_RESULT"] = "watchdog"
     for pid in ("self", *others):
         tool.lab.write(f"/proc/{pid}/cgroup", group)
 
 
 def rest(tool: Tool) -> list[Process]:
-    """What is left of the service: two processes."""
+    """Two processes that are left of the service."""
     return [tool.machine.process("left", lambda _: tool.machine.block()) for _ in range(2)]
 
 
@@ -257,7 +257,7 @@ def test_a_group_that_cannot_be_read_costs_no_stop(tool: Tool) -> None:
 
 @pytest.mark.parametrize("why", ["not after a service", "of a login"])
 def test_by_hand_it_ends_nothing(tool: Tool, why: str) -> None:
-    """It would kill the caller's whole login."""
+    """Otherwise it would kill the caller's whole login."""
     left = rest(tool)
     groups = {"not after a service": "0::/system.slice/failstop.service\n", "of a login": "0::/user.slice/a.scope\n"}
     in_service(tool, *(each.pid for each in left), group=groups[why])

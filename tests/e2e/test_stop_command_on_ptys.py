@@ -44,7 +44,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """As on a machine where no service runs and none is installed; the folder for installed files."""
+    """The folder for installed files, on a machine where no service runs and none is installed."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.setenv(root.VARIABLE, str(tmp_path))
     folder = Path(f"{tmp_path}{config.FOLDER}")
@@ -113,7 +113,7 @@ def test_two_ports_that_are_not_there_are_both_named(alone: Path, capsys: pytest
 def test_a_service_that_was_just_starting_is_asked_once_it_listens(
     stops: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It has the port before it can be asked."""
+    """The service has the port before it can be asked."""
     tries: list[str] = []
     asked: list[str] = []
 
@@ -260,7 +260,7 @@ def test_what_is_to_be_said_before_holds_no_stop_up(board: tuple[str, int], file
 
 
 def test_after_the_wait_exit_code_1_and_a_clear_message(tmp_path: Path, file: Path) -> None:
-    """It warned after 1 s, once."""
+    """The command warns after 1 s, once."""
     missing = tmp_path / "board"
     file.write_text(f'[device]\npath = "{missing}"\n[stop]\nwait_s = 1.3\n')
     start_s = time.monotonic()

@@ -56,7 +56,7 @@ DESIGN = {
     "no processor time": ("no-processor",),
     "names of shared memory taken away": ("names-removed",),
 }
-"""What the design says must be noticed, and the rows for it."""
+"""Faults that the design says must be noticed, and the rows for them."""
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.DEFECT, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it

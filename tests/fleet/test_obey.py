@@ -26,7 +26,7 @@ def order(number: int = 1, dated_s: float = UNIX_S) -> Order:
 
 
 def stopped(epoch: int = EPOCH + 1, **changed: Any) -> State:
-    """After a stop in that epoch, of which nothing but `changed` is known."""
+    """A state after a stop in that epoch, of which nothing but `changed` is known."""
     proofs = {"written_s": None, "acknowledged_s": None, "observed_s": None}
     return states.latched(epoch=epoch, last_stop=states.stop(epoch=epoch, **{**proofs, "t": UNIX_S + 0.1, **changed}))
 

@@ -1,4 +1,4 @@
-"""Who has confirmed, who is missing, and how that is told."""
+"""Confirmations of a stop: who has confirmed, who is missing, and how that is told."""
 
 from __future__ import annotations
 

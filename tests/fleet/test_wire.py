@@ -1,4 +1,4 @@
-"""What a broker sends, cut into packets: whatever came, in whatever pieces."""
+"""Bytes of a broker, cut into packets: whatever came, in whatever pieces."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_one_that_is_too_long_is_skipped_and_never_held(size: int, qos: int) -> 
 
 
 LONGEST_HELD = 10
-"""Of a packet that is too long: its head, and what came before it."""
+"""A packet that is too long: its head, and what came before it."""
 
 
 @given(st.binary(min_size=1, max_size=8))

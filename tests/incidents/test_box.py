@@ -97,7 +97,7 @@ def test_infinity_and_nan_are_told_apart() -> None:
 
 
 def test_the_wire_is_recorded_after_it_was_written() -> None:
-    """In the order of the bytes, with what the kernel took; a refusal too."""
+    """Records come in the order of the bytes, with what the kernel took; a refusal too."""
     reads, writes = os.pipe()
     os.set_blocking(writes, False)
 
@@ -156,7 +156,7 @@ def test_what_is_no_record_is_refused(payload: bytes) -> None:
 
 
 def told(gate: GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict[str, Any]:
-    """What a tick tells."""
+    """Content of a tick."""
     gate.tick(now_ns, core, 7)
     entry = reader.next()
     assert entry is not None

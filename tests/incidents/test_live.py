@@ -127,8 +127,8 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(kept: Kept) ->
 
 
 def check_driven(incident: Incident) -> None:
-    """Before: commands, decisions, frames, IMU, bytes. Then the burst, within a millisecond on the board owner's side,
-    and what followed for about 2 s."""
+    """Check what is in it: before, commands, decisions, frames, IMU, bytes; then the burst, within a millisecond on the
+    board owner's side, and what followed for about 2 s."""
     before = [tick for tick in incident.ticks if tick.ns < incident.cause_ns]
     assert before[-1].block == "driving"
     assert before[-1].who.startswith("trial (pid ")
@@ -149,7 +149,7 @@ def check_driven(incident: Incident) -> None:
 
 
 def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:
-    """Both the stop, which is written at the return, and what came of it are in the file."""
+    """The stop, which is written at the return, and what came of it are in the file."""
     trial = kept.trial
     trial.enable()
     trial.drive(0.5)

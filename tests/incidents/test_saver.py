@@ -74,7 +74,7 @@ class Saving:
 
 
 def asleep(pid: int) -> bool:
-    """It sleeps at twenty looks in a row: a process that starts has work to do, or waits for the disk."""
+    """Wait until it sleeps at twenty looks in a row: a process that starts has work to do, or waits for the disk."""
     looks = (psutil.Process(pid).status() for _ in range(20) if not time.sleep(0.005))
     return all(status == psutil.STATUS_SLEEPING for status in looks)
 

@@ -145,7 +145,7 @@ def test_what_is_collected_with_its_machine_does_nothing(unraisable: list[Any]) 
 
 
 def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robot, unraisable: list[Any]) -> None:
-    """Its finalizers come in the middle of any process, and a number means another file there."""
+    """The collector's finalizers come in the middle of any process, and a number means another file there."""
     made = finalized(robot)
     made.objects.append(made)
     fds, told = set(robot.machine.caller().process.files), made.told
@@ -157,7 +157,7 @@ def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robo
 
 
 def test_a_collection_in_another_thread_of_python_takes_no_call_away(robot: Robot) -> None:
-    """It may give the interpreter to the thread that the machine runs in, between its start and its end."""
+    """A collection may give the interpreter to the thread that the machine runs in, between its start and its end."""
     started, go = threading.Event(), threading.Event()
 
     def wait(phase: str, _: object) -> None:

@@ -1,4 +1,4 @@
-"""What the bridge publishes: values, rates, stamps and frames, as the old driver's programs expect them."""
+"""Topics that the bridge publishes: values, rates, stamps and frames, as the old driver's programs expect them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SECONDS = 2.0
 
 
 def heard(scene: BridgeTrial, topic: str, kind: str, count: int, **qos: Any) -> list[tuple[int, float, dict[str, Any]]]:
-    """So many messages, from the first one on."""
+    """Hear so many messages, from the first one on."""
     scene.eyes.hear(topic, kind, **qos)
     found: list[tuple[int, float, dict[str, Any]]] = []
 

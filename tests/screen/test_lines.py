@@ -231,7 +231,7 @@ def test_the_last_events_fill_the_rows_that_are_free() -> None:
 
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
-    """That is at the top of the screen; at the end of a row it would be cut."""
+    """The step stands at the top of the screen; at the end of a row it would be cut."""
     step = "`failstop reset`"
     event = Event(1, NOW_S, 1, "stop", "warning", f"STOP latched: gate died; next: {step}", {}, step)
     rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])

@@ -49,7 +49,7 @@ class KeptRing:
 
 
 class Recorder:
-    """What a run leaves; incident() or save() make a file of it."""
+    """Memory as a run leaves it; incident() or save() make a file of it."""
 
     def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
         self.why = cause

@@ -26,7 +26,7 @@ from tests.support.why import said, told, why
 DEVICE = "/dev/ttyACM0"
 RUNTIME_DIR = "/run/failstop/stage"
 NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
-"""What is told of a machine that runs everybody."""
+"""The fields of an event on a machine that runs everybody."""
 
 
 class Scene(PortMachine):
@@ -130,7 +130,7 @@ class Scene(PortMachine):
         return wrote
 
     def next_ns(self) -> int:
-        """When it turns without any news."""
+        """The time of its next turn without any news."""
         due_ns: int = self.supervisor.loop.due_ns()
         return min(self.now_ns + main.TICK_NS, due_ns)
 
@@ -270,7 +270,7 @@ class Scene(PortMachine):
         return {"reason": said(causes.read(found["cause"])), **times}
 
     def cause(self) -> tuple[int, str]:
-        """Since which epoch a stop is latched (0: none is), and the cause, as everybody reads."""
+        """The epoch since which a stop is latched (0: none is), and the cause, as everybody reads."""
         since, _, _, cause = records.LATCH.unpack(self.read("latch"))
         return since, said(causes.read(cause))
 
@@ -295,7 +295,7 @@ class Scene(PortMachine):
         return found
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """What people are told, at once: kind, level, text and fields of each."""
+        """Events that people are told of at once: kind, level, text and fields of each."""
         self.run.events.flush()
         return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
 
@@ -316,7 +316,7 @@ class Scene(PortMachine):
         return set(self.me.files)
 
     def refuse(self, call: str, error: Exception, when: Callable[..., bool] = lambda *about: True) -> None:
-        """From now on that call of the system fails, of the supervisor."""
+        """Have that call of the system fail from now on, of the supervisor."""
 
         def at_seam(thread: Any, name: str, about: tuple[Any, ...]) -> None:
             if name == call and thread is self.machine.inline and when(*about):

@@ -95,7 +95,7 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
 
 @pytest.mark.slow
 def test_nothing_is_told_twice(incident: Scene) -> None:
-    """Neither by stderr as well as natively."""
+    """An entry comes natively, and not by stderr as well."""
     assert entries(incident, "_TRANSPORT=stdout", f"_SYSTEMD_UNIT={UNIT}", "_COMM=fs:supervisor") == []
 
 
@@ -132,7 +132,7 @@ ANSWERS = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("question", "kinds"), list(zip(QUESTIONS, ANSWERS, strict=True)), ids=range(1, 11))
 def test_each_question_is_answered(incident: Scene, question: str, kinds: set[str]) -> None:
-    """By the very command that the page has; and once more for the kinds of what it has found."""
+    """The page's own command answers; it is asked once more for the kinds of what it has found."""
     words = [*shlex.split(question), "--no-pager", "--quiet"]
     done = incident.box.run(*words)
     assert done.stderr == ""

@@ -1,4 +1,4 @@
-"""Which requests are let in: each row of the table, and that nothing gets round it."""
+"""Requests that are let in: each row of the table, and that nothing gets round it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ PROXIED = guard.origin_of("https://Robot.Example/")
 
 @pytest.mark.parametrize("host", ["robot.example", "127.0.0.1:8477", "robot-7.local"])
 def test_behind_a_proxy_the_origin_is_what_the_browser_sees(host: str) -> None:
-    """Whatever name the proxy gives the robot."""
+    """The name that the proxy gives the robot does not matter."""
     known = guard.names("robot-7", "", PROXIED)
     for request in (POST, SOCKET):
         given = dataclasses.replace(request, host=host, origin="https://robot.example")
@@ -106,7 +106,7 @@ def test_a_browser_that_says_where_it_comes_from(site: str) -> None:
 
 
 def test_a_form_or_a_link_cannot_stop_or_drive() -> None:
-    """Neither can set a header."""
+    """A form and a link can set no header."""
     assert refused(POST, header="") == 403
 
 
@@ -125,7 +125,7 @@ WORDS = st.text(string.ascii_letters + string.digits + ".-:@/#?[]% \t", max_size
 
 @given(WORDS, WORDS, WORDS)
 def test_whoever_is_let_in_named_this_robot(host: str, origin: str, header: str) -> None:
-    """Whatever is sent: a change comes under an own name or address, from an own page, with the header."""
+    """Requests of any kind: a change comes under an own name or address, from an own page, with the header."""
     request = Request("POST", "http", host, origin, header)
     if guard.refusal(request, KNOWN) is None:
         named = guard.host_of(host)
