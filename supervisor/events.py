@@ -19,8 +19,8 @@ from failstop.policy import causes
 from failstop.shm.cell import RingWriter
 from failstop.supervisor.kinds import EVENT_BY_NAME, LEVELS
 
-Told = tuple[int, float, str, str, str, str, dict[str, Value]]
-Sort = tuple[str, str, bool]
+EventRow = tuple[int, float, str, str, str, str, dict[str, Value]]
+FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
@@ -122,12 +122,12 @@ class Events:
         self._name = name
         self._ring = ring
         self._journal = journal
-        self._waiting: list[Told] = []
+        self._waiting: list[EventRow] = []
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
-        self._spent: Counter[Sort] = Counter()
+        self._spent: Counter[FloodSort] = Counter()
         """Bytes of each sort in it."""
-        self._left_out: Counter[Sort] = Counter()
+        self._left_out: Counter[FloodSort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 
     def tell(
@@ -179,7 +179,7 @@ class Events:
         if not self._journal or not self._journal.send(datagram):
             say(text)
 
-    def _may_spend(self, sort: Sort, size: int, t_ns: int) -> bool:
+    def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
         """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
         few lines and a number, not every other line of it."""
         if t_ns - self._minute_ns >= MINUTE_NS:

@@ -113,7 +113,7 @@ def gone(name: str) -> NoService:
     return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
 
 
-class Run:
+class SeenRun:
     """The run that is there when this is made: whether it goes on, and what its settings declare. Not for several
     threads at once.
 

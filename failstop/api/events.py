@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import msgpack
 
-from failstop.api.client import Run, runtime_dir
+from failstop.api.client import SeenRun, runtime_dir
 from failstop.api.errors import NoService
 from failstop.files.instance import DEFAULT_NAME
 from failstop.messages.packing import NEXT_STEP
@@ -54,7 +54,7 @@ class EventLog:
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
         """`past`: with those that are there. Raises NoService, FailstopError."""
         self.name = name
-        self._run = Run(name)
+        self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 import msgpack
 
 from failstop.api import snapshot
-from failstop.api.client import Run, attach
+from failstop.api.client import SeenRun, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.messages import blocks, box, layout, records
 from failstop.policy import causes
@@ -75,7 +75,7 @@ SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _
 """The types of samples, by the board's report; other reports are told in State alone."""
 
 
-class StateReader(Run):
+class StateReader(SeenRun):
     """A run of a service of which snapshots are read; reads only, and needs no client slot."""
 
     def __init__(self, name: str) -> None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from failstop.api.events import Event
     from failstop.api.state import State
-    from failstop.fleet.levels import Answer
+    from failstop.fleet.levels import StopAnswer
     from failstop.fleet.settings import FleetSettings
 
     class Robot(Protocol):
@@ -246,7 +246,7 @@ class Publisher:
                 standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.obedience.last_forged}")
             self._said_forged, self._forged_s = self.obedience.forged, now_s
 
-    def _answer(self, answer: Answer) -> None:
+    def _answer(self, answer: StopAnswer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
         self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 

@@ -62,14 +62,14 @@ class Tick(NamedTuple):
     who: str
 
 
-class Sort:
+class WriteSort:
     """The sort of a write: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest
     of what the kernel had not taken."""
 
     MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
 
 
-class Write(NamedTuple):
+class PortWrite(NamedTuple):
     """One write to the port."""
 
     ns: int
@@ -243,23 +243,25 @@ class Incident:
         return found
 
 
-def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:
+def _write(
+    ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
+) -> PortWrite:
     """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None
     if kind == box.WIRE_BURST:
-        sort, speeds = Sort.STOP_BURST, (0.0,) * framing.WHEELS
+        sort, speeds = WriteSort.STOP_BURST, (0.0,) * framing.WHEELS
     elif kind == box.WIRE_REST:
-        sort = Sort.REST
+        sort = WriteSort.REST
     elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
         found = _SPEEDS.unpack_from(head)
         by_id = dict(zip(found[::2], found[1::2], strict=True))
         speeds = tuple(by_id.get(wire_id, 0.0) for wire_id in ids)
-        sort = Sort.MOTION if any(speeds) else Sort.ZERO
+        sort = WriteSort.MOTION if any(speeds) else WriteSort.ZERO
     elif head[2:3] == bytes((framing.BUS_SERVO,)):
-        sort = Sort.ARM
+        sort = WriteSort.ARM
     else:
-        sort = Sort.PING if head in BOARD.pings else Sort.OTHER
-    return Write(ns, by, sort, length, taken, head, speeds)
+        sort = WriteSort.PING if head in BOARD.pings else WriteSort.OTHER
+    return PortWrite(ns, by, sort, length, taken, head, speeds)
 
 
 def named(process: str) -> str:

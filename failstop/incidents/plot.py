@@ -15,7 +15,7 @@ from failstop import extras
 from failstop.api import words
 from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, WriteSort, named
 from failstop.incidents.story import Line
 from failstop.messages import blocks, layout
 from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
@@ -50,7 +50,7 @@ STYLE: Any = {
     "text.parse_math": False,
 }
 AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
-WRITTEN = {Sort.MOTION: INK, Sort.ZERO: FAINT, Sort.STOP_BURST: ALARM, Sort.PING: "C3"}
+WRITTEN = {WriteSort.MOTION: INK, WriteSort.ZERO: FAINT, WriteSort.STOP_BURST: ALARM, WriteSort.PING: "C3"}
 """The lanes of what was written, by its sort, and their colours."""
 SHADES = {
     DRIVING: "white",

@@ -26,7 +26,7 @@ from failstop.ros2.contract import (
 )
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
 from failstop.ros2.stamps import Stamps
@@ -45,7 +45,9 @@ LOG_NS = 5_000_000_000
 class Inward:
     """The subscriptions and services."""
 
-    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, node: Any, qos: Any, group: Any, link: RobotLink, shared: Shared, settings: dict[str, Any]
+    ) -> None:
         """`qos` makes a profile of a contract.Qos, `group` a callback group; `settings`: the bridge's own
         parameters."""
         self._node = node

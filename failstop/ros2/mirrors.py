@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from failstop.api.snapshot import Imu
 
-Value = bool | int | float | str | list[float]
-Settings = Mapping[str, float | str]
+ParameterValue = bool | int | float | str | list[float]
+RobotSettings = Mapping[str, float | str]
 
 GYRO_NOISE_RADPS = round(float(Imu._field_defaults["rate_variance"]) ** 0.5, 9)
 FIXED = "it is a fact of the robot, not a setting"
@@ -24,14 +24,14 @@ class Mirror(NamedTuple):
 
     name: str
     keys: tuple[str, ...]
-    show: Callable[[Settings], Value]
+    show: Callable[[RobotSettings], ParameterValue]
 
 
-def _number(key: str) -> Callable[[Settings], Value]:
+def _number(key: str) -> Callable[[RobotSettings], ParameterValue]:
     return lambda settings: float(settings[key])
 
 
-def _xyz(key: str) -> Callable[[Settings], Value]:
+def _xyz(key: str) -> Callable[[RobotSettings], ParameterValue]:
     return lambda settings: [float(settings[key.format(axis)]) for axis in "xyz"]
 
 
@@ -39,7 +39,7 @@ def _same(name: str, key: str) -> Mirror:
     return Mirror(name, (key,), _number(key))
 
 
-def command_timeout_s(settings: Settings) -> float:
+def command_timeout_s(settings: RobotSettings) -> float:
     """How long a command of cmd_vel counts."""
     return float(settings["sources.cmd_vel.timeout_s"])
 
@@ -80,7 +80,7 @@ TABLE = (
 MIRROR_BY_NAME = {mirror.name: mirror for mirror in TABLE}
 
 
-def values(settings: Settings) -> dict[str, Value]:
+def values(settings: RobotSettings) -> dict[str, ParameterValue]:
     """Every parameter's value."""
     return {mirror.name: mirror.show(settings) for mirror in TABLE}
 
@@ -96,7 +96,7 @@ def refusal(name: str) -> str:
     return f"{name} shows failstop's settings: change {keys} in failstop's TOML file and restart the service"
 
 
-def differing(given: Mapping[str, object], shown: Mapping[str, Value]) -> list[str]:
+def differing(given: Mapping[str, object], shown: Mapping[str, ParameterValue]) -> list[str]:
     """A line for each parameter that somebody gives another value than the settings have."""
     lines = []
     for name, value in given.items():
@@ -107,7 +107,7 @@ def differing(given: Mapping[str, object], shown: Mapping[str, Value]) -> list[s
     return lines
 
 
-def _equal(given: object, shown: Value) -> bool:
+def _equal(given: object, shown: ParameterValue) -> bool:
     if isinstance(shown, list):
         return isinstance(given, (list, tuple)) and len(given) == len(shown) and all(map(_equal, given, shown))
     if isinstance(given, (int, float)) and isinstance(shown, (int, float)):

@@ -13,7 +13,7 @@ import pytest
 from bench.fleet_flood import packet
 from failstop.fleet import levels, signed, topics
 from failstop.fleet.broker import HEAR_S
-from failstop.fleet.levels import Answer, Order
+from failstop.fleet.levels import Order, StopAnswer
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
@@ -50,7 +50,7 @@ def order(key: str, **changed: object) -> bytes:
     return given.message(signed.read_key(key))
 
 
-def answers(listener: Listener, key: str) -> list[Answer]:
+def answers(listener: Listener, key: str) -> list[StopAnswer]:
     found = [payload for topic, payload in listener.all if "/answer/" in topic]
     return [levels.read_answer(signed.read_key(key), payload) for payload in found]
 
@@ -213,11 +213,11 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     sender = Sender(settings, "smoke", "ann")
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
     topic = topics.answer(maker_id, sender.id, "r1")
-    recorded = Answer(STOP, "r1", done).message(key)
+    recorded = StopAnswer(STOP, "r1", done).message(key)
     running = threading.Thread(daemon=True, target=sender.run, args=(1.0,))
     running.start()
     while running.is_alive():
-        listener.broker.say(topic, Answer(sender.id, "r1", done).message(other))
+        listener.broker.say(topic, StopAnswer(sender.id, "r1", done).message(other))
         listener.broker.say(topic, recorded)
         listener.turn(0.02)
     assert sender.sent_s is not None

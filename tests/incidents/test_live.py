@@ -18,7 +18,7 @@ import pytest
 from failstop.api.events import EventLog
 from failstop.cli.main import main
 from failstop.incidents import files, story
-from failstop.incidents.incident import Incident, Sort
+from failstop.incidents.incident import Incident, WriteSort
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 
@@ -133,11 +133,11 @@ def check_driven(incident: Incident) -> None:
     assert before[-1].block == "driving"
     assert before[-1].who.startswith("trial (pid ")
     assert before[-1].velocity[0] > 0.05
-    bursts = [w for w in incident.writes if w.sort == Sort.STOP_BURST and w.ns >= incident.cause_ns]
+    bursts = [w for w in incident.writes if w.sort == WriteSort.STOP_BURST and w.ns >= incident.cause_ns]
     assert bursts[0].by == layout.PORT_OWNER
     assert incident.ms(bursts[0].ns) < 100
     assert incident.head["stop"]["written_us"] < 100_000
-    motion_after = [w for w in incident.writes if w.sort == Sort.MOTION and w.ns > bursts[0].ns]
+    motion_after = [w for w in incident.writes if w.sort == WriteSort.MOTION and w.ns > bursts[0].ns]
     assert motion_after == []
     end_ns = incident.span_ns[1]
     assert 1900 < incident.ms(end_ns) < 10_000

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, NO_VELOCITY, Decoder, Hold
+from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, NO_VELOCITY, Hold, KeyDecoder
 
 KEYS: tuple[tuple[bytes, list[str]], ...] = (
     (b"w", ["w"]),
@@ -30,29 +30,29 @@ KEYS: tuple[tuple[bytes, list[str]], ...] = (
 
 @pytest.mark.parametrize(("data", "found"), KEYS)
 def test_keys(data: bytes, found: list[str]) -> None:
-    assert Decoder().feed(data) == found
+    assert KeyDecoder().feed(data) == found
 
 
 @pytest.mark.parametrize(("data", "found"), KEYS)
 def test_keys_that_come_byte_by_byte(data: bytes, found: list[str]) -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     assert [key for at in range(len(data)) for key in decoder.feed(data[at : at + 1])] == found
 
 
 def test_half_an_arrow_is_no_letter() -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     assert decoder.feed(b"\x1b") == []
     assert decoder.feed(b"[") == []
     assert decoder.feed(b"A") == ["up"]
 
 
 def test_what_is_pasted_is_no_key() -> None:
-    assert Decoder().feed(b"\x1b[200~www \x1b[A\x1b[201~e") == ["e"]
+    assert KeyDecoder().feed(b"\x1b[200~www \x1b[A\x1b[201~e") == ["e"]
 
 
 @given(st.binary(max_size=300))
 def test_any_bytes_are_survived_and_the_keys_after_them_are_heard(data: bytes) -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     decoder.feed(data)
     decoder.feed(b"~" * 70 + b"\x1b[201~")
     assert decoder.feed(b" ") == [" "]

@@ -32,7 +32,7 @@ class Service:
         self.find = (
             self.load("failstop.api.state").StateReader,
             self.load("failstop.api.events").EventLog,
-            self.load("failstop.api.client").Run,
+            self.load("failstop.api.client").SeenRun,
         )
         self.read_state, self.read_events, _ = self.find
 

@@ -25,7 +25,7 @@ _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=
 Velocity = tuple[float, float, float]
 
 
-class Decoder:
+class KeyDecoder:
     """Bytes in, keys out: a character in lower case, or the name of an arrow. Half a sequence waits for the rest,
     however long: the end of an arrow key's is a letter, and that alone would be a key that moves something else. So the
     escape key is told with the key after it."""
