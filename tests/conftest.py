@@ -1,4 +1,4 @@
-"""What is every test's own, whatever is installed or runs on the machine; nothing of it is read, nothing left there."""
+"""Places of every test's own: nothing that is installed or runs on the machine is read, and nothing is left there."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ settings.register_profile("quick", settings.get_profile("failstop"), max_example
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What `make quick` asks for."""
+    """Declare the option of `make quick`."""
     parser.addoption(
         "--quick", action="store_true", help="only the tests that start no process (tests/support/starting.py)"
     )

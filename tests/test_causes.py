@@ -263,7 +263,7 @@ POSES = (
 
 
 def asked(line: bytes) -> Cause:
-    """What is latched for this line, as it is read where it arrives."""
+    """The cause that is latched for this line, as it is read where it arrives."""
     cause = causes.requested(line)
     found = causes.unpack(cause.pack())
     assert found.kind in ASKED
@@ -323,7 +323,8 @@ SAID = {str: r".*", int: r"\d+", float: r"[\d.]+"}
 
 
 def wording(kind: Kind) -> re.Pattern[str]:
-    """What finds the text of such a cause, with arguments or with places for them, by itself or in a longer text."""
+    """A pattern that finds the text of such a cause, with arguments or with places for them, by itself or in a longer
+    text."""
     pattern = ""
     for part in re.split(r"(\{[^}]*\}|\[[^\]]*\])", kind.template):
         if part.startswith("["):
@@ -341,7 +342,7 @@ def wording(kind: Kind) -> re.Pattern[str]:
 
 @every_row
 def test_the_words_of_a_cause_are_in_the_code_once(kind: Kind) -> None:
-    """Whoever wants to know of a cause asks for its row, not for its words."""
+    """Code that wants to know of a cause asks for its row, not for its words."""
     pattern = wording(kind)
     assert pattern.search(str(example(kind)))
     assert pattern.search(f"latched: {example(kind)}; and more")

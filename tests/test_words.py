@@ -8,27 +8,12 @@ import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from failstop.policy.settings import DECLARED
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("failstop", "procs", "shm", "supervisor", "bench", "packaging", "model")
-CLEAN = (
-    "docs",
-    "e2e",
-    "faults",
-    "fleet",
-    "incidents",
-    "machine",
-    "ros2",
-    "safety",
-    "screen",
-    "support",
-    "systemd",
-    "web",
-)
-"""Folders of the tests whose docstrings are held to the rule."""
+NOT_YET = ("procs", "shm", "sim", "supervisor", "telemetry")
+"""Folders of the tests whose docstrings are not held to the rule by now."""
 MADE = "build"
 """A folder of what is built."""
 STANDIN = "standin"
@@ -72,11 +57,11 @@ def test_no_docstring_or_comment_begins_with_a_word_that_leans_on_another_senten
     assert [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in found if LEANS.match(text)] == []
 
 
-@pytest.mark.parametrize("folder", CLEAN)
-def test_no_docstring_of_the_tests_begins_so(folder: str) -> None:
-    paths = [path for path in sorted((ROOT / "tests" / folder).rglob("*.py")) if STANDIN not in path.parts]
+def test_no_docstring_of_the_tests_begins_so() -> None:
+    left_out = {ROOT / "tests" / folder for folder in NOT_YET} | {ROOT / "tests" / "ros2" / STANDIN}
+    paths = [path for path in sorted((ROOT / "tests").rglob("*.py")) if not left_out & set(path.parents)]
     found = [(path, line, text) for path in paths for line, text in docstrings(path)]
-    assert found
+    assert len(found) > 1000
     assert [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in found if LEANS.match(text)] == []
 
 

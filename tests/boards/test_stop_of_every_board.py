@@ -64,7 +64,7 @@ class Trial:
             yield from ((speed, speed), (-speed, -speed), (speed, -speed / 2), (0.0, speed))
 
     def cuts(self) -> list[bytes]:
-        """What may stand before a stop: nothing, every frame cut anywhere or whole, and the receiver's own."""
+        """Bytes that may stand before a stop: none, every frame cut anywhere or whole, and the receiver's own."""
         cut = {frame[:end] for frame in self.frames for end in range(len(frame) + 1)}
         return sorted(cut | set(self.model.before))
 

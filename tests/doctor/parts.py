@@ -43,9 +43,9 @@ KERNEL: dict[str, Any] = {
     "ports": [],
     "contained": False,
 }
-"""What the functions of System say, whatever they are asked."""
+"""Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
-"""What a command prints."""
+"""The output of a command."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
 SHARED: dict[str, Any] = {
@@ -59,7 +59,7 @@ SHARED: dict[str, Any] = {
     "usb_id": BOARD_USB,
     "holders": ((), 0),
 }
-"""What was asked, and what checks share (Look)."""
+"""Options of the call, and values that checks share (Look)."""
 
 
 class Made(System):

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 
 class Reason(NamedTuple):
-    """Which files (a pattern), which changes (a regular expression), why, and whether it's the same program."""
+    """Files (a pattern), changes in them (a regular expression), why they survive, and whether it's the same
+    program."""
 
     path: str
     changed: str

@@ -33,4 +33,4 @@ def level(std: float) -> Noise:
 SIMULATED = Character(
     still=level(STILL), spinning={"0.2": level(DRIVE), "turn": level(TURN)}, limit_radps=0.0035, configured_radps=0.0035
 )
-"""What characterizing the simulated board comes to."""
+"""The character of the simulated board."""

@@ -1,4 +1,4 @@
-"""What the gyro shows, on generated noise of known kinds."""
+"""Judgements of the gyro, on generated noise of known kinds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `make vm` is made of, as far as it needs no virtual machine: its table, its agent, its names."""
+"""Parts of `make vm` that need no virtual machine: its table, its agent, its names."""
 
 from __future__ import annotations
 
