@@ -13,6 +13,7 @@ from tests.support.rooms import CORE, ROOT, modules
 OTHER_BOARDS = ("arduino", "hoverboard", "ugv")
 """Folders of the board room that define what the room's own modules do, each for another board."""
 EVERYWHERE = {
+    "BATTERY": "the record and the cause: each has its own name in capitals, in records.py and in causes.py",
     "TYPE_CHECKING": "what type checkers take to be true, of a name that costs no import",
     "MS": "a unit",
     "TICK_NS": "of each process that has one, its own",

@@ -52,7 +52,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "said": (layout.GATE, msgpack.unpackb),
     "port": (layout.PORT_OWNER, records.PORT.unpack),
     "imu": (layout.TELEMETRY, records.IMU.unpack),
-    "battery": (layout.TELEMETRY, records.BATTERY_STATE.unpack),
+    "battery": (layout.TELEMETRY, records.BATTERY.unpack),
     "bias": (layout.TELEMETRY, records.BIAS.unpack),
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),

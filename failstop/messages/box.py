@@ -69,7 +69,7 @@ WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
 """Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
-    BATTERY_KIND: records.BATTERY_STATE,
+    BATTERY_KIND: records.BATTERY,
     PAD_KIND: records.PAD,
     SERVO_KIND: records.SERVO,
 }

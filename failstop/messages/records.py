@@ -333,7 +333,7 @@ ODOMETRY: Payload[float, float, float, float, float, float, float, float] = Payl
 told with it: m/s of vx and vy, rad/s of wz."""
 POSE_VARIANCE = 1e3
 """m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
-BATTERY_STATE: Payload[int, int] = Payload("<IB")
+BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
 """The gamepad's last frame: a bit a button, the hat, raw axes lx, ly, rx, ry of -128..127; its mode, an index of

@@ -297,7 +297,7 @@ class Telemetry:
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
-            self._latest["battery"].write(records.BATTERY_STATE.pack(millivolts, self._charger.state), t_ns)
+            self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
                 self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])

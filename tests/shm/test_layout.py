@@ -137,7 +137,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_ring\("frames", records.FRAME', '_ring("frames", 268'),
         (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
-        (r'_latest\("battery", records.BATTERY_STATE, ', '_word("battery", '),
+        (r'_latest\("battery", records.BATTERY, ', '_word("battery", '),
         (r'(_latest\("imu"[^\n]*)\n\s*(_latest\("battery"[^\n]*)', r"\2\n            \1"),
         (r'TELEMETRY = "telemetry"', 'TELEMETRY = "telemetri"'),
     ],
