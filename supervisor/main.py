@@ -17,7 +17,7 @@ from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import READ
+from failstop.procs.loop import MS, READ
 from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
@@ -31,7 +31,6 @@ from failstop.supervisor.run import Run
 from failstop.supervisor.status import LEASE, Notify, Status, advice, lacking
 from failstop.supervisor.stops import Stop, explained
 
-MS = 1_000_000
 TICK_NS = 20 * MS
 """A third of the lease that motion has of its beats."""
 BEATS_ALONE = 2

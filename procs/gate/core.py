@@ -18,7 +18,7 @@ from failstop.messages.packing import Note
 from failstop.messages.records import CAUSE
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.policy.kinematics import Velocity, WheeledBase, WheelSpeeds
+from failstop.policy.kinematics import Chassis, Velocity, WheelSpeeds
 from failstop.policy.reply import Reply
 from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
@@ -39,7 +39,7 @@ MOST_IGNORED = 64
 class GateCore:
     """The gate's knowledge: enabled, the latch, the sources and their commands, the velocity."""
 
-    def __init__(self, settings: Settings, kinematics: WheeledBase, now_ns: int) -> None:
+    def __init__(self, settings: Settings, kinematics: Chassis, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))

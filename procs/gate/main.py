@@ -21,7 +21,7 @@ from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
-from failstop.procs.loop import NEVER, READ, Loop
+from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.words import Barrier
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
-MS = 1_000_000
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
