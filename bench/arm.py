@@ -14,7 +14,7 @@ from bench.stats import Row
 from failstop.api.errors import Refused
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm import JOINTS, ArmTrial
-from failstop.lab.faults.arm_table import CLIENT_KILL, KILL, REQUEST, ROWS, SERVO
+from failstop.lab.faults.arm_table import CLIENT_KILL, KILL, ROWS, SERVO_FAULT, STOP_REQUEST
 
 SELDOM = 5
 """Hangs take long: a share of the count."""
@@ -24,9 +24,9 @@ def rests(trial: ArmTrial, count: int, carriers: Carriers, say: Callable[[str], 
     """The arm's other fault rows: until every joint stands."""
     rows = []
     for fault in ROWS:
-        if fault.what in (KILL, SERVO):
+        if fault.what in (KILL, SERVO_FAULT):
             continue
-        times = count if fault.what in (CLIENT_KILL, REQUEST) else max(1, count // SELDOM)
+        times = count if fault.what in (CLIENT_KILL, STOP_REQUEST) else max(1, count // SELDOM)
         stands, wrong = [], []
         for turn in range(times):
             say(f"{fault.name}, {turn + 1} of {times}")

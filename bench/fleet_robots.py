@@ -25,7 +25,7 @@ MISC_S = 1.0
 TURN_S = 0.01
 LOOK_TURNS = 100
 """A robot without a stop is looked at once in so many turns: a thousand of them share these processors."""
-PROCESSES = ("supervisor", "port_owner", "stopper", "gate", "telemetry")
+PROCESS_NAMES = ("supervisor", "port_owner", "stopper", "gate", "telemetry")
 
 
 class Pretended:
@@ -40,7 +40,7 @@ class Pretended:
             body_vel=Velocity(0.1 * self._driving, 0.0, 0.0),
             wheels_radps=Wheels(*(2.5 * self._driving,) * 4), epoch=1, waiting_for=None,
             device=Device("/dev/ttyACM0", "open", "alive"),
-            processes=dict.fromkeys(PROCESSES, process), starved=None, clients=(), sources=(), scan_age_s=0.05,
+            processes=dict.fromkeys(PROCESS_NAMES, process), starved=None, clients=(), sources=(), scan_age_s=0.05,
             last_stop=None, imu=None, gyro_bias=None, odometry=None, pad_mode=None, battery_v=12.0,
             plugged="unknown", age_s=0.01,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from bench import stats
 from failstop.lab.trial import Stopped, Trial, judge, wait_for
 from failstop.messages import layout
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings
 
 MARGIN_MS = 10.0
@@ -22,7 +22,7 @@ AFTERMATH_S = 0.15
 def deadlines_ms() -> dict[str, float]:
     """How long each process may be silent: by the process table, and by the port owner's leases, which are shorter."""
     lease_ms = Settings().ns("gate.lease_s") / 1e6
-    found = {name: row.deadline_ns / 1e6 for name, row in BY_NAME.items()}
+    found = {name: row.deadline_ns / 1e6 for name, row in PROCESS_BY_NAME.items()}
     return {**found, layout.GATE: lease_ms, layout.SUPERVISOR: lease_ms}
 
 

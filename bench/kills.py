@@ -54,13 +54,13 @@ def measure(
     chance = random.Random(seed)
     pidfds: list[int] = []
     floors: list[int] = []
-    found: dict[str, list[Stopped]] = {process: [] for process in layout.PROCESSES}
+    found: dict[str, list[Stopped]] = {process: [] for process in layout.PROCESS_NAMES}
     with SimBoard(trial.link + "-floor", imu_hz=0) as bare, floor.Floor(bare) as least:
         for turn in range(kills):
             progress(f"kills, round {turn + 1} of {kills}")
             if not ballast_mb:
                 pidfds.append(floor.pidfd_sample(bare))
-            for process in layout.PROCESSES:
+            for process in layout.PROCESS_NAMES:
                 carriers.first()
                 floors.append(least.sample())
                 trial.enable()

@@ -19,13 +19,13 @@ from typing import Any, Protocol
 import posix_ipc
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME
+from failstop.messages.layout import SEGMENT_BY_NAME
 from failstop.procs.loop import READ, Loop
 from failstop.procs.port_owner.main import TICK_NS
 from failstop.shm.bell import EventBell
 
 PAYLOAD_BYTES = 64
-RING_CELLS = BY_NAME["gate"].records["frames"].cells
+RING_CELLS = SEGMENT_BY_NAME["gate"].records["frames"].cells
 Send = Callable[[bytes], object]
 Receive = Callable[[], bytes]
 

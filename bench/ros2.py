@@ -26,7 +26,7 @@ from failstop.api.errors import FailstopError
 from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.contract import IMU, ODOMETRY, STATE
-from failstop.ros2.stage import Process, bridge, environment, publisher
+from failstop.ros2.stage import StageProcess, bridge, environment, publisher
 
 TIMEOUT_MS = 300.0
 CONNECT_S = 20.0
@@ -90,7 +90,7 @@ class Scene:
         self.driver = Node("nav")
         rest.callback(self.driver.end)
         self.driver.ask("steady 20")
-        self.bridge: Process
+        self.bridge: StageProcess
         self.start_bridge()
 
     def start_bridge(self) -> None:

@@ -93,7 +93,7 @@ def lock(runtime_dir: str) -> int:
         raise instance.InstanceError(f"the lock {path} can't be made: {error.strerror}") from None
     try:
         until_s = time.monotonic() + LETTING_GO_S
-        while not claim.take(fd, 0):
+        while not claim.acquire(fd, 0):
             pid = _pid(fd)
             # A process that a supervisor was just starting when it died has the lock too, until its exec.
             if time.monotonic() > until_s or os.path.exists(f"/proc/{pid}"):

@@ -18,7 +18,7 @@ from failstop.procs import rights
 from failstop.procs.loop import Loop
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
-from failstop.shm.heartbeat import RUNNING, STOPPING, Heartbeat
+from failstop.shm.heartbeat import BEAT_RUNNING, BEAT_STOPPING, Heartbeat
 from failstop.shm.lifeline import EarlyNews
 from failstop.shm.segment import Segment
 
@@ -55,12 +55,12 @@ class Context:
         """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it. Then
         handle one wake-up after the other, until a turn is False."""
         rights.settle()
-        self.heartbeat.state(RUNNING, monotonic_ns())
+        self.heartbeat.state(BEAT_RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()
         ready: dict[int, int] = {}
         while turn(ready) is not False:
             ready = loop.wait(longest_ns)
-        self.heartbeat.state(STOPPING, monotonic_ns())
+        self.heartbeat.state(BEAT_STOPPING, monotonic_ns())
 
     def fd(self, key: str) -> int:
         """An inherited descriptor; -1 when there is none, as with a port that is not open."""

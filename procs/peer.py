@@ -7,7 +7,7 @@ import os
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout, records
 from failstop.policy import causes
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs.context import Context
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ, Loop
@@ -71,7 +71,7 @@ class Peer:
         self._word = context.segment("supervisor").word(f"{name}_life")
         self._early = context.early
         self._stop = port.early_stop
-        self._priority = BY_NAME[name].priority
+        self._priority = PROCESS_BY_NAME[name].priority
         self._loop = loop
         self._named = 0
 

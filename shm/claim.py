@@ -26,7 +26,7 @@ def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int 
     return fd
 
 
-def take(fd: int, index: int) -> bool:
+def acquire(fd: int, index: int) -> bool:
     """Claim byte `index` for as long as `fd` stays open; False when somebody else holds it."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
@@ -35,7 +35,7 @@ def take(fd: int, index: int) -> bool:
     return True
 
 
-def drop(fd: int, index: int) -> None:
+def release(fd: int, index: int) -> None:
     """Give a claim back before the descriptor closes."""
     fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, index, 1, 0))
 

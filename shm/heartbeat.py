@@ -6,8 +6,8 @@ from time import process_time_ns
 
 from failstop.shm.segment import Segment
 
-STARTING, RUNNING, STOPPING = range(1, 4)
-STATES = {0: "absent", STARTING: "starting", RUNNING: "running", STOPPING: "stopping"}
+BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
+STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
 """Rights. The last: the kernel tells of deaths before it takes the memory down (futex.proven)."""
@@ -34,7 +34,7 @@ class HeartbeatReader:
 
     def running(self, pid: int) -> bool:
         """True when the process with this pid has said that it runs."""
-        return self.pid.get() == pid and self.state.get() == RUNNING
+        return self.pid.get() == pid and self.state.get() == BEAT_RUNNING
 
 
 class Heartbeat:
@@ -49,7 +49,7 @@ class Heartbeat:
         self._last_ns = now_ns
         for word in (words.loops, words.worst_ns, words.epoch):
             word.set(0)
-        words.state.set(STARTING)
+        words.state.set(BEAT_STARTING)
         words.rights.set(rights)
         words.cpu_ns.set(process_time_ns())
         words.pid.set(pid)
@@ -69,7 +69,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish STARTING, RUNNING or STOPPING. A start that took long was no silence."""
+        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A start that took long was no silence."""
         self._words.cpu_ns.set(process_time_ns())
         self._words.ns.set(now_ns)
         self._words.state.set(state)

@@ -14,7 +14,7 @@ from time import monotonic_ns
 import msgpack
 
 from failstop.messages import box, layout, records
-from failstop.messages.packing import NEXT
+from failstop.messages.packing import NEXT_STEP
 from failstop.shm.lifeline import Lifeline
 from failstop.supervisor.starter import environment, reap, script_command, spawn
 
@@ -48,7 +48,7 @@ class BlackBox:
         self._words = {"name": run.name, "keep": keep, "max_mb": max_mb}
         self._environment = environment(run.settings)
         self._ring = run.own.ring_writer("box")
-        self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESSES]
+        self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESS_NAMES]
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
@@ -97,7 +97,7 @@ class BlackBox:
         """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
         left = self._run.left
-        if self._on and len(left) == len(layout.PROCESSES):
+        if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
         while left:
             os.close(left.popitem()[1])
@@ -154,7 +154,7 @@ class BlackBox:
             self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}")
 
     def _not_saved(self, why: str) -> None:
-        reason = {"reason": f"{why}{NEXT}{STEP}"}
+        reason = {"reason": f"{why}{NEXT_STEP}{STEP}"}
         self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=STEP)
 
     def finish(self) -> None:

@@ -28,11 +28,11 @@ def main(argv: list[str]) -> int:
             from failstop.supervisor import entry
 
             return entry.start(words)
-        from failstop.policy.processes import BY_NAME
+        from failstop.policy.processes import PROCESS_BY_NAME
         from failstop.procs.context import Context
 
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # an end at once, as by any other signal
-        row = BY_NAME[argv[1]]
+        row = PROCESS_BY_NAME[argv[1]]
         context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
         code: int = __import__(row.module, fromlist=["run"]).run(context)
         return code

@@ -30,11 +30,11 @@ DEAD = "dead"  # that is known, and answered; still to be reaped
 
 EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
 """The events of a process, in the words that people read. Spared: it is silent, which the machine explains."""
-STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = range(len(EVENTS))
+STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(len(EVENTS))
 
 NO = None
 NEXT: dict[str, tuple[str | None, ...]] = {
-    #          STARTED   RUNS     SPARED    BEATS     KILLED  DIED  REAPED   GIVEN_UP  RECALLED
+    #          STARTED   RUNS     SPARED    BEATS     KILLED  TERMINATED  REAPED   GIVEN_UP  RECALLED
     WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,   NO,      DOWN,     NO),
     DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,   NO,      NO,       WAITING),
     STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD, NO,      NO,       NO),
@@ -46,7 +46,7 @@ NEXT: dict[str, tuple[str | None, ...]] = {
 """The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
 the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
 that it runs, and just before its end, of which the news may come sooner than the beat."""
-ALIVE = tuple(state for state, row in NEXT.items() if row[DIED])
+ALIVE = tuple(state for state, row in NEXT.items() if row[TERMINATED])
 
 
 class Fence(Data):
@@ -183,7 +183,7 @@ class Child:
             self.life.kill()
             self.life.wait(wait_s)
             if self.state in ALIVE:
-                self.on(DIED)
+                self.on(TERMINATED)
             self.reap()
 
     def reap(self) -> str:

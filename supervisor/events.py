@@ -13,30 +13,29 @@ from time import monotonic_ns, time
 
 from failstop.files import instance
 from failstop.messages import layout
-from failstop.messages.packing import NEXT, fitting
+from failstop.messages.packing import NEXT_STEP, Value, fitting
 from failstop.notify import Outbox
 from failstop.policy import causes
 from failstop.shm.cell import RingWriter
-from failstop.supervisor.kinds import BY_NAME, LEVELS
+from failstop.supervisor.kinds import EVENT_BY_NAME, LEVELS
 
-Value = str | int | float
-Told = tuple[int, float, str, str, str, str, dict[str, Value]]
-Sort = tuple[str, str, bool]
+EventRow = tuple[int, float, str, str, str, str, dict[str, Value]]
+FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
-MOST_WAITING = 256
-CUTS = ((280, 280), (200, 60), (120, 24))
-"""As packing.CUTS."""
-ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
+MOST_EVENTS_WAITING = 256
+EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
+"""As packing.NOTE_CUTS."""
+EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """Events that anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
 """Bytes told in a minute of each kind and level: a dozen stops a second for half of it."""
-ASKED_BYTES = 8192
+REPEATS_BYTES = 8192
 """Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
 LEAST_COLUMNS = 40
 """Below this a hanging indent leaves too little."""
@@ -97,11 +96,11 @@ class Events:
         self._name = name
         self._ring = ring
         self._journal = journal
-        self._waiting: list[Told] = []
+        self._waiting: list[EventRow] = []
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
-        self._spent: Counter[Sort] = Counter()
-        self._left_out: Counter[Sort] = Counter()
+        self._spent: Counter[FloodSort] = Counter()
+        self._left_out: Counter[FloodSort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 
     def tell(
@@ -109,10 +108,10 @@ class Events:
     ) -> None:
         """Tell an event of a kind of kinds.py (any other becomes a note), at its kind's level or another. `step`: what
         to do next. A field that is None is left out."""
-        known = BY_NAME.get(kind) or BY_NAME["note"]
+        known = EVENT_BY_NAME.get(kind) or EVENT_BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
-        if len(self._waiting) < MOST_WAITING:
+        if len(self._waiting) < MOST_EVENTS_WAITING:
             self._waiting.append((now_ns, time(), known.name, level, text, step, given))
         else:
             self._left_out[known.name, level, _asked(known.name, given)] += 1
@@ -141,7 +140,7 @@ class Events:
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
     ) -> None:
         """To everybody, unless there was too much of its sort."""
-        text = f"{what}{NEXT}{step}" if step else what
+        text = f"{what}{NEXT_STEP}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
@@ -149,17 +148,17 @@ class Events:
             self._left_out[sort] += 1
             return
         if self._ring:
-            self._ring.put(pack(t_ns, unix_s, kind, level, text, fields, len(what) if step else 0), t_ns)
+            self._ring.put(ring_entry(t_ns, unix_s, kind, level, text, fields, len(what) if step else 0), t_ns)
         if not self._journal or not self._journal.send(datagram):
             say(text)
 
-    def _may_spend(self, sort: Sort, size: int, t_ns: int) -> bool:
+    def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
         """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
         few lines and a number, not every other line of it."""
         if t_ns - self._minute_ns >= MINUTE_NS:
             self._minute_ns, self._spent = t_ns, Counter()
         self._spent[sort] += size
-        return self._spent[sort] <= (ASKED_BYTES if sort[2] else OWN_BYTES)
+        return self._spent[sort] <= (REPEATS_BYTES if sort[2] else OWN_BYTES)
 
     def _tell_left_out(self) -> None:
         left_out, self._left_out = self._left_out, Counter()
@@ -174,10 +173,12 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
-def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0) -> bytes:
+def ring_entry(
+    t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
+) -> bytes:
     """One event for the ring, as a msgpack map. `what`: the characters of the text before its step; 0: it has none."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
-    return fitting(ROOM, CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
+    return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
 
 def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
@@ -185,7 +186,7 @@ def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields
     told: dict[str, Value] = {
         "MESSAGE": text,
         "PRIORITY": LEVELS[level],
-        "MESSAGE_ID": BY_NAME[kind].message_id,
+        "MESSAGE_ID": EVENT_BY_NAME[kind].message_id,
         "SYSLOG_IDENTIFIER": "failstop",
         "FAILSTOP_EVENT": kind,
         "FAILSTOP_NAME": name,

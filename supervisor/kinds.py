@@ -20,7 +20,7 @@ class EventKind:
         self.fields = tuple(fields.split())
 
 
-KINDS = (
+EVENT_KINDS = (
     EventKind("ready", "notice", "019484cdaf0545c2b4ff5e8fc487d4bb"),
     EventKind("waiting", "warning", "e12d029f8969465ebe24b87501c4fa50", "for"),
     EventKind("stop", "warning", "d64c7adf98c047808bc2802fe77d504b", "reason noticed_by written_by epoch"),
@@ -66,4 +66,4 @@ KINDS = (
     EventKind("stopped", "notice", "a9c157b26c984105a437043f1ba39f09", "link"),
 )
 
-BY_NAME = {kind.name: kind for kind in KINDS}
+EVENT_BY_NAME = {kind.name: kind for kind in EVENT_KINDS}

@@ -17,14 +17,14 @@ from failstop.messages import layout, records
 from failstop.notify import Notify
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
-from failstop.policy.proofs import UNASKED, UNPROVEN
+from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import NEVER, READ
+from failstop.procs.loop import MS, NEVER, READ
 from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence
+from failstop.supervisor.children import ALIVE, KILLED, RUNNING, TERMINATED, Child, Fence
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.monitor import Monitor
 from failstop.supervisor.port_handover import OwnPort, PortHandover
@@ -33,12 +33,11 @@ from failstop.supervisor.run import Run
 from failstop.supervisor.status import LEASE, Status, advice, lacking
 from failstop.supervisor.stops import Stop, explained
 
-MS = 1_000_000
 TICK_NS = 20 * MS
 """A third of the lease that motion has of its beats."""
 BEATS_ALONE = 2
 """Ticks in which it shows that it lives and looks at nothing, if nothing has happened: what happens rings."""
-ANSWER_NS = 5_000_000
+STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
@@ -46,7 +45,7 @@ ALONE_EVERY_NS = 200_000_000
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
-LATE_NS = 150_000_000
+CLIENT_SILENT_NS = 150_000_000
 """A client that beats ten times a second, and was silent for this long, was held up."""
 HELD_UP_NS = 250_000_000
 """After a gap this long the supervisor stops the robot: nothing was watching it."""
@@ -234,7 +233,7 @@ class Supervisor:
             return False
         # A process that was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
-        return now_ns - heard_ns < LATE_NS or self._motion()
+        return now_ns - heard_ns < CLIENT_SILENT_NS or self._motion()
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered."""
@@ -244,7 +243,7 @@ class Supervisor:
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, explained(causes.read(cause), suspended_ns), written_ns))
         for child in dead:
-            child.on(DIED)
+            child.on(TERMINATED)
             death = causes.DIED(child.row.name)
             if death not in (stop.cause for stop in stops):
                 stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))
@@ -257,7 +256,7 @@ class Supervisor:
         self.epochs.raise_for(stops, monotonic_ns())
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
-            self._unanswered.answer_by_ns = monotonic_ns() + ANSWER_NS
+            self._unanswered.answer_by_ns = monotonic_ns() + STOP_ANSWER_NS
         latch = self.epochs.latch
         if latch.stop and latch.since == self.epoch:
             self.monitor.latched(latch.stop)
@@ -343,7 +342,7 @@ class Supervisor:
         """Publish what motion waits for, and serve the service manager."""
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
-            self.heartbeat.state(heartbeat.RUNNING, now_ns)
+            self.heartbeat.state(heartbeat.BEAT_RUNNING, now_ns)
             for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):
                 self._events.tell("rights", text, {"what": what})
         self.status.tell_people(missing, now_ns)
@@ -363,7 +362,7 @@ class Supervisor:
         heard_ns = self._hear(stop.written_ns)
         link = self.monitor.link.state
         self.status.notify.stopping("the stop is written; ending every process")
-        self.heartbeat.state(heartbeat.STOPPING, monotonic_ns())
+        self.heartbeat.state(heartbeat.BEAT_STOPPING, monotonic_ns())
         for child in reversed(self.children):
             child.kill(END_S)
         self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
@@ -373,12 +372,12 @@ class Supervisor:
         self.monitor.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
-        return sent and (heard_ns > 0 or link in (UNPROVEN, UNASKED))
+        return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
         """Wait until the board has answered a ping from after the stop that was written then (0: none was); returns how
         long after it, in ns; 0: not within HEAR_NS. The processes that ask and listen must live for it."""
-        until_ns = monotonic_ns() + (0 if self.monitor.link.state == UNASKED else HEAR_NS)
+        until_ns = monotonic_ns() + (0 if self.monitor.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
             self.monitor.follow(now_ns, listening=True)
             sent_ns, arrival_ns = self.monitor.heard

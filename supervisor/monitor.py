@@ -16,15 +16,15 @@ from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
-from failstop.supervisor.proof import UNSTILL, Link, Proof
+from failstop.supervisor.proof import WHEELS_UNSTILL, Link, Proof
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import BY_SUPERVISOR, Stop
 
-MOST_SAID = 64
+SENTENCES_KEPT = 64
 
 
 class Monitor:
@@ -67,7 +67,7 @@ class Monitor:
         than are remembered the older may be told of again."""
         if cause in self._said:
             return False
-        if len(self._said) >= MOST_SAID:
+        if len(self._said) >= SENTENCES_KEPT:
             self._said.clear()
         self._said.add(cause)
         return True
@@ -231,7 +231,7 @@ class Monitor:
         proof.held = proof.stop.written_ns > 0 and proof.acknowledged_ns is None and self._holds()
         if proof.held:
             self._publish(proof)
-        level = "error" if proof.held or proof.wheels == UNSTILL else ""
+        level = "error" if proof.held or proof.wheels == WHEELS_UNSTILL else ""
         self._run.events.tell("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
@@ -243,21 +243,21 @@ class Monitor:
         fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
         if heard_ns:
             heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
-        elif link == UNPROVEN:
+        elif link == LINK_UNPROVEN:
             heard, level = "whether the board hears is not known (link unproven)", "warning"
-        elif link == UNASKED:
+        elif link == LINK_UNASKED:
             heard, level = "this board acknowledges nothing (link unasked)", ""
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
         self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
     def _tell_link(self, before: str, state: str) -> None:
-        if state == DEAF:
+        if state == LINK_DEAF:
             self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
-        elif state == ALIVE:
-            again = " again" if before == DEAF else ""
+        elif state == LINK_ALIVE:
+            again = " again" if before == LINK_DEAF else ""
             self._run.events.tell("link", f"the board answers{again}", {"state": state})
-        elif before and state == UNPROVEN:
+        elif before and state == LINK_UNPROVEN:
             text = "whether the board hears is not known until it answers"
             self._run.events.tell("link", text, {"state": state}, level="info")
 

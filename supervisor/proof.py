@@ -10,14 +10,14 @@ Levels of proof are kept apart everywhere: the board may be silent while the IMU
 
 from __future__ import annotations
 
-from failstop.policy.proofs import ALIVE, DEAF, NOT_SENT, UNASKED, UNPROVEN, wheels_seen
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT, wheels_seen
 from failstop.supervisor.stops import Stop
 
 # The wheels after a stop, as the IMU sees them.
-UNKNOWN = "unknown"
-UNSTILL = "unstill"  # they should be still and are not, and were not seen still since
-STILL = "still"
-ANSWER_NS = 20_000_000
+WHEELS_UNKNOWN = "unknown"
+WHEELS_UNSTILL = "unstill"  # they should be still and are not, and were not seen still since
+WHEELS_STILL = "still"
+PONG_NS = 20_000_000
 """A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
 """A stop that the board has not acknowledged by then is told of without."""
@@ -45,7 +45,7 @@ class Proof:
         """From the cause to the board's answer."""
         self.observed_ns: int | None = None
         """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
-        self.wheels = UNKNOWN
+        self.wheels = WHEELS_UNKNOWN
         self.held = False
         """Its bytes were still in the kernel when it was told of: the board takes none."""
         self.told = False
@@ -81,14 +81,14 @@ class Proof:
             self._was_still = False
             if now_ns >= self._again_ns:
                 self._again_ns = now_ns + self._after_ns
-                self.wheels = UNSTILL
+                self.wheels = WHEELS_UNSTILL
                 return True
         elif not self._was_still or (late and still_ns > self.stop.t_ns):
             # A window may begin before the cause: they turned all the same.
             self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
         elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
-        self.wheels = self.wheels if self.observed_ns is None else STILL
+        self.wheels = self.wheels if self.observed_ns is None else WHEELS_STILL
         return False
 
     def complete(self, now_ns: int) -> bool:
@@ -96,7 +96,7 @@ class Proof:
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
-        if self.observed_ns is None and self.wheels != UNSTILL and age_ns < self._after_ns + JUDGED_WITHIN_NS:
+        if self.observed_ns is None and self.wheels != WHEELS_UNSTILL and age_ns < self._after_ns + JUDGED_WITHIN_NS:
             return False
         self.told, before = True, self.told
         return not before
@@ -106,7 +106,7 @@ class Proof:
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
         heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
         if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.wheels == UNSTILL else "not observed"
+            seen = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
         else:
             seen = wheels_seen(self.observed_ns / 1e9)
         return f"{self.stop.cause}: {heard}, {seen}"
@@ -157,7 +157,7 @@ class Link:
     def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
         """`asked`: the board has pings."""
         self._deaf_ns = deaf_ns
-        self._opened = UNPROVEN if asked else UNASKED
+        self._opened = LINK_UNPROVEN if asked else LINK_UNASKED
         self.state = self._opened
         self._answered_ns = 0
         """When the newest answered ping was sent."""
@@ -176,7 +176,7 @@ class Link:
 
     def answered(self, sent_ns: int) -> None:
         """A ping that was sent at `sent_ns` was answered."""
-        self.state = ALIVE
+        self.state = LINK_ALIVE
         self._answered_ns = max(self._answered_ns, sent_ns)
         self._asked_ns = 0
 
@@ -184,12 +184,12 @@ class Link:
         """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
-        if self.state != ALIVE or not self._asked_ns:
+        if self.state != LINK_ALIVE or not self._asked_ns:
             return False
         # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
             return False
-        if now_ns - newest_ping_ns < ANSWER_NS:
+        if now_ns - newest_ping_ns < PONG_NS:
             return False
-        self.state = DEAF
+        self.state = LINK_DEAF
         return True

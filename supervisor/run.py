@@ -70,7 +70,7 @@ class Run:
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
-            self.views = {each: segments.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
+            self.views = {each: segments.attach(self.memory, each, self.incarnation) for each in layout.PROCESS_NAMES}
             self._tell_settings()
             self.loop = Loop()
         except BaseException:
@@ -82,7 +82,7 @@ class Run:
     def _refuse_living(self) -> None:
         """Refuse to start beside a living run, also where its lock's file is gone."""
         try:
-            incarnation, _ = instance.run(self.runtime_dir)
+            incarnation, _ = instance.current_run(self.runtime_dir)
         except instance.NoService:
             return
         if segments.living(segments.memory(self.name, incarnation)):
@@ -94,7 +94,7 @@ class Run:
         for spec in layout.SEGMENTS:
             self._segments.append(segments.create(self.memory, spec.name, self.incarnation, gid))
         self.readable = segments.open_all(self.memory)
-        if missing := [process for process in layout.PROCESSES if process not in self.readable]:
+        if missing := [process for process in layout.PROCESS_NAMES if process not in self.readable]:
             raise segments.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
@@ -105,7 +105,7 @@ class Run:
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
         """A descriptor of whatever others find by its name."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
-        self.bells = {process: EventBell.create() for process in layout.PROCESSES}
+        self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
 
     def _tell_settings(self) -> None:
@@ -125,7 +125,7 @@ class Run:
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))
-        self.published = instance.publish(self.runtime_dir, self.incarnation)
+        self.published = instance.publish_run(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:
             segments.unlink_all(run)

@@ -24,7 +24,7 @@ import msgpack
 from failstop.messages import layout
 from failstop.messages.packing import pack
 from failstop.notify import Notify
-from failstop.policy.processes import BY_NAME, PROCESSES
+from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
@@ -210,7 +210,7 @@ def lease_without_rights(settings: Settings) -> float:
 def cost(lease_s: float) -> str:
     """The price that a service without real-time rights pays for its lease, as a clause."""
     if lease_s > LEASE_S:
-        usual = f"{LEASE_S * 1e3:.0f} to {BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
+        usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
         return f"a hang of gate, supervisor or port owner is stopped for {late} ({LEASE})"
     return f"some have no cause, since {LEASE} is as short as {lease_s * 1e3:.0f} ms"

@@ -14,7 +14,7 @@ WAITS = "nobody yet"
 BY_NOTICER = "who noticed it"
 BY_PORT_OWNER = "port owner"
 BY_SUPERVISOR = "supervisor"
-MAY_ANSWER, ANSWERED, LATE = range(3)
+MAY_YET, HAS_ANSWERED, TOO_LATE = range(3)
 WRITERS = (
     # may answer, answered, late
     (WAITS, BY_NOTICER, BY_NOTICER),  # its cause came with the time of its burst
@@ -59,7 +59,7 @@ class Stop(Data):
         own = self.noticed_by == layout.PORT_OWNER
         recent = not own and port_owner_ns >= self.t_ns - SOONER_NS
         row = WRITERS[0 if self.written_ns else 1 if recent else 2]
-        by = row[ANSWERED if answered else MAY_ANSWER if may_answer else LATE]
+        by = row[HAS_ANSWERED if answered else MAY_YET if may_answer else TOO_LATE]
         if by == BY_NOTICER:
             return (BY_PORT_OWNER if own else BY_SUPERVISOR), self.written_ns
         return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)

@@ -1,4 +1,4 @@
-"""What is every test's own, whatever is installed or runs on the machine; nothing of it is read, nothing left there."""
+"""Places of every test's own: nothing that is installed or runs on the machine is read, and nothing is left there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from failstop.files import root
-from failstop.lab.machine.kernel import living
+from failstop.lab.machine.kernel import running_machines
 from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.
@@ -23,7 +23,7 @@ settings.register_profile("quick", settings.get_profile("failstop"), max_example
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What `make quick` asks for."""
+    """Declare the option of `make quick`."""
     parser.addoption(
         "--quick", action="store_true", help="only the tests that start no process (tests/support/starting.py)"
     )
@@ -69,9 +69,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def _no_machine_is_left() -> Iterator[None]:
     """The simulated machines that a test made end with it: their threads would keep them in memory."""
-    before = set(living)
+    before = set(running_machines)
     yield
-    for machine in set(living) - before:
+    for machine in set(running_machines) - before:
         machine.end()
 
 

@@ -111,7 +111,7 @@ def test_the_rounds_share_the_whole() -> None:
 
 
 def told(ms: float, missed: int = 0, **more: float) -> dict[str, object]:
-    """What a visit tells."""
+    """The record that a visit tells."""
     values = {"kill gate": ([ms] * 30, "ms"), "processor": ([ms], "%")}
     return {
         "values": {**values, **{measure: ([value], "ms") for measure, value in more.items()}},

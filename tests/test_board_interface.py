@@ -124,7 +124,7 @@ USERS = {
     "command line": "failstop/cli",
     "API": "failstop/api",
 }
-"""Whoever may use the interface, by the words of the page."""
+"""Modules that may use the interface, by the words of the page."""
 
 
 def used(member: str) -> set[str]:

@@ -18,9 +18,9 @@ from failstop.api import why
 from failstop.board.decoder import BUTTONS
 from failstop.board.rrc.board import BOARD
 from failstop.messages import records
-from failstop.messages.layout import PROCESSES
+from failstop.messages.layout import PROCESS_NAMES
 from failstop.policy import causes, kinematics
-from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
+from failstop.policy.causes import BY_NUMBER, CAUSE_BY_NAME, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
 from tests.support.incident_parts import Recorder
@@ -54,8 +54,8 @@ ANY = st.one_of([any_of(kind) for kind in KINDS])
 
 
 def test_rows_are_known_by_their_number_and_their_name() -> None:
-    assert len(BY_NUMBER) == len(BY_NAME) == len({kind.template for kind in KINDS})
-    assert all(BY_NUMBER[kind.number] is BY_NAME[kind.name] is kind for kind in KINDS)
+    assert len(BY_NUMBER) == len(CAUSE_BY_NAME) == len({kind.template for kind in KINDS})
+    assert all(BY_NUMBER[kind.number] is CAUSE_BY_NAME[kind.name] is kind for kind in KINDS)
     assert [kind for kind in KINDS if getattr(causes, kind.name.upper()) is not kind] == []
 
 
@@ -65,14 +65,14 @@ def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) ->
     assert [field for _, field, _, _ in string.Formatter().parse(kind.template) if field] == names
     explained = {field for _, field, _, _ in string.Formatter().parse(kind.what) if field}
     assert explained <= {*names, *(["role"] if "process" in names else []), *(["names"] if "buttons" in names else [])}
-    assert set(kind.noticed_by.split()) <= set(PROCESSES)
+    assert set(kind.noticed_by.split()) <= set(PROCESS_NAMES)
     assert "name" not in names, "for programs that is the row's own, beside its arguments"
 
 
 @given(cause=ANY)
 def test_a_cause_comes_back_as_it_went_in(cause: Cause) -> None:
     packed = cause.pack()
-    assert len(packed) <= causes.ROOM + 2
+    assert len(packed) <= causes.ARGUMENTS_BYTES + 2
     found = causes.unpack(packed)
     assert found.kind is cause.kind
     for (_, of), value, given_ in zip(cause.kind.parameters, found.arguments, cause.arguments, strict=True):
@@ -108,10 +108,10 @@ def test_a_separator_in_an_argument_moves_none_of_the_others(words: str, who: st
 def test_arguments_that_are_too_long_are_cut_and_the_cause_stays(cause: Cause, fill: str, length: int) -> None:
     arguments = [fill * length if isinstance(value, str) else value for value in cause.arguments]
     packed = cause.kind(*arguments).pack()
-    assert len(packed) <= causes.ROOM + 2
+    assert len(packed) <= causes.ARGUMENTS_BYTES + 2
     found = causes.unpack(packed)
     assert found.kind is cause.kind
-    before, whole = found.arguments, len(packed) < causes.ROOM - 1
+    before, whole = found.arguments, len(packed) < causes.ARGUMENTS_BYTES - 1
     for (_, of), value, wanted in zip(cause.kind.parameters, before, arguments, strict=True):
         assert type(value) is of
         if of is str:
@@ -209,7 +209,7 @@ def test_a_row_without_arguments_is_explained_too(kind: Kind) -> None:
     assert '""' not in why.meaning(empty)[0]
 
 
-@pytest.mark.parametrize("process", PROCESSES)
+@pytest.mark.parametrize("process", PROCESS_NAMES)
 def test_what_a_process_does_is_said(process: str) -> None:
     for cause in (causes.DIED(process), causes.HANGS(process, 251), causes.STARVED(process, 251)):
         what, _ = why.meaning(cause)
@@ -263,7 +263,7 @@ POSES = (
 
 
 def asked(line: bytes) -> Cause:
-    """What is latched for this line, as it is read where it arrives."""
+    """The cause that is latched for this line, as it is read where it arrives."""
     cause = causes.requested(line)
     found = causes.unpack(cause.pack())
     assert found.kind in ASKED
@@ -323,14 +323,15 @@ SAID = {str: r".*", int: r"\d+", float: r"[\d.]+"}
 
 
 def wording(kind: Kind) -> re.Pattern[str]:
-    """What finds the text of such a cause, with arguments or with places for them, by itself or in a longer text."""
+    """A pattern that finds the text of such a cause, with arguments or with places for them, by itself or in a longer
+    text."""
     pattern = ""
     for part in re.split(r"(\{[^}]*\}|\[[^\]]*\])", kind.template):
         if part.startswith("["):
             pattern += "(: .*)?"
         elif part.startswith("{"):
             name, _, form = part[1:-1].partition(":")
-            said = {"process": "|".join(PROCESSES)}.get(name) or SAID[dict(kind.parameters)[name]]
+            said = {"process": "|".join(PROCESS_NAMES)}.get(name) or SAID[dict(kind.parameters)[name]]
             pattern += f"({PLACE}|{'[0-9A-F]+' if form.endswith('X') else said})"
         else:
             pattern += re.escape(part)
@@ -341,7 +342,7 @@ def wording(kind: Kind) -> re.Pattern[str]:
 
 @every_row
 def test_the_words_of_a_cause_are_in_the_code_once(kind: Kind) -> None:
-    """Whoever wants to know of a cause asks for its row, not for its words."""
+    """Code that wants to know of a cause asks for its row, not for its words."""
     pattern = wording(kind)
     assert pattern.search(str(example(kind)))
     assert pattern.search(f"latched: {example(kind)}; and more")

@@ -23,8 +23,8 @@ UP = {
 
 ENCODED: dict[str, Callable[[], bytes]] = {
     "battery 7400 mV": lambda: upward.battery(7400),
-    "key 1 pressed": lambda: upward.key(1, 0x01),
-    "gamepad X": lambda: upward.gamepad(decoder.BUTTONS["X"]),
+    "key 1 pressed": lambda: upward.key_frame(1, 0x01),
+    "gamepad X": lambda: upward.gamepad_frame(decoder.BUTTONS["X"]),
     "pwm servo 1 at 1500 us (the ping's answer)": lambda: upward.pwm_servo_position(1, 1500),
 }
 DECODED = {
@@ -108,7 +108,7 @@ def test_holds_no_more_than_one_frame(chunks: list[bytes]) -> None:
         b"\xaa\x55",
         b"\xaa\x55\x07",
         b"\xaa\x55\x07\x18",
-        upward.imu(0, 0, 1, 0, 0, 0)[:20],
+        upward.imu_frame(0, 0, 1, 0, 0, 0)[:20],
         b"\xaa\x55\x00\x05\xaa\x55",
         b"\xaa\x55\x0c\x00",
         b"\xaa\x55\x07\xff",
@@ -117,7 +117,7 @@ def test_holds_no_more_than_one_frame(chunks: list[bytes]) -> None:
 )
 def test_no_frame_behind_a_cut_one_is_lost(garbage: bytes) -> None:
     # The board's own receiver loses the frames it takes for the rest of the cut one.
-    wanted = [upward.key(1, 1), upward.battery(7400), upward.imu(1, 2, 3, 4, 5, 6), upward.battery(7300)]
+    wanted = [upward.key_frame(1, 1), upward.battery(7400), upward.imu_frame(1, 2, 3, 4, 5, 6), upward.battery(7300)]
     machine = Decoder()
     got = machine.feed(garbage + b"".join(wanted))
     assert got == [(frame[2], frame[4:-1]) for frame in wanted]
@@ -125,7 +125,7 @@ def test_no_frame_behind_a_cut_one_is_lost(garbage: bytes) -> None:
 
 
 def test_a_flipped_bit_costs_one_frame() -> None:
-    frame = upward.imu(0.1, 0.2, 1.0, 3.0, 4.0, 5.0)
+    frame = upward.imu_frame(0.1, 0.2, 1.0, 3.0, 4.0, 5.0)
     for bit in range(8 * len(frame)):
         damaged = bytearray(frame)
         damaged[bit // 8] ^= 1 << bit % 8
@@ -139,7 +139,7 @@ def test_reset_forgets_a_partial_frame() -> None:
     machine = Decoder()
     machine.feed(upward.battery(7400)[:5])
     machine.reset()
-    assert machine.feed(upward.battery(7400)[5:] + upward.key(2, 0x20)) == [(KEY_FUNC, b"\x02\x20")]
+    assert machine.feed(upward.battery(7400)[5:] + upward.key_frame(2, 0x20)) == [(KEY_FUNC, b"\x02\x20")]
     assert machine.skipped_bytes == len(upward.battery(7400))
 
 
@@ -151,7 +151,7 @@ def data_of(frame: bytes) -> bytes:
 
 def test_imu() -> None:
     values = (0.5, -0.25, 1.0, 12.5, -3.0, 0.0)
-    assert decoder.imu(data_of(upward.imu(*values))) == values
+    assert decoder.imu(data_of(upward.imu_frame(*values))) == values
 
 
 @pytest.mark.parametrize("place", range(6))
@@ -159,11 +159,11 @@ def test_imu() -> None:
 def test_imu_that_is_not_finite_is_nothing(place: int, bad: float) -> None:
     values = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     values[place] = bad
-    assert decoder.imu(data_of(upward.imu(*values))) is None
+    assert decoder.imu(data_of(upward.imu_frame(*values))) is None
 
 
 def test_gamepad() -> None:
-    data = data_of(upward.gamepad(0xC00F, 3, -128, 127, -1, 1))
+    data = data_of(upward.gamepad_frame(0xC00F, 3, -128, 127, -1, 1))
     assert decoder.gamepad(data) == (0xC00F, 3, -128, 127, -1, 1)
 
 
@@ -192,7 +192,7 @@ def test_key_events_are_those_described() -> None:
 
 @pytest.mark.parametrize("event", decoder.KEY_EVENTS)
 def test_every_key_event(event: int) -> None:
-    assert decoder.key(data_of(upward.key(2, event))) == (2, event)
+    assert decoder.key(data_of(upward.key_frame(2, event))) == (2, event)
 
 
 def test_servo_replies() -> None:

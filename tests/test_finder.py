@@ -10,7 +10,7 @@ import pytest
 
 from failstop.board import finder as finder_module
 from failstop.board import port
-from failstop.board.finder import LOOK_NS, Finder, identity
+from failstop.board.finder import SEARCH_EVERY_NS, Finder, identity
 
 BOARD = ("1a86", "55d4", "5A2B001122")
 SPARE = ("1a86", "55d4", "5A2B009999")
@@ -75,7 +75,7 @@ def usb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Usb]:
     made.close()
 
 
-def opened(finder: Finder, now_ns: int = 10 * LOOK_NS) -> str:
+def opened(finder: Finder, now_ns: int = 10 * SEARCH_EVERY_NS) -> str:
     """The name of the node that it opens; empty for none."""
     descriptor = finder.open(now_ns)
     if descriptor < 0:
@@ -102,7 +102,7 @@ def test_it_comes_back_where_it_was(usb: Usb, lost: Finder) -> None:
 
 def test_it_comes_back_under_another_number(usb: Usb, lost: Finder) -> None:
     usb.plug("ttyACM1", BOARD)
-    assert opened(lost, 20 * LOOK_NS) == "ttyACM1"
+    assert opened(lost, 20 * SEARCH_EVERY_NS) == "ttyACM1"
     assert lost.at == "/dev/ttyACM1"
 
 
@@ -110,7 +110,7 @@ def test_elsewhere_is_looked_for_now_and_then_only(usb: Usb, lost: Finder, monke
     looks = []
     real = os.listdir
     monkeypatch.setattr(finder_module.os, "listdir", lambda path: looks.append(path) or real(path))  # type: ignore[attr-defined]
-    for now_ns in range(20 * LOOK_NS, 22 * LOOK_NS, LOOK_NS // 10):
+    for now_ns in range(20 * SEARCH_EVERY_NS, 22 * SEARCH_EVERY_NS, SEARCH_EVERY_NS // 10):
         assert opened(lost, now_ns) == ""
     assert len(looks) == 2
 
@@ -119,14 +119,14 @@ def test_another_kind_of_device_that_got_its_number_is_not_opened(usb: Usb, lost
     usb.plug("ttyACM0", GPS)
     assert opened(lost) == ""
     usb.plug("ttyACM1", BOARD)
-    assert opened(lost, 20 * LOOK_NS) == "ttyACM1"
+    assert opened(lost, 20 * SEARCH_EVERY_NS) == "ttyACM1"
 
 
 def test_a_spare_board_in_its_place_is_taken_and_elsewhere_it_is_not(usb: Usb, lost: Finder) -> None:
     usb.plug("ttyACM1", SPARE)
-    assert opened(lost, 20 * LOOK_NS) == ""
+    assert opened(lost, 20 * SEARCH_EVERY_NS) == ""
     usb.plug("ttyACM0", SPARE)
-    assert opened(lost, 30 * LOOK_NS) == "ttyACM0"
+    assert opened(lost, 30 * SEARCH_EVERY_NS) == "ttyACM0"
 
 
 def test_of_two_that_look_the_same_neither_is_taken(usb: Usb) -> None:
@@ -136,9 +136,9 @@ def test_of_two_that_look_the_same_neither_is_taken(usb: Usb) -> None:
     usb.unplug("ttyACM0")
     usb.plug("ttyACM1", NAMELESS)
     usb.plug("ttyACM2", NAMELESS)
-    assert opened(finder, 20 * LOOK_NS) == ""
+    assert opened(finder, 20 * SEARCH_EVERY_NS) == ""
     usb.unplug("ttyACM2")
-    assert opened(finder, 30 * LOOK_NS) == "ttyACM1"
+    assert opened(finder, 30 * SEARCH_EVERY_NS) == "ttyACM1"
 
 
 def test_what_is_no_usb_device_is_looked_for_by_its_path_alone(usb: Usb) -> None:
@@ -147,7 +147,7 @@ def test_what_is_no_usb_device_is_looked_for_by_its_path_alone(usb: Usb) -> None
     assert opened(finder) == "ttyACM0"
     usb.unplug("ttyACM0")
     usb.plug("ttyACM1", ("", "", ""))
-    assert opened(finder, 20 * LOOK_NS) == ""
+    assert opened(finder, 20 * SEARCH_EVERY_NS) == ""
 
 
 def test_a_device_without_usb_above_it_has_no_identity(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def imported(path: Path, tests: Path = TESTS) -> Iterator[str]:
 
 
 def wrong(path: Path, tests: Path = TESTS) -> list[str]:
-    """What a file imports and should not."""
+    """Imports of a file that it should not make."""
     room = path.relative_to(tests).parts[0] if path.parent != tests else ""
     found = []
     for name in imported(path, tests):

@@ -17,7 +17,7 @@ from tests.support import rooms
 from tests.support.rooms import CORE, ROOT, imported, modules, name_of, package
 
 FEATURES = {"fleet", "web", "ros2", "lab"}
-"""What a robot may do without, each with its commands."""
+"""Rooms that a robot may do without, each with its commands."""
 OF_A_TERMINAL = {
     "fleet": {"command", "metrics_command", "publisher", "report", "view"},
     "ros2": {"command", "bridge"},
@@ -63,7 +63,7 @@ def test_every_folder_and_module_of_the_package_is_a_room() -> None:
 
 
 def test_a_feature_draws_on_a_terminal_in_its_commands_alone() -> None:
-    """What the others show comes from the API."""
+    """Every other module shows what the API gives."""
     wrong = [
         (str(path.relative_to(ROOT)), name)
         for room in ("fleet", "ros2", "web")
@@ -113,7 +113,7 @@ def test_the_core_asks_the_system_by_modules_that_the_simulated_machine_has() ->
 
 
 def at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
-    """What is imported, within functions too, but not for types alone."""
+    """Nodes that run, within functions too, but not for types alone."""
     for node in ast.iter_child_nodes(tree):
         if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
             yield node
@@ -140,7 +140,7 @@ def test_no_module_imports_one_that_imports_it() -> None:
 
 
 def test_three_rooms_are_linked_into_the_package() -> None:
-    """What the service runs as lies at the top; every other room is a folder of the package."""
+    """The rooms that the service runs as lie at the top; every other room is a folder of the package."""
     assert sorted(path.name for path in rooms.PACKAGE.iterdir() if path.is_symlink()) == list(rooms.LINKED)
 
 

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import os
 import re
 import select
-import signal
 import socket
-import stat
 import struct
 import subprocess
 import sys
 import termios
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from serial.tools import list_ports
 
-from failstop import discovery
 from failstop.board import port
 from failstop.board.port import PortError, open_port
 from tests.support.unprivileged import unprivileged
@@ -368,32 +360,6 @@ def test_import_is_light() -> None:
     assert not loaded & heavy
 
 
-def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = [
-        SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None),
-        SimpleNamespace(device="/dev/ttyUSB0", description="USB Serial", vid=0x1A86, pid=0x7523),
-        SimpleNamespace(device="/dev/ttyACM1", description="Board B", vid=0x1A86, pid=0x55D4),
-        SimpleNamespace(device="/dev/ttyACM0", description="Board A", vid=0x1A86, pid=0x55D4),
-    ]
-    monkeypatch.setattr(list_ports, "comports", lambda: ports)
-    assert [path for path, _ in discovery.candidates()] == [
-        "/dev/ttyACM0",
-        "/dev/ttyACM1",
-        "/dev/ttyUSB0",
-        "/dev/ttyS0",
-    ]
-    assert dict(discovery.candidates())["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
-    assert "the board's" in dict(discovery.candidates())["/dev/ttyACM0"]
-
-
-def test_candidates_really_lists() -> None:
-    for path, description in discovery.candidates():
-        assert stat.S_ISCHR(os.stat(path).st_mode), description
-
-
-# The speed is told again, and a close does not wait.
-
-
 def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) -> list[int]:
     """The output speeds that one opening has set, in order."""
     told: list[int] = []
@@ -428,51 +394,3 @@ def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
         port.fcntl.ioctl(service, termios.TIOCNXCL)  # type: ignore[attr-defined]
     assert set(speeds_told(monkeypatch, pty[1], exclusive=False)) == {termios.B1000000}
     os.close(service)
-
-
-def stuck_socket() -> tuple[int, socket.socket]:
-    """A descriptor whose close waits, as a port's that does not drain: TCP with a full buffer, an hour of linger and a
-    peer that does not read; and the peer."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        sender = socket.create_connection(server.getsockname())
-        peer, _ = server.accept()
-    sender.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 3600))
-    sender.setblocking(False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            sender.send(bytes(65536))
-    sender.setblocking(True)
-    return sender.detach(), peer
-
-
-def test_a_close_that_would_wait_for_an_hour_is_cut_short_and_gives_the_timer_back() -> None:
-    handler = signal.getsignal(signal.SIGALRM)
-    descriptor, peer = stuck_socket()
-    others = signal.setitimer(signal.ITIMER_REAL, 1000.0, 7.0)
-    started_s = time.monotonic()
-    port.close_port(descriptor)
-    took_s = time.monotonic() - started_s
-    left_s, every_s = signal.setitimer(signal.ITIMER_REAL, *others)
-    assert took_s < 5.0
-    assert 900.0 < left_s <= 1000.0
-    assert every_s == 7.0
-    assert signal.getsignal(signal.SIGALRM) == handler
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(descriptor)
-    peer.close()
-
-
-def test_closing_what_is_closed_already_is_fine() -> None:
-    reader, writer = os.pipe()
-    os.close(writer)
-    port.close_port(reader)
-    port.close_port(reader)
-
-
-def test_closing_in_another_thread_closes(pty: tuple[int, str]) -> None:
-    descriptor = open_port(pty[1], exclusive=True)
-    thread = threading.Thread(target=port.close_port, args=(descriptor,))
-    thread.start()
-    thread.join(10.0)
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(descriptor)

@@ -12,8 +12,12 @@ from failstop.policy.settings import DECLARED
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("failstop", "procs", "shm", "supervisor", "bench", "packaging", "model")
+NOT_YET = ("procs", "shm", "sim", "supervisor", "telemetry")
+"""Folders of the tests whose docstrings are not held to the rule by now."""
 MADE = "build"
 """A folder of what is built."""
+STANDIN = "standin"
+"""A folder of what stands in for ROS: its modules say what ROS's do."""
 LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)
 
 
@@ -50,6 +54,14 @@ def comments(path: Path) -> Iterator[tuple[int, str]]:
 def test_no_docstring_or_comment_begins_with_a_word_that_leans_on_another_sentence() -> None:
     found = [(path, line, text) for path in paths() for of in (docstrings, comments) for line, text in of(path)]
     assert len(found) > 3000
+    assert [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in found if LEANS.match(text)] == []
+
+
+def test_no_docstring_of_the_tests_begins_so() -> None:
+    left_out = {ROOT / "tests" / folder for folder in NOT_YET} | {ROOT / "tests" / "ros2" / STANDIN}
+    paths = [path for path in sorted((ROOT / "tests").rglob("*.py")) if not left_out & set(path.parents)]
+    found = [(path, line, text) for path in paths for line, text in docstrings(path)]
+    assert len(found) > 1000
     assert [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in found if LEANS.match(text)] == []
 
 

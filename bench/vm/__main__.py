@@ -121,8 +121,8 @@ def outside(machine: Guest, names: list[str], run: Run) -> None:
 def main() -> int:
     """Run what is asked for."""
     arguments = _parser().parse_args()
-    wanted = {"install", *(arguments.only or table.BY_NAME)}
-    names = [name for name in table.BY_NAME if name in wanted]
+    wanted = {"install", *(arguments.only or table.TRIAL_BY_NAME)}
+    names = [name for name in table.TRIAL_BY_NAME if name in wanted]
     run = Run()
     shutil.rmtree(guest.LOGS, ignore_errors=True)
     # However it is ended, the guests end with it.
@@ -150,7 +150,7 @@ def main() -> int:
 def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[str], run: Run) -> None:
     """Install in one guest; from there on a guest for each place of the board, side by side."""
     mine = {
-        where: [name for name in names if table.BY_NAME[name].where == where and name != "install"]
+        where: [name for name in names if table.TRIAL_BY_NAME[name].where == where and name != "install"]
         for where in (INSIDE, OUTSIDE)
     }
 
@@ -201,7 +201,11 @@ def _place(keep: bool) -> Iterator[Path]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="make vm", description="The service on a stock Debian with a real USB port.")
     parser.add_argument(
-        "--only", nargs="+", metavar="NAME", choices=list(table.BY_NAME), help="only these trials, after `install`"
+        "--only",
+        nargs="+",
+        metavar="NAME",
+        choices=list(table.TRIAL_BY_NAME),
+        help="only these trials, after `install`",
     )
     parser.add_argument("--keep", action="store_true", help="keep the guests' disks")
     parser.add_argument("--json", metavar="FILE", help="write the results there too")

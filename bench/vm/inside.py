@@ -34,7 +34,7 @@ from bench.vm.scene import (
     shown,
     wrong_unless,
 )
-from bench.vm.table import BY_NAME, KILLED, Result
+from bench.vm.table import KILLED, TRIAL_BY_NAME, Result
 from failstop.api.errors import FailstopError
 from failstop.lab.trial import TrialError, wait_for
 from failstop.policy import causes
@@ -356,7 +356,7 @@ DO: dict[str, Callable[[Scene], Iterator[Result]]] = {
 
 def run(scene: Scene, name: str) -> None:
     """All rounds of one trial; one that breaks is a result too."""
-    for _ in range(BY_NAME[name].times):
+    for _ in range(TRIAL_BY_NAME[name].times):
         # So many starts in so short a time are a crash loop otherwise.
         sh("systemctl", "reset-failed", UNIT)
         try:

@@ -93,7 +93,7 @@ TRIALS = (
     Trial("poweroff", "`systemctl poweroff` while driving", OUTSIDE, "its exec", 10000.0),
     Trial("hibernate", "sleep to disk and resume", OUTSIDE, "the processes run again", 1000.0, fresh=True),
 )
-BY_NAME = {trial.name: trial for trial in TRIALS}
+TRIAL_BY_NAME = {trial.name: trial for trial in TRIALS}
 
 
 @dataclasses.dataclass
@@ -133,7 +133,8 @@ def rows(results: list[Result], names: list[str]) -> list[Row]:
     """The rows of the trials that were to be run, in their order."""
     floors = {where: median([one.ms for one in results if one.trial == floor]) for where, floor in FLOORS.items()}
     return [
-        Row(BY_NAME[name], [one for one in results if one.trial == name], floors[BY_NAME[name].where]) for name in names
+        Row(TRIAL_BY_NAME[name], [one for one in results if one.trial == name], floors[TRIAL_BY_NAME[name].where])
+        for name in names
     ]
 
 
@@ -141,7 +142,7 @@ def lives(names: list[str]) -> list[list[str]]:
     """Names of trials, by the guests that they are run in, one after the other."""
     found: list[list[str]] = []
     for name in names:
-        if not found or BY_NAME[name].fresh:
+        if not found or TRIAL_BY_NAME[name].fresh:
             found.append([])
         found[-1].append(name)
     return found

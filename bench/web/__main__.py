@@ -30,7 +30,7 @@ from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 
 LEASE_S = 0.3
-LATE_NS = 20_000_000
+PAGE_LATE_NS = 20_000_000
 SETTINGS = '[web]\npairing = "on"\n'
 ATTENDED = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n' + SETTINGS
 LATENCY_MS, DOWN, UP = 562.5, 180_000, 84_375
@@ -201,7 +201,7 @@ def leases(trial: Trial, web: Web, cases: int, kills: int) -> list[stats.Row]:
                     f"operator gone, {name} -> stop frame (lease {LEASE_S:g} s)", times, p50_ms=None, p99_ms=None
                 )
             )
-        late += sum(stop_ns is None or after > 0 or stop_ns > LEASE_S * 1e9 + LATE_NS for stop_ns, after in found)
+        late += sum(stop_ns is None or after > 0 or stop_ns > LEASE_S * 1e9 + PAGE_LATE_NS for stop_ns, after in found)
     every = sum(map(len, results.values()))
     rows.append(stats.count("of all these, later than lease + 20 ms, missed, or motion after it", late, every))
     return rows

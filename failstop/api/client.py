@@ -53,7 +53,7 @@ def _found(look: Callable[[str], T], where: str) -> T:
 
 def run(name: str) -> tuple[str, int]:
     """The name that the running service's segments share, and their owner's uid. Raises NoService, FailstopError."""
-    incarnation, owner = _found(instance.run, runtime_dir(name))
+    incarnation, owner = _found(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
 
 
@@ -113,7 +113,7 @@ def gone(name: str) -> NoService:
     return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
 
 
-class Run:
+class SeenRun:
     """The run that is there when this is made: whether it goes on, and what its settings declare. Not for several
     threads at once.
 
@@ -227,13 +227,13 @@ class Client:
         memory, owner = found
         damaged = 0
         for index in range(layout.CLIENT_SLOTS):
-            if claim.take(claims, index):
+            if claim.acquire(claims, index):
                 try:
                     taken = segments.attach(memory, f"client.{index}", incarnation, owner=owner, write=True)
                 except segments.AttachError as error:
                     if error.kind not in ("damaged", "absent", "owner"):
                         raise
-                    claim.drop(claims, index)
+                    claim.release(claims, index)
                     damaged += 1
                     continue
                 taken.wipe()

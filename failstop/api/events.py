@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 import msgpack
 
-from failstop.api.client import Run, runtime_dir
+from failstop.api.client import SeenRun, runtime_dir
 from failstop.api.errors import NoService
 from failstop.files.instance import DEFAULT_NAME
-from failstop.messages.packing import NEXT
+from failstop.messages.packing import NEXT_STEP
 
 LOOK_S = 0.02
 """Time between two looks for what may have changed."""
@@ -45,7 +45,7 @@ class Event:
     @property
     def what(self) -> str:
         """The text without the step that it ends with."""
-        return self.text[: -len(NEXT) - len(self.next)] if self.next else self.text
+        return self.text[: -len(NEXT_STEP) - len(self.next)] if self.next else self.text
 
 
 class EventLog:
@@ -54,7 +54,7 @@ class EventLog:
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
         """`past`: with those that are there. Raises NoService, FailstopError."""
         self.name = name
-        self._run = Run(name)
+        self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:
@@ -85,7 +85,7 @@ def unpack(seq: int, payload: bytes) -> Event | None:
     try:
         found = msgpack.unpackb(payload)
         text, what = found["text"], found.get("what")
-        step = text[what + len(NEXT) :] if what else ""
+        step = text[what + len(NEXT_STEP) :] if what else ""
         return Event(seq, found["t"], found["ns"], found["kind"], found["level"], text, found["fields"], step)
     except (ValueError, KeyError, TypeError, msgpack.exceptions.UnpackException):
         return None

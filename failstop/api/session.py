@@ -16,7 +16,7 @@ from math import inf
 from typing import Any, Literal, TypeVar, get_args
 
 from failstop.api import steps, verdict
-from failstop.api.client import Client, Run, gone, runtime_dir
+from failstop.api.client import Client, SeenRun, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
 from failstop.api.events import LOOK_S
 from failstop.api.snapshot import State
@@ -137,7 +137,7 @@ class Session:
             run = self._run = StateReader(self.name)
         return run
 
-    def _slot(self, run: Run) -> Client:
+    def _slot(self, run: SeenRun) -> Client:
         connected = self._connected
         if connected is None:
             if run.over():
@@ -232,7 +232,7 @@ class Session:
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
-    ) -> tuple[Client, Run, int] | None:
+    ) -> tuple[Client, SeenRun, int] | None:
         """By whom, in which run, under which number; None while another thread's or task's is on its way. A signal's
         handler goes before what it has interrupted, and so does a thread before its tasks."""
         with self._lock:

@@ -12,13 +12,13 @@ from typing import Any, TypeVar, cast
 import msgpack
 
 from failstop.api import snapshot
-from failstop.api.client import Run, attach
+from failstop.api.client import SeenRun, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings
 from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
@@ -75,13 +75,13 @@ SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _
 """The types of samples, by the board's report; other reports are told in State alone."""
 
 
-class StateReader(Run):
+class StateReader(SeenRun):
     """A run of a service of which snapshots are read; reads only, and needs no client slot."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
         super().__init__(name)
-        others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
+        others = (which for which in layout.PROCESS_NAMES if which != layout.SUPERVISOR)
         views = {layout.SUPERVISOR: self.supervisor, **{which: attach(name, which, self.found) for which in others}}
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = self.supervisor.word("epoch")
@@ -253,7 +253,7 @@ class StateReader(Run):
             age_s = beat.age_ns(now_ns) / 1e9
             state = row.get("state") or heartbeat.STATES[beat.state.get()]
             if dead:
-                state = "stopping" if name in table and BY_NAME[name].outlives_supervisor else "dead"
+                state = "stopping" if name in table and PROCESS_BY_NAME[name].outlives_supervisor else "dead"
             elif state == "running" and age_s > HANGING_S:
                 state = "suspended" if self._is_suspended(row["pid"]) else "hanging"
             granted = beat.rights.get()

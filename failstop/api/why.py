@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.policy.proofs import NOT_SENT, UNASKED, wheels_seen
+from failstop.policy.proofs import LINK_UNASKED, NOT_SENT, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -140,7 +140,7 @@ def proofs(stop: Stop, now_s: float, link: str) -> list[tuple[str, bool | None]]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
     heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by the IMU{yet}"
-    if link == UNASKED:
+    if link == LINK_UNASKED:
         heard = "this board acknowledges nothing"
     elif stop.acknowledged_s is not None:
         heard = f"acknowledged by the board after {words.took(stop.acknowledged_s)}"
@@ -148,7 +148,7 @@ def proofs(stop: Stop, now_s: float, link: str) -> list[tuple[str, bool | None]]
         seen = wheels_seen(stop.observed_s)
     return [
         (written if stop.sent else NOT_SENT, stop.sent),
-        (heard, None if link == UNASKED else stop.acknowledged_s is not None),
+        (heard, None if link == LINK_UNASKED else stop.acknowledged_s is not None),
         (seen, None if stop.observed_s == 0 else stop.observed_s is not None),
     ]
 

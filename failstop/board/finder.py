@@ -14,7 +14,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.board.wire import Port
 
-LOOK_NS = 50_000_000
+SEARCH_EVERY_NS = 50_000_000
 """How often sysfs is looked through, which takes some 0.1 ms."""
 USB_DEPTH = 6
 """A tty is so many directories below its USB device at most."""
@@ -67,7 +67,7 @@ class Finder:
         if not self._may_be_it(path):
             if now_ns < self._look_at_ns:
                 return -1
-            self._look_at_ns = now_ns + LOOK_NS
+            self._look_at_ns = now_ns + SEARCH_EVERY_NS
             path = self._elsewhere()
         descriptor = port.open_if_there(path, self._line) if path else -1
         if descriptor >= 0:

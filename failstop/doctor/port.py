@@ -11,7 +11,7 @@ from failstop.policy.settings import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
-UNKNOWN = "n/a"
+NO_DESCRIPTION = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
 GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
 """As /proc names what a process has open and an unplug has removed."""
@@ -23,7 +23,7 @@ def present(look: Look) -> list[Finding]:
     if node is None and os.path.exists(device):
         return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
     if node is None:
-        candidates = [(path, what) for path, what in look.system.ports() if what != UNKNOWN]
+        candidates = [(path, what) for path, what in look.system.ports() if what != NO_DESCRIPTION]
         there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
         text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
         if board := next((path for path, what in candidates if BOARD_USB in what), None):

@@ -22,7 +22,7 @@ from failstop.board.stop_port import StopPort
 from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
-from failstop.policy.proofs import UNASKED
+from failstop.policy.proofs import LINK_UNASKED
 from failstop.supervisor.port_handover import OwnPort
 
 TYPE_CHECKING = False
@@ -106,7 +106,7 @@ def of_service(name: str, state: State) -> list[Finding]:
     stop = state.last_stop
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
-    if stop and stop.written_s is not None and state.device.link == UNASKED:
+    if stop and stop.written_s is not None and state.device.link == LINK_UNASKED:
         return ok(f"the service's last stop: {UNANSWERED}")
     text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
     advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"

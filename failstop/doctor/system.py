@@ -20,7 +20,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from failstop import discovery, instances
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
 from failstop.supervisor import status
@@ -186,7 +186,7 @@ class System:
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
         """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""
-        with self.realtime(BY_NAME["gate"].priority) as granted:
+        with self.realtime(PROCESS_BY_NAME["gate"].priority) as granted:
             return granted, late_ns(seconds)
 
 

@@ -9,7 +9,7 @@ import os
 import stat
 from errno import EINVAL, EPERM
 
-KINDS = {
+FILE_TYPES = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",
     stat.S_IFDIR: "a directory",
@@ -50,7 +50,7 @@ def open_own(path: str, flags: int = os.O_RDONLY) -> int:
 
 def _check_regular(found: os.stat_result, path: str) -> None:
     if not stat.S_ISREG(found.st_mode):
-        what = KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        what = FILE_TYPES.get(stat.S_IFMT(found.st_mode), "something else")
         raise OSError(EINVAL, f"{what}, not a regular file", path)
 
 

@@ -89,7 +89,7 @@ def _draft_of(path: str) -> str:
     return f"{path}.new"
 
 
-def publish(runtime_dir: str, incarnation: int) -> int:
+def publish_run(runtime_dir: str, incarnation: int) -> int:
     """Say which run serves this directory; returns the descriptor of the file that says so. Raises OSError."""
     return _put(runtime_dir, run_path(runtime_dir), f"{incarnation:016x}\n".encode())
 
@@ -159,7 +159,7 @@ def clear(runtime_dir: str) -> None:
     os.close(where)
 
 
-def run(runtime_dir: str) -> tuple[int, int]:
+def current_run(runtime_dir: str) -> tuple[int, int]:
     """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
     fd = -1
     try:

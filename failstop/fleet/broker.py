@@ -13,7 +13,7 @@ import time
 from failstop import extras
 from failstop.files import durable
 from failstop.fleet import FleetError
-from failstop.fleet.wire import Wire
+from failstop.fleet.wire import MqttWire
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ class Broker:
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
         """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.client.wire = Wire()
+        self.client.wire = MqttWire()
 
     def _on_connect(self, client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):

@@ -1,4 +1,4 @@
-"""Client: paho-mqtt's, with a Wire between it and its socket. Needs paho-mqtt."""
+"""Client: paho-mqtt's, with an MqttWire between it and its socket. Needs paho-mqtt."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import ssl
 
 from paho.mqtt import client
 
-from failstop.fleet.wire import Wire
+from failstop.fleet.wire import MqttWire
 
 READ_BYTES = 1 << 16
 
@@ -14,7 +14,7 @@ READ_BYTES = 1 << 16
 class Client(client.Client):
     """Messages are taken from its wire, and come by no callback."""
 
-    wire = Wire()
+    wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
         """Bytes that paho-mqtt asks for: of the connection, read once, what is no message."""

@@ -52,7 +52,7 @@ def read_order(key: bytes, message: bytes) -> Order:
 
 
 @dataclasses.dataclass(frozen=True)
-class Answer:
+class StopAnswer:
     """A robot's answer to a stop of the fleet."""
 
     id: str
@@ -71,7 +71,7 @@ class Answer:
         return signed.sign(key, signed.ANSWER, body)
 
 
-def read_answer(key: bytes, message: bytes) -> Answer:
+def read_answer(key: bytes, message: bytes) -> StopAnswer:
     """Raises signed.Forged."""
     body = signed.verify(key, signed.ANSWER, message)
     reached = body.get("reached")
@@ -81,7 +81,7 @@ def read_answer(key: bytes, message: bytes) -> Answer:
     confirms = body.get("confirms", ACKNOWLEDGED)
     if confirms not in PROOFS:
         raise signed.Forged("no level that confirms")
-    return Answer(_id(body), _text(body, "robot"), known, _text(body, "why"), confirms)
+    return StopAnswer(_id(body), _text(body, "robot"), known, _text(body, "why"), confirms)
 
 
 def _id(body: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.messages import box, records
-from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -206,7 +206,7 @@ def _rows() -> Iterator[Family]:
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
 
 
-LINKS = (UNPROVEN, ALIVE, DEAF, UNASKED)
+LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNASKED)
 FAMILIES = tuple(_rows())
 UP = FAMILIES[0]
 

@@ -6,8 +6,8 @@ A stop is asked for first and remembered after: what a crash between the two let
 from __future__ import annotations
 
 from failstop.fleet import levels, replay, signed
-from failstop.fleet.levels import Answer, Order
-from failstop.policy.proofs import ALIVE, UNASKED
+from failstop.fleet.levels import Order, StopAnswer
+from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Duty:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
         return stop.epoch > self._epoch or (
-            was_latched and state.epoch > self._epoch and state.device.link in (ALIVE, UNASKED)
+            was_latched and state.epoch > self._epoch and state.device.link in (LINK_ALIVE, LINK_UNASKED)
         )
 
     def open(self, now_s: float) -> bool:
@@ -76,7 +76,7 @@ class Duty:
 def confirming(state: State) -> str:
     """The level that confirms a stop of this robot: what its board answers, or where that answers nothing by its nature
     what its IMU sees, or where there is none that the stop was written."""
-    if state.device.link != UNASKED:
+    if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
 
@@ -97,7 +97,7 @@ class Obedience:
         """Asked for, and not told of yet."""
         self._refused_s = -AGAIN_EVERY_S
 
-    def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, Answer | None]:
+    def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
         """A message came: the stop to carry out now, if it is a new one, or what to answer."""
         try:
             order = levels.read_order(self._key, message)
@@ -113,20 +113,20 @@ class Obedience:
         if now_s - self._refused_s < AGAIN_EVERY_S:
             return None, None
         self._refused_s = now_s
-        return None, Answer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
+        return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
-    def _again(self, order: Order, now_s: float) -> Answer | None:
+    def _again(self, order: Order, now_s: float) -> StopAnswer | None:
         """The answer that was given before; of a stop from before a restart, that it was asked for."""
         duty = self._duties.get(order.id)
         if duty is None:
-            return Answer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
+            return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
         if now_s - duty.told_s < AGAIN_EVERY_S:
             return None
         return self._answer(duty, now_s)
 
-    def failed(self, order: Order, problem: str) -> Answer:
+    def failed(self, order: Order, problem: str) -> StopAnswer:
         """It could not be asked for. It stays new: it is tried again when the sender repeats it."""
-        return Answer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
+        return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
         """It was asked for, at `now_s`; `before`: the service's state before that."""
@@ -137,15 +137,15 @@ class Obedience:
             del self._duties[next(iter(self._duties))]
         self._new.append(order.id)
 
-    def look(self, state: State | None, now_s: float) -> list[Answer]:
+    def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
         """Answers, as more has become known; the first time, that it was asked for."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
 
-    def _answer(self, duty: Duty, now_s: float) -> Answer:
+    def _answer(self, duty: Duty, now_s: float) -> StopAnswer:
         duty.told_s = now_s
-        return Answer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
+        return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
         """True while more is to be known of one."""

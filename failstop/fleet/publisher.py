@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from failstop.api.events import Event
     from failstop.api.state import State
-    from failstop.fleet.levels import Answer
+    from failstop.fleet.levels import StopAnswer
     from failstop.fleet.settings import FleetSettings
 
     class Robot(Protocol):
@@ -216,7 +216,7 @@ class Publisher:
         """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
         found = []
         if off := self._off or self._denied():
-            found.append(vda5050.warning(vda5050.DEAF, off, "`failstop doctor` on the robot says more"))
+            found.append(vda5050.warning(vda5050.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
             found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))
@@ -246,7 +246,7 @@ class Publisher:
                 standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.obedience.last_forged}")
             self._said_forged, self._forged_s = self.obedience.forged, now_s
 
-    def _answer(self, answer: Answer) -> None:
+    def _answer(self, answer: StopAnswer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
         self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 

@@ -100,7 +100,7 @@ def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> Non
     robot.latched = stop != "NONE"
     robot.errors = tuple(words.printable(str(row["errorType"])) for row in errors if row["errorLevel"] == vda5050.FATAL)
     robot.warnings = len(errors) - len(robot.errors)
-    deaf = [str(row["errorDescription"]) for row in errors if row["errorType"] == vda5050.DEAF]
+    deaf = [str(row["errorDescription"]) for row in errors if row["errorType"] == vda5050.FLEET_STOP_OFF]
     robot.deaf = words.printable(deaf[0]) if deaf else ""
     robot.volts = float(volts) if volts is not None else None
     robot.stamped_s, robot.heard_s = vda5050.seconds(found["timestamp"]), now_s

@@ -8,7 +8,7 @@ from failstop.fleet import levels, vda5050
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.fleet.levels import Answer
+    from failstop.fleet.levels import StopAnswer
 
 UNCONFIRMED = {
     levels.WRITTEN: "asked, but not written as far as it knows",
@@ -50,7 +50,7 @@ class Tally:
         else:
             self._connections.pop(robot, None)
 
-    def answer(self, answer: Answer, after_s: float) -> bool:
+    def answer(self, answer: StopAnswer, after_s: float) -> bool:
         """Take the first of each level, and what was said last of what is wrong. True when a level is new."""
         told = self._answers.setdefault(answer.robot, {})
         new = [level for level in answer.reached if level not in told]

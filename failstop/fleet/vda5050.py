@@ -27,7 +27,7 @@ OFFLINE = "OFFLINE"
 BROKEN = "CONNECTIONBROKEN"
 GOOD_CHARGE, LOW_CHARGE = 80.0, 20.0
 """The charges that the interface gets for batteries that are known to be well or low, and no more."""
-DEAF = "fleetStopOff"
+FLEET_STOP_OFF = "fleetStopOff"
 """The type of a robot's error: it obeys no stop of the fleet."""
 WARNING = "WARNING"
 FATAL = "FATAL"

@@ -20,7 +20,7 @@ class Malformed(ConnectionError):
     """Bytes that are no MQTT: what comes after them can't be read either."""
 
 
-class Wire:
+class MqttWire:
     """One connection's."""
 
     def __init__(self) -> None:

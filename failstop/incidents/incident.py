@@ -17,7 +17,7 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
 from failstop.policy import causes
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
 Payload = TypeVar("Payload")
@@ -63,20 +63,20 @@ class Tick(NamedTuple):
     who: str
 
 
-class Sort:
+class WriteSort:
     """The sort of a write: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest
     of what the kernel had not taken."""
 
     MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
 
 
-class Write(NamedTuple):
+class PortWrite(NamedTuple):
     """One write to the port."""
 
     ns: int
     by: str
     sort: str
-    """Of Sort."""
+    """Of WriteSort."""
     length: int = 0
     taken: int = 0
     """Bytes that the kernel took at once."""
@@ -108,7 +108,7 @@ class Incident:
         supervisor = self._entries(layout.SUPERVISOR, "box", box.unpack_beats)
         self.beats = [(ns, times) for ns, times in supervisor if times]
         """(when, (silent_us, before_us) of each process: its longest silence since the sample before, and how long
-        before this sample that was seen), as layout.PROCESSES."""
+        before this sample that was seen), as layout.PROCESS_NAMES."""
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
@@ -200,13 +200,13 @@ class Incident:
         """How long a process may be silent without anybody minding."""
         if process in (layout.GATE, layout.SUPERVISOR):
             return round(self.number("gate.lease_s") * 1e9)
-        return BY_NAME[process].deadline_ns
+        return PROCESS_BY_NAME[process].deadline_ns
 
     def silences(self) -> list[tuple[str, int, int]]:
         """(process, its last beat before, when it was last seen to be silent) of each that was silent for too long, as
         the supervisor saw it; of its own silences, those that it noticed afterwards."""
         found = []
-        for index, process in enumerate(layout.PROCESSES):
+        for index, process in enumerate(layout.PROCESS_NAMES):
             allowed_us = self.allowed_ns(process) / 1000
             seen = [(times[index][0] > allowed_us, ns, *times[index]) for ns, times in self.beats]
             for late, run in groupby(seen, itemgetter(0)):
@@ -244,23 +244,25 @@ class Incident:
         return found
 
 
-def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:
+def _write(
+    ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
+) -> PortWrite:
     """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None
     if kind == box.WIRE_BURST:
-        sort, speeds = Sort.STOP_BURST, (0.0,) * framing.WHEELS
+        sort, speeds = WriteSort.STOP_BURST, (0.0,) * framing.WHEELS
     elif kind == box.WIRE_REST:
-        sort = Sort.REST
+        sort = WriteSort.REST
     elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
         found = _SPEEDS.unpack_from(head)
         by_id = dict(zip(found[::2], found[1::2], strict=True))
         speeds = tuple(by_id.get(wire_id, 0.0) for wire_id in ids)
-        sort = Sort.MOTION if any(speeds) else Sort.ZERO
+        sort = WriteSort.MOTION if any(speeds) else WriteSort.ZERO
     elif head.startswith(_SERVO_HEAD):
-        sort = Sort.ARM
+        sort = WriteSort.ARM
     else:
-        sort = Sort.PING if head in BOARD.pings else Sort.OTHER
-    return Write(ns, by, sort, length, taken, head, speeds)
+        sort = WriteSort.PING if head in BOARD.pings else WriteSort.OTHER
+    return PortWrite(ns, by, sort, length, taken, head, speeds)
 
 
 def named(process: str) -> str:

@@ -19,7 +19,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     dead = segments.dead_runs(name)
     fds = segments.open_all(dead[-1]) if dead else {}
     try:
-        if len(fds) < len(layout.PROCESSES):
+        if len(fds) < len(layout.PROCESS_NAMES):
             return None
         _, found = memory.copy(fds, name)
     except (segments.AttachError, OSError):

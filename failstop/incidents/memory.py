@@ -16,7 +16,7 @@ from failstop.api.words import took
 from failstop.messages import box, layout, records
 from failstop.messages import segments as shared
 from failstop.policy import causes
-from failstop.policy.proofs import seen as seen_after
+from failstop.policy.proofs import still_or_unseen as seen_after
 from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
 NOT_KNOWN = "not known"
-LEVELS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
+PROOF_WORDS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
 _WORD = struct.Struct("<Q")
 
 
 def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
     """Every whole entry of a record (a latest has two cells, a ring many), the oldest first, of a copy of its segment
     as messages.segments.copy() returns it."""
-    spec = layout.BY_NAME[name]
+    spec = layout.SEGMENT_BY_NAME[name]
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
     seed = cell.seed(f"{name}.{record_name}", incarnation)
@@ -50,7 +50,7 @@ def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[
 
 def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
     """A copy of a segment as it is saved: words by name, latest as [seq, t_ns, payload], rings as lists of these."""
-    spec = layout.BY_NAME[name]
+    spec = layout.SEGMENT_BY_NAME[name]
     found: dict[str, dict[str, Any]] = {"words": {}, "latest": {}, "rings": {}}
     for record in spec.records.values():
         if record.kind == "word":
@@ -114,7 +114,7 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
 
 
 def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
-    """LEVELS and `wheels` (still, unstill or unknown) of the stop whose cause was noticed then, as far as the
+    """PROOF_WORDS and `wheels` (still, unstill or unknown) of the stop whose cause was noticed then, as far as the
     supervisor has told; None when nothing was told of it.
 
     The supervisor's record of the last stop (supervisor/proof.py) may be of a later one by now; what was told as
@@ -124,7 +124,7 @@ def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
     found: dict[str, Any] = {}
     last = as_map(supervisor["latest"].get("stop", (0, 0, b""))[2])
     if last.get("noticed_ns") == cause_ns:
-        found = {level: last.get(level) for level in LEVELS}
+        found = {level: last.get(level) for level in PROOF_WORDS}
     for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
         fields = event.get("fields", {})
         if not isinstance(fields, dict) or fields.get("noticed_ns") != cause_ns:
@@ -134,7 +134,7 @@ def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
             found = told | {"written_us": fields.get("latency_us")} | found
         elif event.get("kind") == "stop_outcome":
             found |= {key: fields[key] for key in ("acknowledged_us", "observed_ms", "wheels") if key in fields}
-    return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found if found else None
+    return dict.fromkeys(PROOF_WORDS) | {"wheels": "unknown"} | found if found else None
 
 
 def as_map(payload: bytes) -> dict[str, Any]:

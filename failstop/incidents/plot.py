@@ -15,7 +15,7 @@ from failstop import extras
 from failstop.api import words
 from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort, named
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, WriteSort, named
 from failstop.incidents.story import Line
 from failstop.messages import box, layout
 from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
@@ -36,7 +36,7 @@ BREAK_MS = 100.0
 """A board that sends 110 samples a second and none for so long was silent: no line is drawn across."""
 LINE_IN = 0.19
 """Height of a line of the story."""
-INK, FAINT, ALARM, BEATS = "#1b1f24", "#6b7480", "#c62828", "#a9d5c3"
+INK, FAINT, ALARM, BEATS_COLOR = "#1b1f24", "#6b7480", "#c62828", "#a9d5c3"
 STYLE: Any = {
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -50,7 +50,7 @@ STYLE: Any = {
     "text.parse_math": False,
 }
 AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
-WRITTEN = {Sort.MOTION: INK, Sort.ZERO: FAINT, Sort.STOP_BURST: ALARM, Sort.PING: "C3"}
+WRITTEN = {WriteSort.MOTION: INK, WriteSort.ZERO: FAINT, WriteSort.STOP_BURST: ALARM, WriteSort.PING: "C3"}
 """The lanes of what was written, by its sort, and their colours."""
 SHADES = {
     DRIVING: "white",
@@ -207,15 +207,15 @@ def _lanes(axes: Axes, incident: Incident) -> None:
     widths = [2.6 if color == ALARM else 1.0 for color in colors]
     axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=widths, colors=colors)
     begin_ns, end_ns = incident.span_ns
-    for y, process in enumerate(layout.PROCESSES, len(lanes)):
+    for y, process in enumerate(layout.PROCESS_NAMES, len(lanes)):
         last_ns = max(begin_ns, min(end_ns, incident.words(process)["beat_ns"]))
         died = [*incident.deaths(process), *[last_ns] * incident.left]
         silent = [silence[1:] for silence in incident.silences() if silence[0] == process]
-        for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS), (silent, 0.64, ALARM)):
+        for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS_COLOR), (silent, 0.64, ALARM)):
             bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
             axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
         axes.plot([incident.ms(ns) for ns in died], [y] * len(died), "x", color=INK, markersize=6, markeredgewidth=1.8)
-    labels = [*names, *map(named, layout.PROCESSES)]
+    labels = [*names, *map(named, layout.PROCESS_NAMES)]
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)

@@ -28,7 +28,7 @@ from failstop.incidents import files, memory
 from failstop.messages import layout, records, segments
 from failstop.messages.packing import pack
 from failstop.policy import causes
-from failstop.shm.heartbeat import STARTING
+from failstop.shm.heartbeat import BEAT_STARTING
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 RETURN_NS = 12_000_000_000
 """A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
-LOOK_NS = 250_000_000
+SAVER_LOOK_NS = 250_000_000
 MOST_SAID = 500
 
 
@@ -75,7 +75,7 @@ def save(words: dict[str, str]) -> dict[str, Any]:
     if live:
         latched = causes.read(bytes.fromhex(words["cause"]))
         cause = int(words["cause_ns"]), int(words["epoch"]), memory.known_better(segments, latched)
-    elif segments[layout.SUPERVISOR]["words"]["beat_state"] == STARTING:
+    elif segments[layout.SUPERVISOR]["words"]["beat_state"] == BEAT_STARTING:
         # It never was ready: why is in the journal, and a service that can't start must not fill the folder.
         return {}
     else:
@@ -102,7 +102,7 @@ def _wait_for_port(words: dict[str, str], fd: int) -> None:
     cause_ns, lost = int(words["cause_ns"]), False
     while _is_lost(words["name"], fd):
         now_ns = time.monotonic_ns()
-        if now_ns > cause_ns + RETURN_NS or _wait(words, now_ns + LOOK_NS):
+        if now_ns > cause_ns + RETURN_NS or _wait(words, now_ns + SAVER_LOOK_NS):
             return
         lost = True
     if lost:
@@ -150,7 +150,7 @@ def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segment
 def slug(cause: Cause) -> str:
     """A cause as part of a file name: the process that it is about, where there is one, and the name of its row."""
     process = cause.named().get("process")
-    about = f"{process}-" if process in layout.PROCESSES else ""
+    about = f"{process}-" if process in layout.PROCESS_NAMES else ""
     return f"{about}{cause.kind.name}".replace("_", "-")
 
 

@@ -9,7 +9,7 @@ from itertools import groupby, pairwise
 from typing import Any
 
 from failstop.api import words
-from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, Sort, Tick, Write, named
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, PortWrite, Tick, WriteSort, named
 from failstop.messages import layout
 
 CAUSE = "CAUSE"
@@ -20,10 +20,10 @@ NO_NEWS = frozenset(
 )
 """Events that the facts have already, or that are of no use for the question why."""
 FRAMES = {
-    Sort.ZERO: "zero frames",
-    Sort.ARM: "frames for the arm",
-    Sort.PING: "pings, which the board answers",
-    Sort.REST: "the rest of what the port had not taken",
+    WriteSort.ZERO: "zero frames",
+    WriteSort.ARM: "frames for the arm",
+    WriteSort.PING: "pings, which the board answers",
+    WriteSort.REST: "the rest of what the port had not taken",
 }
 """Sorts of which one is like another."""
 MOST_LINES = 10
@@ -115,22 +115,22 @@ def _writes(incident: Incident) -> Iterator[Line]:
     """Writes to the board, by their sort. At a glance, what came after the cause but for routine, and what the port
     did not take."""
 
-    def key(write: Write) -> tuple[str, str, bool, bool]:
+    def key(write: PortWrite) -> tuple[str, str, bool, bool]:
         return write.sort, write.by, write.ns >= incident.cause_ns, write.taken < write.length
 
     for _, group in groupby(sorted(incident.writes, key=key), key):
         run = list(group)
         first, last = run[0], run[-1]
-        text, routine = _written(last), first.ns < incident.cause_ns or first.sort in (Sort.ZERO, Sort.PING)
+        text, routine = _written(last), first.ns < incident.cause_ns or first.sort in (WriteSort.ZERO, WriteSort.PING)
         if last.taken < last.length:
             text, routine = f"{text}; the port took {last.taken} of {last.length} bytes", False
         yield Line(first.ns, "wire", text, last.ns, len(run), routine)
 
 
-def _written(write: Write) -> str:
-    if write.sort == Sort.STOP_BURST:
+def _written(write: PortWrite) -> str:
+    if write.sort == WriteSort.STOP_BURST:
         return f"STOP BURST by the {named(write.by)}"
-    if write.sort == Sort.MOTION:
+    if write.sort == WriteSort.MOTION:
         return f"motion [{' '.join(f'{speed:+.3f}' for speed in write.speeds_rps or ())}] rps"
     return FRAMES.get(write.sort) or f"frame {write.head[:12].hex(' ')}{' ...' * (write.length > 12)}"
 
@@ -148,7 +148,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
     for process, since_ns, until_ns in incident.silences():
         said = f"last beat of the {named(process)} for {(until_ns - since_ns) / 1e6:.0f} ms"
         yield Line(since_ns, "beat", said, until_ns)
-    for process in layout.PROCESSES if incident.left else ():
+    for process in layout.PROCESS_NAMES if incident.left else ():
         if last_ns := incident.words(process).get("beat_ns"):
             yield Line(last_ns, "beat", f"the last beat of the {named(process)}")
 

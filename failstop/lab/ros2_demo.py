@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from failstop.lab.trial import Stopped, Trial, judge, wait_for
-from failstop.ros2.stage import Process, bridge, publisher
+from failstop.ros2.stage import StageProcess, bridge, publisher
 
 CONNECTED_S = 15.0
 SEEN_S = 10.0
@@ -65,7 +65,7 @@ def _moving(trial: Trial) -> None:
     time.sleep(MOVED_S)
 
 
-def _second(trial: Trial, second: Process) -> Stopped:
+def _second(trial: Trial, second: StageProcess) -> Stopped:
     joined_ns = int(second.line())
     wait_for("the latch", lambda: bool(trial.robot.state.estop), SEEN_S)
     return _judged(trial, joined_ns)

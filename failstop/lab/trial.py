@@ -57,7 +57,7 @@ def write_settings(path: str, values: Mapping[str, object]) -> None:
                 file.write(f"{key} = {json.dumps(value)}\n")
 
 
-MOST_SAID = 2000
+LOG_CHARACTERS = 2000
 """Characters of its log in an error."""
 
 
@@ -84,7 +84,7 @@ class Service:
         except TrialError as error:
             if self.process is None or self.process.poll() is not None:
                 raise
-            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:].strip()}") from None
+            raise TrialError(f"{error}; it said: {self.said()[-LOG_CHARACTERS:].strip()}") from None
 
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before."""
@@ -96,7 +96,7 @@ class Service:
     def ready(self) -> bool:
         """True when every process beats and the port is open. Raises TrialError when the service has ended."""
         if self.process is None or self.process.poll() is not None:
-            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:].strip()}")
+            raise TrialError(f"the service ended: {self.said()[-LOG_CHARACTERS:].strip()}")
         try:
             with Robot(self.name) as robot:
                 state = robot.state
@@ -122,7 +122,7 @@ class Service:
         except FailstopError:
             if self.process is None or self.process.poll() is None:
                 raise
-            code, said = self.process.returncode, self.said()[-MOST_SAID:].strip()
+            code, said = self.process.returncode, self.said()[-LOG_CHARACTERS:].strip()
             raise TrialError(f"the service ended with {code}; it said: {said}") from None
 
     def kill(self) -> None:

@@ -55,7 +55,7 @@ IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
 ARM_MODES = ("", "trajectory", "follow", "jog")
 """Of an arm's goal; empty: nobody moves it from here on."""
 
-BEATS = 1
+SILENCES = 1
 OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 MOST_U32 = 0xFFFFFFFF
@@ -118,8 +118,8 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The longest silence of each of layout.PROCESSES since the last record, and how long ago that was seen."""
-    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
+    """The longest silence of each of layout.PROCESS_NAMES since the last record, and how long ago that was seen."""
+    return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
 OWN_BURST_RECORD = bytes((OWN_BURST,))
@@ -146,10 +146,10 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst. Raises ValueError."""
+    """Return (silent_us, before_us) of each of layout.PROCESS_NAMES; empty for a burst. Raises ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)
-    if kind != BEATS:
+    if kind != SILENCES:
         raise ValueError(f"a record of beats of the kind {kind}")
     return tuple(zip(times[:5], times[5:], strict=True))

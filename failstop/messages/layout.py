@@ -32,7 +32,7 @@ PORT_OWNER = "port_owner"
 GATE = "gate"
 TELEMETRY = "telemetry"
 STOPPER = "stopper"
-PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
+PROCESS_NAMES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
 def _word(name: str, readers: str) -> Record:
@@ -57,7 +57,7 @@ def _beat() -> tuple[Record, ...]:
         _word("beat_pid", "everyone"),
         _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
         _word("beat_epoch", "everyone"),  # the epoch it saw last
-        _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
+        _word("beat_state", "everyone"),  # heartbeat.BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING
         _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED | EARLY_NEWS
     )
 
@@ -186,7 +186,7 @@ SEGMENTS = (
     *(_client(i) for i in range(CLIENT_SLOTS)),
 )
 
-BY_NAME = {spec.name: spec for spec in SEGMENTS}
+SEGMENT_BY_NAME = {spec.name: spec for spec in SEGMENTS}
 _TEXT = f"layout {LAYOUT_VERSION}\n" + "\n".join(
     f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.cells} {spec.offsets[r.name]}"
     for spec in SEGMENTS

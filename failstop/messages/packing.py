@@ -13,14 +13,14 @@ from failstop.messages.records import cut
 Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
-NEXT = "; next: "
+NEXT_STEP = "; next: "
 """A text for people has this before the step that it names."""
 
 # msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 """The bytes of a value. Not for several threads. Raises TypeError, ValueError, OverflowError."""
 
-CUTS = ((280, 280), (280, 64))
+NOTE_CUTS = ((280, 280), (280, 64))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
 
 
@@ -58,11 +58,11 @@ class Note(Data):
     def pack(self) -> bytes:
         """For a ring of NOTE_BYTES."""
         head, what = (self.kind, self.level), self.what
-        return fitting(NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
+        return fitting(NOTE_BYTES, NOTE_CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
 
     def parts(self) -> tuple[str, str]:
         """The text, and the step that it ends with."""
-        return (self.text[: self.what], self.text[self.what + len(NEXT) :]) if self.what else (self.text, "")
+        return (self.text[: self.what], self.text[self.what + len(NEXT_STEP) :]) if self.what else (self.text, "")
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:

@@ -121,7 +121,7 @@ def unpack_life(word: int) -> tuple[int, int]:
     return word & 0xFFFFFFFF, word >> 32
 
 
-def pong(arrival_ns: int, index: int) -> int:
+def pack_pong(arrival_ns: int, index: int) -> int:
     """A word that says when the board answered a ping, and the ping of which index."""
     return arrival_ns << 2 | index
 

@@ -17,7 +17,7 @@ import struct
 
 from failstop.files import place
 from failstop.messages import layout
-from failstop.messages.layout import BY_NAME, LAYOUT_HASH, SUPERVISOR
+from failstop.messages.layout import LAYOUT_HASH, SEGMENT_BY_NAME, SUPERVISOR
 from failstop.shm import cell, claim
 from failstop.shm.segment import HEADER_BYTES, Segment, SegmentSpec
 from failstop.version import VERSION
@@ -52,7 +52,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
     Raises AttachError, and leaves nothing then."""
     import posix_ipc  # here and in unlink() alone: whoever attaches loads nothing for it
 
-    spec, path = BY_NAME[name], path_of(memory, name)
+    spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         shared = posix_ipc.SharedMemory(path.removeprefix(SHM), posix_ipc.O_CREX, mode=0o600)
     except (posix_ipc.Error, OSError) as error:
@@ -60,7 +60,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
     fd: int = shared.fd
     try:
         if name == SUPERVISOR:
-            claim.take(fd, 0)
+            claim.acquire(fd, 0)
         # Found at the first touch it would be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
         header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
@@ -146,7 +146,7 @@ def dead_runs(instance: str) -> list[str]:
     prefix = f"failstop.{instance}."
     for file in os.listdir(SHM):
         run, dot, name = file.removeprefix(prefix).partition(".")
-        if file.startswith(prefix) and dot and name in BY_NAME:
+        if file.startswith(prefix) and dot and name in SEGMENT_BY_NAME:
             try:
                 made = os.lstat(os.path.join(SHM, file))
             except FileNotFoundError:
@@ -164,7 +164,7 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
     `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
     this process's. Raises AttachError.
     """
-    spec = BY_NAME[name]
+    spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)
     mapped = None
     try:
@@ -189,14 +189,14 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
         fd = _open(memory, name, False)
     except AttachError:
         fd = os.open(os.devnull, os.O_RDONLY)
-    return Segment(BY_NAME[name], incarnation, fd=fd)
+    return Segment(SEGMENT_BY_NAME[name], incarnation, fd=fd)
 
 
 def open_all(memory: str) -> dict[str, int]:
     """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
     still be read through them. Only files of this user's."""
     found = {}
-    for name in layout.PROCESSES:
+    for name in layout.PROCESS_NAMES:
         try:
             found[name] = _open_file(memory, name, os.O_RDONLY, os.geteuid())
         except OSError:
@@ -206,7 +206,7 @@ def open_all(memory: str) -> dict[str, int]:
 
 def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
     """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
-    return _check_header(fd, memory, BY_NAME[name], None), os.pread(fd, BY_NAME[name].size, 0)
+    return _check_header(fd, memory, SEGMENT_BY_NAME[name], None), os.pread(fd, SEGMENT_BY_NAME[name].size, 0)
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:

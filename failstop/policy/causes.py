@@ -16,8 +16,11 @@ from failstop.data import Data
 from failstop.messages import records
 from failstop.messages.records import cut, printable
 
-Value = str | int | float
-ROOM = 280
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.messages.packing import Value
+
+ARGUMENTS_BYTES = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
@@ -94,9 +97,9 @@ class Cause:
         return hash((self.kind.number, self.arguments))
 
     def pack(self) -> bytes:
-        """ROOM + 2 bytes at most."""
+        """ARGUMENTS_BYTES + 2 bytes at most."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
-        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ROOM)
+        return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ARGUMENTS_BYTES)
 
 
 def unpack(payload: bytes) -> Cause:
@@ -132,7 +135,7 @@ def read(payload: bytes) -> Cause:
 
 def of(name: str, arguments: dict[str, Value]) -> Cause:
     """The cause that a program was told of by its name and its arguments; UNKNOWN where this version has no such."""
-    kind = BY_NAME.get(name)
+    kind = CAUSE_BY_NAME.get(name)
     if kind is None or {key for key, _ in kind.parameters} - set(arguments):
         return UNKNOWN()
     return kind(*(arguments[key] for key, _ in kind.parameters))
@@ -296,7 +299,7 @@ TWO_MOVE_THE_ARM = Kind(
 )  # fmt: skip
 
 BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
-BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}
+CAUSE_BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}
 
 
 class Reply(Data):

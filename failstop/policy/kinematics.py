@@ -12,7 +12,8 @@ from math import pi
 
 from failstop.policy.settings import Settings
 
-Four = tuple[float, float, float, float]
+Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
+WheelSpeeds = tuple[float, float, float, float]
 Whole = tuple[int, ...]
 
 # The right-hand motors are mounted the other way round.
@@ -22,7 +23,7 @@ WAYS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 """How each wheel turns for a way to the left, and for a turn to the left; all go forward alike."""
 
 
-class Wheels:
+class Chassis:
     """Four equal wheels. All of them follow vx and wz; mecanum wheels follow vy too."""
 
     __slots__ = ("_lever_m", "_turns_per_m", "_wheels", "axes")
@@ -35,7 +36,7 @@ class Wheels:
         self.axes = (1.0, sideways, 1.0)
         """Factors of (vx, vy, wz) that the wheels can follow: a limit times its factor is the limit that holds."""
 
-    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
+    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""
         turn, aside = wz_radps * self._lever_m, vy_mps * self.axes[1]
         # Adding zero makes +0.0 of -0.0.
@@ -50,18 +51,18 @@ class Wheels:
         return (vx_mps + vy_mps * self.axes[1] + wz_radps * self._lever_m) * self._turns_per_m
 
 
-def mecanum(diameter_m: float, wheelbase_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Wheels:
+def mecanum(diameter_m: float, wheelbase_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Chassis:
     """Four mecanum wheels: moves along x and y and turns."""
-    return Wheels(diameter_m, (wheelbase_m + track_m) / 2, 1.0, signs, ids)
+    return Chassis(diameter_m, (wheelbase_m + track_m) / 2, 1.0, signs, ids)
 
 
-def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Wheels:
+def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Chassis:
     """Fixed wheels on two sides, two each: moves along x and turns. The turn is that of a base which pivots between its
     wheels; one that skids turns less, and is given a wider track."""
-    return Wheels(diameter_m, track_m / 2, 0.0, signs, ids)
+    return Chassis(diameter_m, track_m / 2, 0.0, signs, ids)
 
 
-def from_settings(settings: Settings) -> Wheels:
+def from_settings(settings: Settings) -> Chassis:
     """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
     signs, ids = (tuple(int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4)) for what in ("sign", "id"))
     diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]

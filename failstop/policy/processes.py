@@ -61,6 +61,6 @@ PROCESSES = (
     ),
 )
 
-BY_NAME = {row.name: row for row in PROCESSES}
+PROCESS_BY_NAME = {row.name: row for row in PROCESSES}
 ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
 """The job of each process, as the end of a sentence."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-UNPROVEN = "unproven"
-ALIVE = "alive"
-DEAF = "deaf"
-UNASKED = "unasked"
+LINK_UNPROVEN = "unproven"
+LINK_ALIVE = "alive"
+LINK_DEAF = "deaf"
+LINK_UNASKED = "unasked"
 NOT_SENT = "NOT sent: the board takes no bytes"
 """For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
 RESOLUTION_S = 0.2
@@ -21,11 +21,11 @@ def still_after(seconds: float, less: str = "less than") -> str:
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
-def seen(seconds: float, less: str = "less than") -> str:
+def still_or_unseen(seconds: float, less: str = "less than") -> str:
     """The IMU's word for people, where the wheels were named before; 0: it saw no shaking before the stop either."""
     return f"still after {still_after(seconds, less)}" if seconds else "no shaking seen before or after"
 
 
 def wheels_seen(seconds: float) -> str:
     """The IMU's word for people."""
-    return f"wheels {seen(seconds)}" if seconds else seen(seconds)
+    return f"wheels {still_or_unseen(seconds)}" if seconds else still_or_unseen(seconds)

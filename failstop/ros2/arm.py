@@ -20,7 +20,7 @@ from failstop.ros2.commanders import FRESH_NS, Asking, names, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch, publishers
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.shared import Shared
 from failstop.ros2.stamps import Stamps
 from failstop.ros2.trajectory import TrajectoryFace, Way, way
@@ -33,14 +33,14 @@ END_S = 1.0
 class Job:
     """Something asked of the service, in a thread of its own. Called: whether it has ended."""
 
-    def __init__(self, link: Link, act: Callable[[Robot], Any], *, at_once: bool = False) -> None:
+    def __init__(self, link: RobotLink, act: Callable[[Robot], Any], *, at_once: bool = False) -> None:
         """`at_once`: as for Link.call."""
         self._found: Any = None
         self._error: FailstopError | None = None
         self._thread = threading.Thread(target=self._run, args=(link, act, at_once), daemon=True)
         self._thread.start()
 
-    def _run(self, link: Link, act: Callable[[Robot], Any], at_once: bool) -> None:
+    def _run(self, link: RobotLink, act: Callable[[Robot], Any], at_once: bool) -> None:
         try:
             self._found = link.call(act, at_once=at_once)
         except FailstopError as error:
@@ -62,7 +62,14 @@ class ArmFace:
     """Its subscription, publisher and services."""
 
     def __init__(
-        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, stamps: Stamps, waited_ns: Callable[[], int]
+        self,
+        node: Any,
+        qos: Any,
+        group: Any,
+        link: RobotLink,
+        shared: Shared,
+        stamps: Stamps,
+        waited_ns: Callable[[], int],
     ) -> None:
         """`link`: of the executor's thread, for what is done at once; `waited_ns`: how long the message at hand has
         waited for its callback."""
@@ -70,7 +77,7 @@ class ArmFace:
         self._link = link
         self._shared = shared
         self._stamps = stamps
-        self._asking = Link(link.name)
+        self._asking = RobotLink(link.name)
         """Of the jobs: one client moves the arm, however many of its jobs have ended."""
         self._newest = 0
         """Of what was asked for: a job that has not begun when a later one is asked for does nothing."""

@@ -11,10 +11,10 @@ from typing import Any
 from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
 from failstop.ros2 import mirrors
-from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
+from failstop.ros2.contract import NODE, SETTINGS, Parameter, Qos
 from failstop.ros2.inward import Inward
-from failstop.ros2.link import Link
-from failstop.ros2.mirrors import BY_NAME
+from failstop.ros2.link import RobotLink
+from failstop.ros2.mirrors import MIRROR_BY_NAME
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
 from failstop.ros2.spinner import Spinner
@@ -35,8 +35,8 @@ class Bridge:
         self._rclpy = rclpy
         self._node = rclpy.create_node(NODE)
         self._shared = Shared()
-        self._links = (Link(name), Link(name))
-        self._shown: dict[str, mirrors.Value] = {}
+        self._links = (RobotLink(name), RobotLink(name))
+        self._shown: dict[str, mirrors.ParameterValue] = {}
         self._given: dict[str, object] = {}
         self._mirrored = 0
         self._own = False
@@ -58,7 +58,7 @@ class Bridge:
             own[setting.name] = _checked(setting, given)
         shown = mirrors.values(self._settings())
         for name, value in shown.items():
-            text = ", ".join(BY_NAME[name].keys)
+            text = ", ".join(MIRROR_BY_NAME[name].keys)
             descriptor = ParameterDescriptor(description=f"shows {text}" if text else "", dynamic_typing=True)
             given = self._node.declare_parameter(name, value, descriptor).value
             if given != value:
@@ -67,7 +67,7 @@ class Bridge:
         self._show(shown)
         return own
 
-    def _settings(self) -> mirrors.Settings:
+    def _settings(self) -> mirrors.RobotSettings:
         """The service's settings; the defaults while there is no service."""
         until_s = monotonic() + CONNECT_S
         while True:
@@ -79,7 +79,7 @@ class Bridge:
                     return Settings().flat()
             sleep(POLL_S)
 
-    def _show(self, shown: dict[str, mirrors.Value]) -> None:
+    def _show(self, shown: dict[str, mirrors.ParameterValue]) -> None:
         """Set the mirrors, and tell of each that somebody wants otherwise."""
         from rclpy.parameter import Parameter
 
@@ -149,13 +149,13 @@ def _is_own(name: str) -> bool:
     return any(setting.name == name for setting in SETTINGS)
 
 
-def _expected(setting: Setting) -> str:
+def _expected(setting: Parameter) -> str:
     if setting.allowed:
         return f"one of {', '.join(setting.allowed)}"
     return {bool: "true or false", str: "a text", list: "a list of texts"}[type(setting.default)]
 
 
-def _checked(setting: Setting, value: Any) -> Any:
+def _checked(setting: Parameter, value: Any) -> Any:
     if setting.allowed and value not in setting.allowed:
         raise FailstopError(f"parameter {setting.name} = {value!r}: {_expected(setting)} is expected")
     return value

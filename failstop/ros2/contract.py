@@ -221,7 +221,7 @@ STATE_KEYS = {
 """The keys of ~/state: up to auto_tuck_in_s those of the driver before, then the bridge's own."""
 
 
-class Setting(NamedTuple):
+class Parameter(NamedTuple):
     """A parameter of the bridge itself, read at its start. `allowed`: the words that a text may be; empty: any."""
 
     name: str
@@ -231,10 +231,10 @@ class Setting(NamedTuple):
 
 
 SETTINGS = (
-    Setting("cmd_vel_type", "auto", "what is taken on cmd_vel", tuple(COMMAND_TYPES)),
-    Setting("allowed_publishers", [""], "nodes that may publish cmd_vel; another one latches a stop. Empty: any"),
-    Setting("publish_tf", False, "publish odom to base_link; else an EKF does"),
-    Setting("imu_frame_id", "imu_link", "frame of imu/data_raw"),
-    Setting("odom_frame_id", "odom", "frame of wheel/odom"),
-    Setting("base_frame_id", "base_link", "child frame of wheel/odom"),
+    Parameter("cmd_vel_type", "auto", "what is taken on cmd_vel", tuple(COMMAND_TYPES)),
+    Parameter("allowed_publishers", [""], "nodes that may publish cmd_vel; another one latches a stop. Empty: any"),
+    Parameter("publish_tf", False, "publish odom to base_link; else an EKF does"),
+    Parameter("imu_frame_id", "imu_link", "frame of imu/data_raw"),
+    Parameter("odom_frame_id", "odom", "frame of wheel/odom"),
+    Parameter("base_frame_id", "base_link", "child frame of wheel/odom"),
 )

@@ -14,7 +14,7 @@ WARN = 1
 ERROR = 2
 STALE = 3
 
-Status = dict[str, Any]
+StatusMessage = dict[str, Any]
 LINKS = {
     "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
     "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
@@ -23,7 +23,7 @@ LINKS = {
 
 def statuses(
     node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str], lacks: Sequence[str] = ()
-) -> list[Status]:
+) -> list[StatusMessage]:
     """Every status. `problem`: why there is no state; `sees`, `wrong` and `lacks`: the bridge's own."""
     if state is None:
         rows = [_status("stop layer", ERROR, problem)]
@@ -34,12 +34,12 @@ def statuses(
     return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
 
 
-def _status(name: str, level: int, message: str, **values: object) -> Status:
+def _status(name: str, level: int, message: str, **values: object) -> StatusMessage:
     pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
     return {"name": name, "level": level, "message": message, "values": pairs}
 
 
-def _stop_layer(state: State) -> Status:
+def _stop_layer(state: State) -> StatusMessage:
     """Why it is blocked, and the next command."""
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
     if state.age_s > verdict.STALE_S:
@@ -59,7 +59,7 @@ def _stop_layer(state: State) -> Status:
     )
 
 
-def _processes(state: State) -> Iterator[Status]:
+def _processes(state: State) -> Iterator[StatusMessage]:
     for name, process in state.processes.items():
         yield _status(
             f"process {name}",
@@ -79,31 +79,31 @@ def _level(process: Process) -> int:
     return WARN if process.state in ("starting", "waiting") else ERROR
 
 
-def _port(state: State) -> Status:
+def _port(state: State) -> StatusMessage:
     found = state.device.state
     return _status("port", OK if found == "open" else ERROR, found, path=state.device.path)
 
 
-def _link(state: State) -> Status:
+def _link(state: State) -> StatusMessage:
     link = state.device.link
     return _status("link", *LINKS.get(link, (OK, f"{link}: {verdict.LINKS[link]}")))
 
 
-def _battery(state: State) -> Status:
+def _battery(state: State) -> StatusMessage:
     if not state.battery_v:
         return _status("battery", WARN, "not known yet")
     level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
     return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
 
 
-def _rights(state: State) -> Status:
+def _rights(state: State) -> StatusMessage:
     without = [name for name, process in state.processes.items() if process.pid and not process.realtime]
     if without:
         return _status("real-time rights", WARN, f"missing for {', '.join(without)}: stops come later under load")
     return _status("real-time rights", OK, "granted")
 
 
-def changed(before: Sequence[Status], now: Sequence[Status]) -> bool:
+def changed(before: Sequence[StatusMessage], now: Sequence[StatusMessage]) -> bool:
     """Whether anything but ages and counts is new."""
     return [(row["name"], row["level"], row["message"]) for row in before] != [
         (row["name"], row["level"], row["message"]) for row in now

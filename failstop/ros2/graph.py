@@ -8,7 +8,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.ros2.commanders import Commanders, Publisher
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.shared import Shared
 
 BEST_EFFORT = 2
@@ -32,7 +32,7 @@ class Graph:
         """The publishers of a topic."""
         return publishers(self._node, topic)
 
-    def ask(self, link: Link, now_ns: int) -> None:
+    def ask(self, link: RobotLink, now_ns: int) -> None:
         """The publishers of cmd_vel; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
         with self._lock:
             commanders = self.commanders
@@ -52,7 +52,7 @@ def publishers(node: Any, topic: str) -> list[Publisher]:
     return [_publisher(found) for found in node.get_publishers_info_by_topic(topic)]
 
 
-def latch(node: Any, link: Link, cause: str) -> None:
+def latch(node: Any, link: RobotLink, cause: str) -> None:
     """A latched stop, by the stop pipe."""
     try:
         link.stop(cause)

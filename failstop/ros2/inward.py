@@ -26,7 +26,7 @@ from failstop.ros2.contract import (
 )
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
 from failstop.ros2.stamps import Stamps
@@ -35,7 +35,7 @@ from failstop.ros2.turn import Turn
 WATCH_NS = 50_000_000
 EARLY_NS = 20_000_000
 SAY_NS = 1_000_000_000
-LOOK_NS = 500_000_000
+INWARD_LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
 """How long the stop service waits for the proofs of its stop."""
 LOG_NS = 5_000_000_000
@@ -45,7 +45,9 @@ LOG_NS = 5_000_000_000
 class Inward:
     """The subscriptions and services."""
 
-    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, node: Any, qos: Any, group: Any, link: RobotLink, shared: Shared, settings: dict[str, Any]
+    ) -> None:
         """`qos` makes a profile of a contract.Qos, `group` a callback group; `settings`: the bridge's own
         parameters."""
         self._node = node
@@ -129,7 +131,7 @@ class Inward:
         """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
         now_ns = monotonic_ns()
         self._follow_service()
-        if now_ns - self._looked_ns >= LOOK_NS:
+        if now_ns - self._looked_ns >= INWARD_LOOK_NS:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)

@@ -19,7 +19,7 @@ STALE_S = 0.5
 T = TypeVar("T")
 
 
-class Link:
+class RobotLink:
     """A Robot when there is a service."""
 
     def __init__(self, name: str) -> None:
@@ -69,4 +69,4 @@ class Link:
             self._robot = None
 
 
-__all__ = ["FailstopError", "Link", "NoAnswer", "NoService", "Refused"]
+__all__ = ["FailstopError", "NoAnswer", "NoService", "Refused", "RobotLink"]

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from failstop.api.snapshot import Imu
 
-Value = bool | int | float | str | list[float]
-Settings = Mapping[str, float | str]
+ParameterValue = bool | int | float | str | list[float]
+RobotSettings = Mapping[str, float | str]
 
 GYRO_NOISE_RADPS = round(float(Imu._field_defaults["rate_variance"]) ** 0.5, 9)
 FIXED = "it is a fact of the robot, not a setting"
@@ -24,14 +24,14 @@ class Mirror(NamedTuple):
 
     name: str
     keys: tuple[str, ...]
-    show: Callable[[Settings], Value]
+    show: Callable[[RobotSettings], ParameterValue]
 
 
-def _number(key: str) -> Callable[[Settings], Value]:
+def _number(key: str) -> Callable[[RobotSettings], ParameterValue]:
     return lambda settings: float(settings[key])
 
 
-def _xyz(key: str) -> Callable[[Settings], Value]:
+def _xyz(key: str) -> Callable[[RobotSettings], ParameterValue]:
     return lambda settings: [float(settings[key.format(axis)]) for axis in "xyz"]
 
 
@@ -39,7 +39,7 @@ def _same(name: str, key: str) -> Mirror:
     return Mirror(name, (key,), _number(key))
 
 
-def command_timeout_s(settings: Settings) -> float:
+def command_timeout_s(settings: RobotSettings) -> float:
     """How long a command of cmd_vel counts."""
     return float(settings["sources.cmd_vel.timeout_s"])
 
@@ -77,17 +77,17 @@ TABLE = (
     Mirror("pad_sounds", ("buzzer.tones",), lambda settings: settings["buzzer.tones"] == "on"),
     Mirror("drive_pan", ("arm.drive_pan",), lambda settings: int(settings["arm.drive_pan"])),
 )
-BY_NAME = {mirror.name: mirror for mirror in TABLE}
+MIRROR_BY_NAME = {mirror.name: mirror for mirror in TABLE}
 
 
-def values(settings: Settings) -> dict[str, Value]:
+def values(settings: RobotSettings) -> dict[str, ParameterValue]:
     """Every parameter's value."""
     return {mirror.name: mirror.show(settings) for mirror in TABLE}
 
 
 def refusal(name: str) -> str:
     """Why a parameter can't be set, and what to change instead."""
-    mirror = BY_NAME.get(name)
+    mirror = MIRROR_BY_NAME.get(name)
     if mirror is None:
         return f"{name} is read once, at the start of the bridge: set it in its launch file or YAML"
     if not mirror.keys:
@@ -96,18 +96,18 @@ def refusal(name: str) -> str:
     return f"{name} shows failstop's settings: change {keys} in failstop's TOML file and restart the service"
 
 
-def differing(given: Mapping[str, object], shown: Mapping[str, Value]) -> list[str]:
+def differing(given: Mapping[str, object], shown: Mapping[str, ParameterValue]) -> list[str]:
     """A line for each parameter that somebody gives another value than the settings have."""
     lines = []
     for name, value in given.items():
         if name in shown and not _equal(value, shown[name]):
-            keys = " and ".join(BY_NAME[name].keys)
+            keys = " and ".join(MIRROR_BY_NAME[name].keys)
             where = f"change {keys} in failstop's TOML file, or remove it here" if keys else f"remove it: {FIXED}"
             lines.append(f"parameter {name} = {_shown(value)} is not taken, {_shown(shown[name])} holds: {where}")
     return lines
 
 
-def _equal(given: object, shown: Value) -> bool:
+def _equal(given: object, shown: ParameterValue) -> bool:
     if isinstance(shown, list):
         return isinstance(given, (list, tuple)) and len(given) == len(shown) and all(map(_equal, given, shown))
     if isinstance(given, (int, float)) and isinstance(shown, (int, float)):

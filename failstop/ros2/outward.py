@@ -20,7 +20,7 @@ from failstop.ros2 import contract, diagnostics, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import Graph
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.scan import ScanLog
 from failstop.ros2.shared import Shared
 from failstop.ros2.stencil import Stencil, serializer
@@ -42,7 +42,9 @@ SUPERVISOR = "supervisor"
 class Outward:
     """The publishers, and what was published last."""
 
-    def __init__(self, node: Any, qos: Any, link: Link, shared: Shared, graph: Graph, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, node: Any, qos: Any, link: RobotLink, shared: Shared, graph: Graph, settings: dict[str, Any]
+    ) -> None:
         """`qos` makes a profile of a contract.Qos; `settings`: the bridge's own parameters."""
         self._node = node
         self._graph = graph
@@ -68,7 +70,7 @@ class Outward:
         self._asked = 0
         self._heard: dict[str, bool] = {}
         """Topics, and whether somebody hears each."""
-        self._told: list[diagnostics.Status] = []
+        self._told: list[diagnostics.StatusMessage] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
@@ -263,7 +265,7 @@ def _age_s() -> float:
     return clock_gettime(CLOCK_BOOTTIME) - born / os.sysconf("SC_CLK_TCK")
 
 
-def _diagnostic(row: diagnostics.Status) -> Any:
+def _diagnostic(row: diagnostics.StatusMessage) -> Any:
     pair = type_of("diagnostic_msgs/msg/KeyValue")
     values = [fill(pair(), value) for value in row["values"]]
     status = type_of("diagnostic_msgs/msg/DiagnosticStatus")()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.api.state import State
-from failstop.ros2.mirrors import Settings
+from failstop.ros2.mirrors import RobotSettings
 
 
 @dataclasses.dataclass
@@ -16,7 +16,7 @@ class Shared:
     state: State | None = None
     problem: str = "the bridge is starting"
     """Why there is no state."""
-    settings: Settings | None = None
+    settings: RobotSettings | None = None
     """Of the run that is there; None: not known yet."""
     run: int = 0
     """The run of the service: the pid of its supervisor; 0: none was seen yet."""

@@ -19,7 +19,7 @@ def environment() -> dict[str, str]:
     return {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_LOCALHOST_ONLY": "1"}
 
 
-class Process:
+class StageProcess:
     """One of them; a context manager that ends it in order."""
 
     def __init__(self, *words: str, log: str = os.devnull) -> None:
@@ -33,7 +33,7 @@ class Process:
                 text=True,
             )
 
-    def __enter__(self) -> Process:
+    def __enter__(self) -> StageProcess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -62,11 +62,11 @@ class Process:
             self.process.stdout.close()
 
 
-def bridge(name: str, log: str = os.devnull) -> Process:
+def bridge(name: str, log: str = os.devnull) -> StageProcess:
     """`failstop ros2`."""
-    return Process("failstop", "ros2", "--name", name, log=log)
+    return StageProcess("failstop", "ros2", "--name", name, log=log)
 
 
-def publisher(node: str, what: str, hz: float = 20.0) -> Process:
+def publisher(node: str, what: str, hz: float = 20.0) -> StageProcess:
     """A node of publisher.py."""
-    return Process("failstop.ros2.publisher", node, what, str(hz))
+    return StageProcess("failstop.ros2.publisher", node, what, str(hz))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FEEDBACK_NS = 100_000_000
 """The state is as new as this."""
-LOOK_NS = 20_000_000
+TRAJECTORY_LOOK_NS = 20_000_000
 """How often it is asked whether the feedback was acknowledged."""
 SETTLED_NS = 500_000_000
 """By then the client of the goal before has acknowledged what it was sent, if it lives."""
@@ -167,7 +167,7 @@ class TrajectoryFace:
         client: Alive | None = Alive(monotonic_ns(), self._arm.goal_timeout_s)
         while not job():
             now_ns = monotonic_ns()
-            if client and now_ns - looked_ns >= LOOK_NS:
+            if client and now_ns - looked_ns >= TRAJECTORY_LOOK_NS:
                 looked_ns = now_ns
                 if gone := client.look(self._feedback.heard(), self._feedback.acknowledged(), now_ns):
                     client = None

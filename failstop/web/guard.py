@@ -40,7 +40,7 @@ HEADERS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Request:
+class PageRequest:
     """The parts of a request that decide. Texts that were not sent are empty."""
 
     method: str
@@ -100,12 +100,12 @@ def only_here(address: str) -> bool:
     return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
 
 
-def _own_host(request: Request, known: frozenset[str], proxied: str) -> bool:
+def _own_host(request: PageRequest, known: frozenset[str], proxied: str) -> bool:
     host = host_of(request.host)
     return is_address(host) or host in known
 
 
-def _own_origin(request: Request, known: frozenset[str], proxied: str) -> bool:
+def _own_origin(request: PageRequest, known: frozenset[str], proxied: str) -> bool:
     if request.origin:
         # An origin that was sent is never empty, as one that is not set is.
         return request.origin.lower() in (f"{request.scheme}://{request.host.lower()}", proxied)
@@ -113,7 +113,7 @@ def _own_origin(request: Request, known: frozenset[str], proxied: str) -> bool:
     return not request.upgrade
 
 
-ROWS: tuple[tuple[str, int, Callable[[Request, frozenset[str], str], bool], str], ...] = (
+ROWS: tuple[tuple[str, int, Callable[[PageRequest, frozenset[str], str], bool], str], ...] = (
     ("method", 405, lambda request, known, proxied: request.method in METHODS, "only GET, HEAD and POST are answered"),
     ("host", 421, _own_host, "this robot does not answer to that name: the setting web.hosts adds names"),
     ("site", 403, lambda request, known, proxied: request.site in SAME, "a page of another site may not call this one"),
@@ -133,7 +133,7 @@ ROWS: tuple[tuple[str, int, Callable[[Request, frozenset[str], str], bool], str]
 """Name, status, what must hold, what is said otherwise."""
 
 
-def refusal(request: Request, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
+def refusal(request: PageRequest, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
     """Status and reason for a request that is not let in; None for one that is. `proxied`: the origin that browsers see
     where a proxy is in between."""
     for _, status, holds, why in ROWS:

@@ -42,9 +42,9 @@ class Guarded(RequestHandler):
         if found := guard.refusal(self._request(), self.page.names, self.page.origin):
             self.refuse(*found)
 
-    def _request(self) -> guard.Request:
+    def _request(self) -> guard.PageRequest:
         given = self.request.headers.get
-        return guard.Request(
+        return guard.PageRequest(
             method=self.request.method or "",
             scheme=self.request.protocol,
             host=given("Host", ""),
@@ -134,7 +134,7 @@ class State(Guarded):
         self.finish({"t": time.time(), "live": self.page.watcher.values, "face": self.page.watcher.shown})
 
 
-class Stop(Guarded):
+class StopHandler(Guarded):
     """STOP, for everyone who can open the page."""
 
     async def post(self) -> None:

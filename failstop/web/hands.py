@@ -10,7 +10,7 @@ from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
 """Requests that a touch may make; the rest, and a higher limit, is held for."""
-MOST_WAITING = 4
+MOST_AT_WORK = 4
 
 
 class Hands:
@@ -19,12 +19,12 @@ class Hands:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._threads = ThreadPoolExecutor(MOST_WAITING, "hands")
+        self._threads = ThreadPoolExecutor(MOST_AT_WORK, "hands")
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
         """(done, what was said). `percent`: of the speed limit; `epoch`: the newest stop that the asker knew of."""
-        if self._waiting >= MOST_WAITING:
+        if self._waiting >= MOST_AT_WORK:
             return False, "others are asking: again in a moment"
         self._waiting += 1
         try:

@@ -81,7 +81,7 @@ class Page:
         """Every address that is answered."""
         rows = [
             ("/api/state", handlers.State),
-            ("/api/stop", handlers.Stop),
+            ("/api/stop", handlers.StopHandler),
             ("/api/stop/live", sockets.StopSocket),
             ("/api/check", handlers.Check),
             ("/api/live", sockets.Live),

@@ -30,7 +30,7 @@ ONCE = ("command", "request", "arm_goal")
 """Those that are acted on when they are new."""
 
 
-def seen(reader: LatestReader) -> int:
+def newest_number(reader: LatestReader) -> int:
     """The number of the newest entry. What is there at a restart is not new: the gate before may have acted on it."""
     entry = reader.read()
     return entry[0] if entry else 0
@@ -50,7 +50,7 @@ class Slot:
         self._greeted: int | None = None
         """The hello that was read last, and whose it is."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
-        self._seen = {name: seen(self._readers[name]) for name in ONCE}
+        self._seen = {name: newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
         """The session that held the slot before: what it left there is over."""

@@ -18,16 +18,13 @@ from failstop.messages.packing import Note
 from failstop.messages.records import FOR_AN_INTERLOCK, REFUSED
 from failstop.policy import causes
 from failstop.policy.causes import Cause, Reply, refused
-from failstop.policy.kinematics import Wheels
+from failstop.policy.kinematics import Chassis, Velocity, WheelSpeeds
 from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
-Vector = tuple[float, float, float]
-Speeds = tuple[float, float, float, float]
-
-STILL = (0.0, 0.0, 0.0, 0.0)
+NO_SPEEDS = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
@@ -41,7 +38,7 @@ MOST_IGNORED = 64
 class GateCore:
     """The gate's knowledge: enabled, the latch, the sources and their commands, the velocity."""
 
-    def __init__(self, settings: Settings, kinematics: Wheels, now_ns: int) -> None:
+    def __init__(self, settings: Settings, kinematics: Chassis, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -62,7 +59,7 @@ class GateCore:
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
-        self.speeds = STILL
+        self.speeds = NO_SPEEDS
         self.notes: list[Note] = []
         """Notes for people, in order; the shell, which passes them on, empties the list."""
         self._left_off = LeftOff(now_ns)
@@ -169,7 +166,7 @@ class GateCore:
         self.enabled = False
         self.sources.clear()
         self.velocity = REST
-        self.speeds = STILL
+        self.speeds = NO_SPEEDS
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
@@ -212,7 +209,7 @@ class GateCore:
             self.notes.append(Note("disabled", f"motion disabled: {unmet}", {"reason": unmet}))
         return unmet
 
-    def step(self, now_ns: int) -> Speeds | None:
+    def step(self, now_ns: int) -> WheelSpeeds | None:
         """Move the velocity on; returns the wheel speeds (rps) to send now, or None when nothing is to be sent."""
         elapsed_s = min(now_ns - self._stepped_ns, self._longest_step_ns) * 1e-9
         self._stepped_ns = now_ns
@@ -235,7 +232,7 @@ class GateCore:
         self._sent_ns = now_ns
         return speeds
 
-    def _ramped(self, wanted: Vector, elapsed_s: float, start: Vector) -> Vector:
+    def _ramped(self, wanted: Velocity, elapsed_s: float, start: Velocity) -> Velocity:
         vx, vy, wz = (
             _toward(now, max(-limit, min(limit, want)), ramp * elapsed_s)
             for now, want, limit, ramp in zip(start, wanted, self._limits, self._ramps, strict=True)

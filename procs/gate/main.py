@@ -13,13 +13,13 @@ from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
-from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, seen
+from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
-from failstop.procs.loop import NEVER, READ, Loop
+from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.words import Barrier
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
-MS = 1_000_000
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
@@ -113,7 +112,7 @@ class Gate:
         self._ready_word = supervisor.word("ready")
         self._latch = supervisor.latest_reader("latch")
         self._pad_command = telemetry.latest_reader("pad_command")
-        self._pad_seq = seen(self._pad_command)
+        self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
         self._client_bell = context.fd("client_bell")
         self._bells = (context.bell("bell"), context.early.bell)

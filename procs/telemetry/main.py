@@ -11,7 +11,7 @@ import msgpack
 from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NEXT, NO_FIELDS, Fields, Note, pack
+from failstop.messages.packing import NEXT_STEP, NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -256,7 +256,7 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        whole, what = (f"{text}{NEXT}{step}", len(text)) if step else (text, 0)
+        whole, what = (f"{text}{NEXT_STEP}{step}", len(text)) if step else (text, 0)
         self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
         self.supervisor_bell.ring()
 
@@ -358,7 +358,7 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _on_pong(self, said: Value, t_ns: int) -> None:
-        self._pong_word.set(records.pong(t_ns, said[0]))
+        self._pong_word.set(records.pack_pong(t_ns, said[0]))
         self.supervisor_bell.ring()
 
     def _on_key(self, sample: Value, t_ns: int) -> None:

@@ -10,9 +10,8 @@ from __future__ import annotations
 from failstop.data import Data
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.kinematics import Velocity
 from failstop.policy.settings import Settings
-
-Velocity = tuple[float, float, float]
 
 LOCKED, DRIVING, JOINT = range(3)
 """Indices of records.PAD_MODES. JOINT is there with an arm alone: the left stick, pushed to a side, chooses the joint,

@@ -19,7 +19,7 @@ BARRIERS = "barrier", "barrier-exclusives"
 
 
 def checked() -> dict[str, tuple[str, str]]:
-    """What herd7 said of each: the verdict, and every final state."""
+    """Results of herd7 for each: the verdict, and every final state."""
     rows = [re.split(r" {2,}", line) for line in explore.CHECKED.read_text().splitlines()[2:]]
     return {name: (verdict, states) for name, verdict, states in rows}
 

@@ -20,7 +20,7 @@ from tests.support.telemetry_scene import Scene as TelemetryScene
 
 
 class Trace:
-    """What is done to the records that were given a name, and every barrier, in order: by the modules of one simulated
+    """Accesses to the records that were given a name, and every barrier, in order: by the modules of one simulated
     machine, which end with it."""
 
     def __init__(self, scene: Any) -> None:
@@ -60,7 +60,7 @@ class Trace:
         segment, _, name = record.partition(".")
         names: dict[str, Any] = self._machine.root.folder("/dev/shm").names
         file = next(file for path, file in names.items() if path.endswith(f".{segment}"))
-        return id(file.mapped()), layout.BY_NAME[segment].offsets[name]
+        return id(file.mapped()), layout.SEGMENT_BY_NAME[segment].offsets[name]
 
     def has(self, *wanted: str) -> bool:
         """True when these follow one another, with other things between them at most."""
@@ -266,7 +266,7 @@ def test_a_client_loads_the_reply_before_the_state() -> None:
 
 
 def judges(telemetry: TelemetryScene, samples: int) -> Trace:
-    """What it does with the last of so many quiet samples."""
+    """Handle the last of so many quiet samples."""
     trace = Trace(telemetry)
     for sample in range(samples):
         trace.watch(still="telemetry.still_ns", judged="telemetry.judged_ns")

@@ -1,4 +1,4 @@
-"""What a type checker refuses. `make lint` checks this file strictly: a misuse that it let pass would leave its
+"""Misuses that a type checker refuses. `make lint` checks this file strictly: a misuse that it let pass would leave its
 `type: ignore` unused, which is an error. Nothing here is run."""
 
 from __future__ import annotations

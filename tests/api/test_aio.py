@@ -73,7 +73,8 @@ def test_the_speed_is_limited_by_either(trial: Trial) -> None:
 
 
 def test_nothing_that_holds_the_wheels_makes_the_loop_wait(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever holds them, drive answers by what is known; nor does the end of `async with` sleep."""
+    """The answer of drive comes from what is known, whatever holds the wheels; nor does the end of `async with`
+    sleep."""
 
     def asleep(_: float) -> None:
         raise AssertionError("a thread that runs an event loop sleeps")

@@ -15,8 +15,8 @@ from failstop.board.wire import Stop, Wire
 from failstop.lab.boards.hoverboard import Hoverboard
 from failstop.lab.boards.line import (
     AT_ONCE,
-    Model,
     Receiver,
+    ReceiverModel,
     Tick,
     TimedWrite,
     arrivals,
@@ -47,7 +47,7 @@ class Trial:
 
     def __init__(self, kind: str, stop: Stop | None = None) -> None:
         self.wire: Wire = wire_of(kind)
-        self.model: Model = model_of(kind)
+        self.model: ReceiverModel = model_of(kind)
         self.stop = stop or self.wire.stop
         self.fastest = self.wire.motion.apart / 2
         self.motion = [self.wire.motion.frame(speeds, self.fastest) for speeds in self._speeds()]
@@ -64,7 +64,7 @@ class Trial:
             yield from ((speed, speed), (-speed, -speed), (speed, -speed / 2), (0.0, speed))
 
     def cuts(self) -> list[bytes]:
-        """What may stand before a stop: nothing, every frame cut anywhere or whole, and the receiver's own."""
+        """Bytes that may stand before a stop: none, every frame cut anywhere or whole, and the receiver's own."""
         cut = {frame[:end] for frame in self.frames for end in range(len(frame) + 1)}
         return sorted(cut | set(self.model.before))
 

@@ -74,7 +74,7 @@ class Session:
             shutil.rmtree(self._runtime_directory, ignore_errors=True)
 
     def run(self, command: str) -> tuple[str, int]:
-        """What the command printed, as a reader would see it, and its exit code."""
+        """The output of the command, as a reader would see it, and its exit code."""
         assert self._bash.stdin is not None
         assert self._bash.stdout is not None
         end = f"<<end {time.monotonic_ns()}>>"
@@ -124,7 +124,7 @@ class Session:
             return False
 
     def said(self, index: int) -> str:
-        """What the terminal of that number shows by now."""
+        """The text that the terminal of that number shows by now."""
         return self._shown(self._terminals[index][1].read_text())
 
     def python(self, code: str) -> str:
@@ -140,7 +140,7 @@ class Session:
         return self._shown(result.stdout)
 
     def save(self, name: str, text: str) -> None:
-        """What a reader saves as a file of that name: settings, or a program."""
+        """Save a file of that name as a reader does: settings, or a program."""
         (self._directory / name).write_text(self._of_this(text))
 
     def _of_this(self, code: str) -> str:
@@ -154,8 +154,8 @@ class Session:
 
 
 def differs(shown: list[str], printed: str) -> str:
-    """What the page shows and what was printed, if they differ; else an empty text. Where lines are broken does not
-    count, nor which number stands somewhere, nor whether it is in us, ms or s; three dots are anything."""
+    """The text of the page and the text that was printed, if they differ; else an empty text. Where lines are broken
+    does not count, nor which number stands somewhere, nor whether it is in us, ms or s; three dots are anything."""
     pattern = ".*".join(re.escape(part.strip()) for part in _plain("\n".join(shown)).split("..."))
     found = _plain(printed)
     return "" if re.fullmatch(pattern, found) else f"the page shows\n  {_plain(chr(10).join(shown))}\nit was\n  {found}"

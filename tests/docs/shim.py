@@ -1,4 +1,4 @@
-"""What `failstop` is in a session: the same command, for the service of the session and no other.
+"""The command `failstop` of a session: for the service of the session and no other.
 
 python shim.py NAME WORD ...
 """

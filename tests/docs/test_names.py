@@ -1,4 +1,4 @@
-"""What the pages name is there: attributes of the API, settings, and the messages that they help with."""
+"""Names in the pages exist: attributes of the API, settings, and the messages that they help with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.support.pages import PAGES, ROOT
 TROUBLE = ROOT / "docs" / "troubleshooting.md"
 KEYS = {*BY_KEY, *OF_FLEET}
 SECTIONS = {key.partition(".")[0] for key in KEYS} - {"robot"}
-"""Of the fleet there is one `robot`, as programs call theirs."""
+"""Sections of the settings. `robot` is none here: pages call the API's object so."""
 FILES = ("md", "py", "toml")
 OF_MESSAGES = ("api", "board", "config", "files", "messages", "policy", "procs/rights", "shm", "supervisor")
 

@@ -38,7 +38,7 @@ ROOMS = (
 )
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 NAMES = re.compile(r"\bfailstop estop\b|\bestop\(\)|\bRobot\.estop\b|\bscan or estop\b|\bestop_\w+")
-"""Of the command, of the API and of topics."""
+"""Words of the command, of the API and of topics."""
 
 
 def sentences(path: Path) -> Iterator[str]:

@@ -12,13 +12,13 @@ from failstop.discovery import BOARD_USB
 from failstop.doctor.look import Look
 from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Node, System
-from failstop.messages.layout import PROCESSES
+from failstop.messages.layout import PROCESS_NAMES
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.support.states import process, state, stop
 
 NODE = Node("/dev/ttyACM0", "/dev/ttyACM0", pseudo=False, group="dialout", modem_ignored=True, accessible=True)
-STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)}, last_stop=stop())
+STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESS_NAMES)}, last_stop=stop())
 SERVICE = (STATE, VERSION, "")
 NOBODY = (None, "", "")
 """No service."""
@@ -43,9 +43,9 @@ KERNEL: dict[str, Any] = {
     "ports": [],
     "contained": False,
 }
-"""What the functions of System say, whatever they are asked."""
+"""Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
-"""What a command prints."""
+"""The output of a command."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
 SHARED: dict[str, Any] = {
@@ -59,7 +59,7 @@ SHARED: dict[str, Any] = {
     "usb_id": BOARD_USB,
     "holders": ((), 0),
 }
-"""What was asked, and what checks share (Look)."""
+"""Options of the call, and values that checks share (Look)."""
 
 
 class Made(System):

@@ -26,7 +26,7 @@ BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
 REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
 DEAF = "LoadState=loaded\nActiveState=active\nStatusText=obeys no fleet stop: no key\nStatusErrno=107\n"
-"""What systemd says of the robot's publisher."""
+"""Words of systemd about the robot's publisher."""
 BY_HAND: dict[str, Any] = {"unit": {}, "owners": {"/proc/100": "anna"}}
 """Started by a person."""
 

@@ -40,7 +40,7 @@ def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
 
 @pytest.fixture
 def hardy_trial(name: str, tmp_path: Path) -> Iterator[Trial]:
-    """The same, but so many deaths are no crash loop."""
+    """A trial in which so many deaths are no crash loop."""
     config = tmp_path / "many-deaths.toml"
     config.write_text(MANY_DEATHS)
     with Trial(name, ("--config", str(config))) as running:

@@ -111,7 +111,7 @@ def scribble(name: str, *slots: str) -> None:
     client = Client(name, "scribbler") if not slots else None
     indices = [client.slot] if client else [int(slot) for slot in slots]
     files = [slot_file(name, index) for index in indices]
-    size = layout.BY_NAME["client.0"].size
+    size = layout.SEGMENT_BY_NAME["client.0"].size
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
     while True:
@@ -126,7 +126,7 @@ def garble(name: str, index: str) -> None:
     still looks like a command of its session."""
     dice = random.Random(1)
     fd = slot_file(name, int(index))
-    spec = layout.BY_NAME[f"client.{index}"]
+    spec = layout.SEGMENT_BY_NAME[f"client.{index}"]
     size = cell.cell_bytes(spec.records["command"].capacity)
     velocity = spec.offsets["command"] + cell.CELL_HEADER_BYTES + 8  # after the session
     begun()
@@ -218,7 +218,7 @@ def hold_all(name: str) -> None:
 def claim_bytes(name: str) -> None:
     """Takes the claims of all free slots, with nobody in them; says how many."""
     fd = claim.open_claims(instance.claims_path(instance.find(name)))
-    begun(sum(claim.take(fd, index) for index in range(layout.CLIENT_SLOTS)))
+    begun(sum(claim.acquire(fd, index) for index in range(layout.CLIENT_SLOTS)))
     rest()
 
 
@@ -239,7 +239,7 @@ def heir(name: str, index: str) -> None:
     """Waits for the claim of somebody else's slot, to keep it held when that one leaves; says when it has it."""
     fd = claim.open_claims(instance.claims_path(instance.find(name)))
     begun()
-    while not claim.take(fd, int(index)):
+    while not claim.acquire(fd, int(index)):
         pass
     begun()
     rest()
@@ -248,14 +248,14 @@ def heir(name: str, index: str) -> None:
 def replay(name: str, index: str) -> None:
     """Copies a client's memory while it drives, waits until it has left, and plays it back under its own claim."""
     fd = slot_file(name, int(index))
-    found = os.pread(fd, layout.BY_NAME[f"client.{index}"].size, 0)
+    found = os.pread(fd, layout.SEGMENT_BY_NAME[f"client.{index}"].size, 0)
     begun()
     with Robot(name) as robot:
         while robot.state.clients:
             time.sleep(REST_S)
     claims = claim.open_claims(instance.claims_path(instance.find(name)))
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
-    begun(claim.take(claims, int(index)))
+    begun(claim.acquire(claims, int(index)))
     while True:
         os.pwrite(fd, found, 0)
         bell.send(to_bell, bytes([int(index)]))
@@ -266,7 +266,7 @@ def other_run(name: str) -> None:
     """Hello and commands of a run that is not this one, in a slot that it has claimed as it should."""
     client = Client(name, "of another run")
     incarnation = attach(name, layout.GATE).incarnation ^ 1
-    spec = layout.BY_NAME[f"client.{client.slot}"]
+    spec = layout.SEGMENT_BY_NAME[f"client.{client.slot}"]
     fd = slot_file(name, client.slot)
     old = segment.Segment(spec, incarnation, fd=fd)
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))

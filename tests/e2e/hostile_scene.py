@@ -1,4 +1,4 @@
-"""What the tests of hostile clients share: their programs as processes, and what must hold whatever these do."""
+"""Hostile clients as processes, and rules that hold whatever they do."""
 
 from __future__ import annotations
 
@@ -71,13 +71,14 @@ def within_limits(event: Event | Frame) -> bool:
 
 
 def forward_or_still(event: Event) -> bool:
-    """As vx > 0 alone turns the wheels, or stopped; a speed may differ in its last place (codec.motor_speeds)."""
+    """Wheels that turn as vx > 0 alone turns them, or stand; a speed may differ in its last place
+    (codec.motor_speeds)."""
     forward = [speed * sign for speed, sign in zip(event.speeds, (1, 1, -1, -1), strict=True)]
     return within_limits(event) and min(forward) >= 0 and max(forward) - min(forward) < 1e-5
 
 
 class Watch:
-    """What must hold whatever a client does: nobody of the service died, the gate ticked in time."""
+    """Rules that hold whatever a client does: nobody of the service died, the gate ticked in time."""
 
     def __init__(self, trial: Trial) -> None:
         self._trial = trial
@@ -91,7 +92,7 @@ class Watch:
         assert state.processes[layout.GATE].worst_s * 1e3 < LATEST_TICK_MS
 
     def stop_arrives(self, asker: Hostile) -> None:
-        """Another client's stop request reaches the board in time, while the trial's client drives."""
+        """Check that another client's stop request reaches the board in time, while the trial's client drives."""
         self._trial.board.events()
         asked_ns = int(asker.asks())
         event = self._trial.board.wait_for(lambda one: one.is_stop and one.arrival_ns >= asked_ns, 5.0)

@@ -12,9 +12,9 @@ from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.simulated import Simulated
 
 LEG_S = 0.06
-"""What one frame of the stream takes at most."""
+"""The longest time of one frame of the stream."""
 PULSES = 238.73
-"""For a radian."""
+"""Pulses of a servo for a radian."""
 SETTINGS = ARM
 
 

@@ -93,7 +93,7 @@ def test_the_service_needs_no_more_descriptors_than_it_asks_for(trial: Trial) ->
         "the savers", lambda: len(psutil.Process(trial.service.pids()["supervisor"]).children()) == 4 + MOST_SAVERS
     )
     most = len(os.listdir(f"/proc/{trial.service.pids()['supervisor']}/fd"))
-    assert most + len(layout.PROCESSES) <= rights.DESCRIPTORS, "with those of a dead run's segments"
+    assert most + len(layout.PROCESS_NAMES) <= rights.DESCRIPTORS, "with those of a dead run's segments"
 
 
 def _reset(trial: Trial) -> bool:

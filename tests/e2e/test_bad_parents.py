@@ -1,4 +1,4 @@
-"""What a parent leaves behind for `failstop run`: signals ignored or blocked, descriptors open or closed."""
+"""Bad parents of `failstop run`: signals ignored or blocked, descriptors open or closed."""
 
 from __future__ import annotations
 

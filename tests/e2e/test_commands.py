@@ -71,7 +71,7 @@ def test_status_json_has_what_is_promised(simulated: Simulated) -> None:
 
 
 def test_status_is_quick(trial: Trial) -> None:
-    """By the processor time that it takes, which other programs do not change."""
+    """The measure is the processor time that it takes, which other programs do not change."""
 
     def spent_s() -> float:
         children = resource.getrusage(resource.RUSAGE_CHILDREN)

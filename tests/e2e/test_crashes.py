@@ -1,4 +1,4 @@
-"""What a process of the service may still do as it fails, and must not: loop at real-time priority, dump its memory."""
+"""Acts that a failing process of the service must not manage: to loop at real-time priority, to dump its memory."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 
 from failstop.lab.faults import ptrace
 from failstop.lab.trial import Trial, wait_for
-from failstop.messages.layout import PROCESSES, SUPERVISOR
+from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
 from failstop.procs.rights import LOOP_US
 from failstop.shm.futex import NO_DUMP
 
 LATEST_MS = 1500.0
-"""Of a stop for who loops on the only core: the kernel ends it after 0.1 s; without real-time rights the deadlines are
-0.5 s at most."""
+"""The bar of a stop for a process that loops on the only core: the kernel ends it after 0.1 s; without real-time rights
+the deadlines are 0.5 s at most."""
 
 
 def limits(pid: int) -> dict[str, str]:
@@ -41,7 +41,7 @@ def test_what_is_started_again_may_take_longer_for_its_start(hardy_trial: Trial)
     assert int(limits(hardy_trial.service.pids()["gate"])["Max realtime timeout"]) == LOOP_US
 
 
-@pytest.mark.parametrize("process", [name for name in PROCESSES if name != SUPERVISOR])
+@pytest.mark.parametrize("process", [name for name in PROCESS_NAMES if name != SUPERVISOR])
 def test_an_interrupt_is_an_end_at_once(trial: Trial, process: str) -> None:
     """No exception, and no interpreter that is taken down."""
     trial.enable()
@@ -58,7 +58,7 @@ def test_an_interrupt_is_an_end_at_once(trial: Trial, process: str) -> None:
 
 @pytest.mark.alone
 @pytest.mark.skipif(bool(ptrace.unfit()), reason=ptrace.unfit())
-@pytest.mark.parametrize("process", PROCESSES)
+@pytest.mark.parametrize("process", PROCESS_NAMES)
 def test_who_loops_on_the_only_core_is_stopped_for(trial: Trial, process: str) -> None:
     """Above everybody who is to stop for it, but for the kernel."""
     trial.enable()

@@ -17,7 +17,7 @@ def test_demo() -> None:
     result = failstop("demo", timeout=60)
     assert result.returncode == 0, result.stdout + result.stderr
     assert time.monotonic() - start_s < 40
-    for process in layout.PROCESSES:
+    for process in layout.PROCESS_NAMES:
         assert f"kill -9 {process} " in result.stdout
     assert "nothing moved again" in result.stdout
 
@@ -40,7 +40,7 @@ class Busy:
     service = property(lambda self: self)
 
     def pids(self) -> dict[str, int]:
-        return dict.fromkeys(layout.PROCESSES, 1)
+        return dict.fromkeys(layout.PROCESS_NAMES, 1)
 
     def kill(self, _process: str, _drive_s: float) -> Stopped:
         self.left -= 1

@@ -16,7 +16,7 @@ import pytest
 
 from failstop import Robot
 from failstop.api.events import Event, EventLog
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.lab.trial import Trial, judge, wait_for, write_settings
 from tests.support.amounts import amount
 from tests.support.commands import failstop

@@ -1,4 +1,4 @@
-"""What the service tells people of itself, as programs read it: kinds and fields, on a simulated machine."""
+"""Events by which the service tells of itself, as programs read them: kinds and fields, on a simulated machine."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.supervisor.kinds import BY_NAME
+from failstop.supervisor.kinds import EVENT_BY_NAME
 from tests.support.simulated import FORWARD, MS, Simulated
 
 
@@ -36,7 +36,7 @@ def listener(simulated: Simulated) -> Iterator[Listener]:
     made = Listener(simulated)
     yield made
     for event in made.heard:
-        kind = BY_NAME[event.kind]
+        kind = EVENT_BY_NAME[event.kind]
         assert set(kind.fields) <= event.fields.keys(), event
     assert [event.seq for event in made.heard] == list(range(1, len(made.heard) + 1))
     assert [event.ns for event in made.heard] == sorted(event.ns for event in made.heard)

@@ -1,4 +1,4 @@
-"""What people are told while the gate is dead or hangs: what it published last says that the robot drives."""
+"""Status while the gate is dead or hangs, whose last record says that the robot drives."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_reset_ends_the_story_of_the_supervisor(late: Simulated) -> None:
 
 
 def test_a_service_without_its_supervisor_drives_nothing(simulated: Simulated) -> None:
-    """What it said last is no longer so, and when nobody of it is left there is no state at all."""
+    """The gate's last record is no longer true, and when nobody of it is left there is no state at all."""
     reader = simulated.load("failstop.api.state").StateReader(simulated.name)
     simulated.set_off()
     robot = simulated.robot

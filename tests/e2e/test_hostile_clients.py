@@ -24,14 +24,13 @@ from tests.support.simulated import MS, Simulated
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
 
 KILLS = 200
-TWO_SOURCES = "[sources.nav]\npriority = 10\n"
 
 
 @pytest.fixture
 def two_sources(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A service with a source above the one that the trial's client drives."""
     config = tmp_path / "two-sources.toml"
-    config.write_text(TWO_SOURCES)
+    config.write_text("[sources.nav]\npriority = 10\n")
     with Trial(name, ("--config", str(config))) as running:
         yield running
 
@@ -95,7 +94,7 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 def test_what_is_no_number_latches(simulated: Simulated, axis: int, value: float) -> None:
-    """Past the client's own check, as a program in another language might."""
+    """The value goes past the client's own check, as from a program in another language."""
     client = simulated.load("failstop.api.client").Client(simulated.name, "foreign")
     simulated.enable()
     client.command(0.1, 0.1, 0.1, manual=True, source="cmd_vel")
@@ -160,8 +159,7 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
 
 
 def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
-    trial = two_sources
-    watch = Watch(trial)
+    trial, watch = two_sources, Watch(two_sources)
     trial.enable()
     with hostile(trial, "scribble") as client:
         client.says()
@@ -176,8 +174,7 @@ def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
 
 
 def test_scribbling_over_everyone_s_slots(two_sources: Trial) -> None:
-    trial = two_sources
-    watch = Watch(trial)
+    trial, watch = two_sources, Watch(two_sources)
     trial.enable()
     trial.drive(0.3)
     trial.board.events()
@@ -336,7 +333,7 @@ def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: 
 
 
 def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
-    """It is above every source: whoever could stand in for it would have the wheels at once."""
+    """The gamepad is above every source: an impostor would have the wheels at once."""
     trial.enable()
     with hostile(trial, "as_the_gamepad") as impostor:
         impostor.says()
@@ -350,8 +347,10 @@ def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
 # Hoarding.
 
 
-def hoards(trial: Trial, program: str) -> None:
-    """With every slot held, a further client is told; a stop is heard; and all is free when the hoarder dies."""
+@pytest.mark.parametrize("program", ["hold_all", "claim_bytes"])
+def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
+    """A further client is told; a stop is heard; and all is free when the hoarder dies."""
+    trial.enable()
     with hostile(trial, program) as hoarder:
         assert int(hoarder.says()) == layout.CLIENT_SLOTS - 1
         os.kill(hoarder.pid, signal.SIGSTOP)
@@ -363,15 +362,8 @@ def hoards(trial: Trial, program: str) -> None:
             asker.says()
             Watch(trial).stop_arrives(asker)
         hoarder.kill()
-    last = Client(trial.name, "after it")
-    last.close()
+    Client(trial.name, "after it").close()
     drives_again(trial)
-
-
-@pytest.mark.parametrize("program", ["hold_all", "claim_bytes"])
-def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
-    trial.enable()
-    hoards(trial, program)
 
 
 def test_a_lock_on_the_whole_claims_file(trial: Trial) -> None:

@@ -1,4 +1,4 @@
-"""Whichever process is killed, at whatever moment: it stops, in time, and nothing moves again without an enable."""
+"""Kills of each process, at any moment: the robot stops, in time, and nothing moves again without an enable."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from tests.support.simulated import MS, Simulated
 
 KILLS = 3
-"""Of real processes; `failstop simulate` and `make chaos` try every moment."""
+"""Kills of real processes; `failstop simulate` and `make chaos` try every moment."""
 LATEST_MS = 100
 """A generous absolute limit for shared and busy machines; the bars are in the bench, beside their floor."""
 
 
-@pytest.mark.parametrize("process", layout.PROCESSES)
+@pytest.mark.parametrize("process", layout.PROCESS_NAMES)
 def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
     trial = hardy_trial
     chance = random.Random(process)
@@ -40,7 +40,7 @@ def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
 def test_every_board_is_stopped_for_every_process(name: str, kind: str) -> None:
     """By the word of its receiver, at the end of its own line."""
     with Trial(name, kind=kind) as trial:
-        for process in layout.PROCESSES:
+        for process in layout.PROCESS_NAMES:
             trial.enable()
             pid = trial.service.pids()[process]
             stopped = trial.kill(process, 0.2)
@@ -54,7 +54,7 @@ def test_every_board_is_stopped_for_every_process(name: str, kind: str) -> None:
             assert not trial.moving(), "a restarted process must not enable motion"
 
 
-@pytest.mark.parametrize("process", layout.PROCESSES)
+@pytest.mark.parametrize("process", layout.PROCESS_NAMES)
 def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
     simulated = Simulated({"restart.deaths": 100_000, "restart.backoff_s": 0.001})
     for number in range(8):

@@ -47,7 +47,7 @@ class Poller(threading.Thread):
                 self.found = robot, log
 
     def deaf(self, pid: int) -> str:
-        """What does not notice that there is another run, with this supervisor, for a second; empty: nothing."""
+        """The client objects that do not notice, for a second, that there is another run with this supervisor."""
         self.join()
         assert self.found
         robot, log = self.found
@@ -79,7 +79,7 @@ def ended(log: EventLog) -> bool:
 
 @pytest.fixture
 def load() -> Iterator[None]:
-    """Both cores have something to do."""
+    """Give both cores something to do."""
     loads = [subprocess.Popen([sys.executable, "-S", "-c", LOAD]) for _ in range(2)]
     yield
     for each in loads:

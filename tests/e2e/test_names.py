@@ -26,7 +26,7 @@ def test_a_client_slot_that_is_gone_costs_that_slot_alone(simulated: Simulated) 
 
 
 def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial) -> None:
-    """As logind removes it: the service manager restarts a service that has ended, and the new run makes its own."""
+    """logind removes it so: the service manager restarts a service that has ended, and the new run makes its own."""
     trial.enable()
     trial.drive(0.2)
     assert trial.moving()

@@ -1,4 +1,4 @@
-"""What is built installs and works outside the checkout: the sdist, and the wheel made from it."""
+"""The sdist, and the wheel made from it, install and work outside the checkout."""
 
 from __future__ import annotations
 

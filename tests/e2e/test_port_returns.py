@@ -56,7 +56,7 @@ def test_while_the_port_owner_waits_for_its_restart() -> None:
 
 
 def test_while_the_port_owner_hangs(simulated: Simulated) -> None:
-    """It is not needed for the stop."""
+    """The port owner is not needed for the stop."""
     lost(simulated)
     pid = simulated.pids()["port_owner"]
     simulated.suspend("port_owner")

@@ -35,7 +35,7 @@ SEED = cell.seed("header", 0)
 
 
 def stopped(state: Any, *reasons: str) -> None:
-    """Nothing in it says that anything moves, or may; the reason begins as one of these."""
+    """Check that nothing in a state says that anything moves, or may; the reason begins as one of these."""
     assert (state.estop or "").startswith(reasons)
     assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
     assert not any((*state.body_vel, *state.wheels_radps))
@@ -61,7 +61,7 @@ def other_layout(simulated: Simulated, which: str) -> None:
 def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Simulated) -> None:
     latch = simulated.load("failstop.api.client").attach(simulated.name, layout.SUPERVISOR).word("epoch")
     epoch = latch.get()
-    for which in layout.PROCESSES:
+    for which in layout.PROCESS_NAMES:
         other_layout(simulated, which)
     with simulated.failstop.Robot() as robot:
         for call in CALLS.values():
@@ -180,7 +180,7 @@ def test_closed_is_closed(simulated: Simulated, call: str) -> None:
 
 
 def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) -> None:
-    """It is in the middle of a call, as likely as not, when another one closes."""
+    """The thread is in the middle of a call, as likely as not, when another one closes."""
     trial.enable()
     for _ in range(10):
         robot = Robot(trial.name, client="threads")
@@ -196,7 +196,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
         path = segments.path_of(run_of(trial.name)[0], f"client.{index}")
-        spec = layout.BY_NAME[f"client.{index}"]
+        spec = layout.SEGMENT_BY_NAME[f"client.{index}"]
         with open(path, "rb") as file:
             data = file.read()
         at = spec.offsets["command"]

@@ -13,7 +13,7 @@ from failstop.messages import layout
 from failstop.policy import causes
 from tests.support.simulated import FORWARD, MS, Simulated
 
-WORKERS = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]
+WORKERS = [name for name in layout.PROCESS_NAMES if name != layout.SUPERVISOR]
 
 
 def latched(found: dict[str, Any], reason: str) -> None:

@@ -53,7 +53,7 @@ OTHERS = 13
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[SimBoard]:
-    """Its wheels turn."""
+    """A board whose wheels turn."""
     with SimBoard(tmp_path / "board") as made:
         turn(made)
         yield made
@@ -90,7 +90,7 @@ def service(name: str, board: SimBoard) -> tuple[str, ...]:
 
 
 def left(name: str) -> list[str]:
-    """What a run of this name has left, but for its lock."""
+    """Files that a run of this name has left, but for its lock."""
     places = [path for place in instance.places(name) for path in glob.glob(f"{place}/*")]
     return [path for path in glob.glob(f"/dev/shm/failstop.{name}.*") + places if os.path.basename(path) != "lock"]
 
@@ -106,8 +106,8 @@ def test_limits_of_the_process(name: str, board: SimBoard, limit: str) -> None:
 
 
 ISOLATED = (sys.executable, "-I", "-m", "failstop")
-"""As the package's command starts. Without -I the interpreter itself needs more than 80 KB of stack before it has read
-a line of any program."""
+"""The arguments of the package's command. Without -I the interpreter itself needs more than 80 KB of stack before it
+has read a line of any program."""
 
 
 @pytest.mark.parametrize("most_kb", [40, 48, 64, 255])
@@ -135,7 +135,8 @@ def test_a_soft_limit_of_the_stack_is_raised(name: str) -> None:
 
 
 def test_a_soft_limit_is_raised(name: str) -> None:
-    """Only the hard one is anybody's decision; and what the service has open at most fits into what it asks for."""
+    """The hard limit alone is anybody's decision. The descriptors that the service has open at most fit into its
+    request."""
     trial = Trial(name)
     prelude = "import os, resource, sys; hard = resource.getrlimit(7)[1]; resource.setrlimit(7, (24, hard)); "
     prelude += "os.execv(sys.argv[1], sys.argv[1:])"
@@ -197,7 +198,7 @@ def test_a_bad_name(board: SimBoard) -> None:
 
 
 def test_a_name_that_is_taken_by_a_service_on_another_port(trial: Trial, board: SimBoard) -> None:
-    """That one drives on; this port is nobody's, and its wheels turn."""
+    """The running service drives on; this port is nobody's, and its wheels turn."""
     trial.enable()
     trial.drive(0.1)
     said = refused(board, *service(trial.name, board))

@@ -1,4 +1,5 @@
-"""What people are told to type for a restart starts the same service again: its file, its port and its name."""
+"""The command that people are told to type for a restart starts the same service again: its file, its port and its
+name."""
 
 from __future__ import annotations
 

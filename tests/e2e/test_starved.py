@@ -15,7 +15,7 @@ import pytest
 from failstop.lab.faults.starve import Starved
 from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor import status
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated
@@ -35,10 +35,10 @@ MORE_S = 0.1
 
 
 def long_s(process: str) -> float:
-    return BY_NAME[process].deadline_ns / 1e9 + MORE_S
+    return PROCESS_BY_NAME[process].deadline_ns / 1e9 + MORE_S
 
 
-@pytest.mark.parametrize("process", list(BY_NAME))
+@pytest.mark.parametrize("process", list(PROCESS_BY_NAME))
 def test_while_idle_it_is_left_alone_and_that_is_told(simulated: Simulated, process: str) -> None:
     before = simulated.pids()
     simulated.hold(process, long_s(process), starved=True)
@@ -153,6 +153,6 @@ def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving
 
 
 def silent(trial: Trial, process: str, pid: int) -> bool:
-    """Whether it has been silent for long, or is another one."""
+    """True where it has been silent for long, or is another one."""
     found = trial.robot.state.processes[process]
     return found.pid != pid or found.age_s >= long_s(process)

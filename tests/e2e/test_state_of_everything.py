@@ -1,4 +1,4 @@
-"""What the state holds, how often it is new, and what the journal says of a stop."""
+"""The state: its content, how often it is new, and what the journal says of a stop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIOCGEXCL = 0x80045440
 
 
 def rate_hz(simulated: Simulated, process: str, record: str) -> float:
-    """How often a record is new in two seconds, by its own times."""
+    """The rate at which a record is new, in two seconds, by its own times."""
     reader = simulated.load("failstop.api.client").attach(simulated.name, process).latest_reader(record)
     found: list[int] = []
     for _ in range(2000):

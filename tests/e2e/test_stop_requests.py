@@ -15,7 +15,7 @@ from failstop.api.client import send_stop
 from failstop.files import instance
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
-from failstop.supervisor.events import ASKED_BYTES as ASKED_ROOM
+from failstop.supervisor.events import REPEATS_BYTES as ASKED_ROOM
 from tests.support.children import NOBODY, become
 from tests.support.simulated import MS, Simulated
 

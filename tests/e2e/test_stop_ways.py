@@ -32,7 +32,7 @@ CAP_SYS_ADMIN = 21
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[tuple[str, int]]:
-    """Another board's port: its link, and the board's side of it."""
+    """A second board's port: its link, and the board's side of it."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
@@ -56,7 +56,7 @@ def another_layout(name: str) -> Iterator[None]:
     before: list[tuple[int, bytes]] = []
     run, _ = client.run(name)
     try:
-        for process in layout.PROCESSES:
+        for process in layout.PROCESS_NAMES:
             memory = os.open(segments.path_of(run, process), os.O_RDWR)
             raw = os.pread(memory, HEADER_BYTES, 0)
             before.append((memory, raw))
@@ -176,7 +176,7 @@ def test_a_port_that_is_gone_is_told_with_the_latch(trial: Trial) -> None:
 
 
 def no_admin() -> None:
-    """In the child: root's way past an exclusive port is given up, the sight of others' descriptors is not."""
+    """Give up, in the child, root's way past an exclusive port, and keep the sight of others' descriptors."""
     ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_ADMIN, 0, 0, 0)
 
 
@@ -200,7 +200,7 @@ def test_whoever_holds_the_port_is_named(port: tuple[str, int]) -> None:
 
 
 def test_every_service_that_runs_is_asked(name: str) -> None:
-    """And no port is written to, nor one waited for."""
+    """No port is written to, nor waited for."""
     assert failstop("stop", "--services").returncode == 0
     with Trial(f"{name}-a") as one, Trial(f"{name}-b") as other:
         done = failstop("stop", "--services", "the", "machine", "sleeps")

@@ -33,6 +33,6 @@ def test_its_first_answer_ends_that(mute: Simulated) -> None:
 
 
 def test_its_end_is_no_error(mute: Simulated) -> None:
-    """As one without pings, or with another firmware."""
+    """A board without pings is such a one, or one with another firmware."""
     assert mute.end() == 0
     assert "whether the board hears is not known (link unproven)" in mute.said

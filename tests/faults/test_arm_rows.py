@@ -9,10 +9,10 @@ import pytest
 
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.faults.arm_table import BY_NAME, HANG, KILL, ROWS, ArmFault
-from failstop.lab.faults.fault import NEW_RUN
-from failstop.lab.faults.table import BY_NAME as OTHERS
-from failstop.messages.layout import PROCESSES
+from failstop.lab.faults.arm_table import ARM_FAULT_BY_NAME, HANG, KILL, ROWS, ArmFault
+from failstop.lab.faults.fault import BY_NEW_RUN
+from failstop.lab.faults.table import FAULT_BY_NAME as OTHERS
+from failstop.messages.layout import PROCESS_NAMES
 from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-posing", "arm-usb-drop"}
@@ -34,13 +34,13 @@ def test_row(trial: ArmTrial, fault: ArmFault) -> None:
 
 def test_every_process_has_its_rows_and_every_row_a_name_of_its_own() -> None:
     for what in (KILL, HANG):
-        assert {row.process for row in ROWS if row.what == what} == set(PROCESSES)
-    assert len(BY_NAME) == len(ROWS)
-    assert not set(BY_NAME) & set(OTHERS)
+        assert {row.process for row in ROWS if row.what == what} == set(PROCESS_NAMES)
+    assert len(ARM_FAULT_BY_NAME) == len(ROWS)
+    assert not set(ARM_FAULT_BY_NAME) & set(OTHERS)
 
 
 @pytest.mark.parametrize("fault", ROWS, ids=[row.name for row in ROWS])
 def test_a_row_is_in_order(fault: ArmFault) -> None:
     assert fault.name.startswith("arm-")
     assert (fault.bar_ms is None) == bool(fault.servo) == bool(fault.refused)
-    assert not (fault.cleared == NEW_RUN and fault.latched)
+    assert not (fault.cleared == BY_NEW_RUN and fault.latched)

@@ -26,7 +26,7 @@ def chaos(*words: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str
 @pytest.mark.slow
 @pytest.mark.timeout(SECONDS + 260)
 def test_random_faults(tmp_path: Path) -> None:
-    """Of a new seed every time: what it finds, it says how to find again."""
+    """The seed is new every time: a failure says how to find it again."""
     out = tmp_path / "chaos.json"
     done = chaos("--seconds", str(SECONDS), "--json", str(out), timeout=SECONDS + 60)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -54,7 +54,7 @@ WITHOUT = ("setpriv", "--bounding-set", "-dac_override")
 
 
 def can_go_without() -> bool:
-    """Whether this user has the capability that passes every permission, and may give it up."""
+    """True where this user has the capability that passes every permission, and may give it up."""
     may = os.geteuid() == 0 and shutil.which("setpriv") is not None
     return may and subprocess.run([*WITHOUT, "true"], stderr=subprocess.DEVNULL, check=False).returncode == 0
 
@@ -62,7 +62,7 @@ def can_go_without() -> bool:
 @pytest.mark.slow
 @pytest.mark.skipif(not can_go_without(), reason="not root, or without the right to drop a capability")
 def test_a_permission_that_comes_late(tmp_path: Path) -> None:
-    """Its row is nothing for a process that passes every permission, as root's do: so for root without that."""
+    """A process that passes every permission, as root's do, never meets this row: root gives that up first."""
     out = tmp_path / "chaos.json"
     command = [*FAILSTOP, "chaos", "--only", "usb-drop-permission", "--each", "3"]
     done = subprocess.run([*WITHOUT, *command, "--json", str(out)], capture_output=True, text=True, check=False)

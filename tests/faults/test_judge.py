@@ -13,17 +13,17 @@ from failstop.lab.faults import report
 from failstop.lab.faults.campaign import Outcome, _Injection, draw, inject_one
 from failstop.lab.faults.judge import verdict
 from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.table import BY_NAME, TABLE
+from failstop.lab.faults.table import FAULT_BY_NAME, TABLE
 from failstop.lab.trial import judge
 from failstop.policy.causes import KEY
 from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
-KILL_GATE = BY_NAME["kill-gate"]
+KILL_GATE = FAULT_BY_NAME["kill-gate"]
 
 
 def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_moving: bool = True) -> list[str]:
     events = [event(i, ms, TURNING if moves else STILL) for i, (ms, moves) in enumerate(times)]
-    return verdict(BY_NAME[fault], events, FAULT_NS, was_moving)[1]
+    return verdict(FAULT_BY_NAME[fault], events, FAULT_NS, was_moving)[1]
 
 
 def test_a_stop_in_time_and_for_good() -> None:
@@ -71,11 +71,11 @@ def test_a_write_outside_the_motor_table() -> None:
 
 
 def test_what_is_counted() -> None:
-    tally = report.Tally((KILL_GATE, BY_NAME["suspended"]), seed=7)
+    tally = report.Tally((KILL_GATE, FAULT_BY_NAME["suspended"]), seed=7)
     for events in ([event(0, 2, STILL), event(1, 3, TURNING)], [event(0, 4, STILL)], [event(0, 1, TURNING)]):
         stopped, found = verdict(KILL_GATE, events, FAULT_NS, True)
         tally.add(Outcome(KILL_GATE, 0, stopped, wrong=found, events=events))
-    tally.add(Outcome(BY_NAME["suspended"], 0, skipped="no sleep"))
+    tally.add(Outcome(FAULT_BY_NAME["suspended"], 0, skipped="no sleep"))
     tally.add(Outcome(KILL_GATE, 0, wrong=["no service to kill"], struck=False))
     result = tally.as_dict()
     assert (result["count"], result["missed"], result["motion_after"], result["wrong"]) == (3, 1, 1, 3)
@@ -99,19 +99,27 @@ def test_a_seed_is_a_campaign() -> None:
 def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
     """Rows that are not true: the campaign must say so, with what the board and the service said."""
     lies = (
-        (BY_NAME["kill-gate"], {"latched": ((KEY, 9),)}, "a latch: key 9"),
-        (BY_NAME["kill-gate"], {"logged": "never said"}, "the service to say 'never said'"),
-        (BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
-        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
+        (FAULT_BY_NAME["kill-gate"], {"latched": ((KEY, 9),)}, "a latch: key 9"),
+        (FAULT_BY_NAME["kill-gate"], {"logged": "never said"}, "the service to say 'never said'"),
+        (FAULT_BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
+        (FAULT_BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
         (
-            BY_NAME["stop-request"],
+            FAULT_BY_NAME["stop-request"],
             {"latched": (), "cleared": "by itself", "bar_ms": None},
             "latched: stop request: nobody says so",
         ),
-        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "the wheels stand, and"),
-        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "the wheels to turn again"),
-        (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),
-        (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "blocked: disabled"),
+        (
+            FAULT_BY_NAME["stop-request"],
+            {"latched": (), "cleared": "by itself", "bar_ms": None},
+            "the wheels stand, and",
+        ),
+        (
+            FAULT_BY_NAME["stop-request"],
+            {"latched": (), "cleared": "by itself", "bar_ms": None},
+            "the wheels to turn again",
+        ),
+        (FAULT_BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),
+        (FAULT_BY_NAME["board-garbles-up"], {"cleared": "enable"}, "blocked: disabled"),
     )
     for (fault, changes, told), index in zip(lies, itertools.count()):
         outcome = inject_one(scene, dataclasses.replace(fault, **changes), index, "lies", seen_s=0.3)  # type: ignore[arg-type]
@@ -132,7 +140,7 @@ def alone(**scene: object) -> _Injection:
     """An injection of nothing into a scene made of these parts."""
     made = _Injection.__new__(_Injection)
     made.scene = SimpleNamespace(restart=lambda: None, **scene)  # type: ignore[assignment]
-    made.fault, made.outcome = BY_NAME["service-stopped"], Outcome(BY_NAME["service-stopped"], 0)
+    made.fault, made.outcome = FAULT_BY_NAME["service-stopped"], Outcome(FAULT_BY_NAME["service-stopped"], 0)
     return made
 
 

@@ -10,10 +10,21 @@ import pytest
 
 from failstop.lab.faults import arm_table, injectors, report
 from failstop.lab.faults.campaign import inject_one
-from failstop.lab.faults.fault import CONTINUE, CRASH, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
+from failstop.lab.faults.fault import (
+    BY_ITSELF,
+    BY_NEW_RUN,
+    CONTINUE,
+    CRASH,
+    FAULT_CLASSES,
+    HANG,
+    KILL,
+    SPIN,
+    Fault,
+    fits,
+)
 from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.table import BY_NAME, TABLE
-from failstop.messages.layout import PROCESSES, SUPERVISOR
+from failstop.lab.faults.table import FAULT_BY_NAME, TABLE
+from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
 from failstop.policy import causes
 
 DESIGN = {
@@ -45,7 +56,7 @@ DESIGN = {
     "no processor time": ("no-processor",),
     "names of shared memory taken away": ("names-removed",),
 }
-"""What the design says must be noticed, and the rows for it."""
+"""Faults that the design says must be noticed, and the rows for them."""
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.DEFECT, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
@@ -69,25 +80,25 @@ def test_row(scene: Scene, fault: Fault) -> None:
 
 def test_no_row_of_the_design_is_missing() -> None:
     for names in DESIGN.values():
-        assert set(names) <= set(BY_NAME)
-    assert {fault.event for fault in TABLE} == set(EVENTS)
+        assert set(names) <= set(FAULT_BY_NAME)
+    assert {fault.event for fault in TABLE} == set(FAULT_CLASSES)
 
 
 def test_every_process_and_every_few_of_them() -> None:
     steps = {tuple(sorted(fault.steps)) for fault in TABLE}
     for action in (KILL, CRASH, HANG, SPIN):
-        assert {((action, process),) for process in PROCESSES} <= steps
-    for count in range(2, len(PROCESSES) + 1):
-        for few in itertools.combinations(PROCESSES, count):
+        assert {((action, process),) for process in PROCESS_NAMES} <= steps
+    for count in range(2, len(PROCESS_NAMES) + 1):
+        for few in itertools.combinations(PROCESS_NAMES, count):
             assert tuple(sorted((KILL, process) for process in few)) in steps
-    for killed, hung in itertools.permutations(PROCESSES, 2):
+    for killed, hung in itertools.permutations(PROCESS_NAMES, 2):
         assert tuple(sorted(((KILL, killed), (HANG, hung)))) in steps
 
 
 def test_every_row_has_an_injector_and_every_injector_a_row() -> None:
     known = set(injectors.INJECTORS)
     assert {fault.injector for fault in TABLE} == known
-    assert len(BY_NAME) == len(TABLE)
+    assert len(FAULT_BY_NAME) == len(TABLE)
 
 
 @pytest.mark.parametrize("fault", TABLE, ids=lambda fault: fault.name)
@@ -97,16 +108,16 @@ def test_a_row_is_in_order(fault: Fault) -> None:
         assert causes.BY_NUMBER[kind.number] is kind
         assert all(type(value) is of for value, (_, of) in zip(first, kind.parameters, strict=False))
         assert len(first) <= len(kind.parameters)
-        assert "process" not in dict(kind.parameters) or set(first) <= set(PROCESSES)
+        assert "process" not in dict(kind.parameters) or set(first) <= set(PROCESS_NAMES)
         assert kind.cleared_by == causes.A_RESET, "what nothing but a new start clears is latched by no row"
-    if fault.cleared in (NEW_RUN, ITSELF):
+    if fault.cleared in (BY_NEW_RUN, BY_ITSELF):
         assert not fault.latched, "a latch does not clear by itself, nor outlive the run"
     if fault.bar_ms is None:
-        assert fault.cleared == ITSELF
+        assert fault.cleared == BY_ITSELF
     else:
         assert fault.limit_ms is not None
         assert fault.limit_ms > fault.bar_ms
-        assert fault.logged or fault.latched or fault.cleared == ITSELF, "a stop that is not over by itself is said"
+        assert fault.logged or fault.latched or fault.cleared == BY_ITSELF, "a stop that is not over by itself is said"
     lost = SUPERVISOR in fault.struck(KILL, CRASH, HANG, SPIN) and SUPERVISOR not in fault.struck(CONTINUE)
     assert not lost or not fault.survives
 
@@ -132,7 +143,7 @@ def test_every_cause_of_a_running_service_is_in_the_table() -> None:
 def test_the_page_has_the_rows_of_the_table() -> None:
     page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
-    described = [report.described(fault) for fault in sorted(TABLE, key=lambda fault: EVENTS.index(fault.event))]
+    described = [report.described(fault) for fault in sorted(TABLE, key=lambda fault: FAULT_CLASSES.index(fault.event))]
     described += [fault.described() for fault in arm_table.ROWS]
     for expected, row in zip(described, rows, strict=True):
         assert row.startswith(expected), "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"

@@ -60,7 +60,7 @@ def maker(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def listener(broker: Mosquitto, request: pytest.FixtureRequest) -> Iterator[Listener]:
-    """Who hears all that this test's robots say."""
+    """A listener that hears all that this test's robots say."""
     found = Listener(broker.settings(), f"uagv/v2/{maker(request)}/#", f"failstop/v1/{maker(request)}/#")
     pump("the listener to be connected", lambda: found.broker.listening, found)
     yield found

@@ -37,7 +37,7 @@ class Mosquitto:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """On the port that it had, or on one that is free."""
+        """Start it on the port that it had, or on one that is free."""
         assert MOSQUITTO is not None
         if not self.port:
             with socket.create_server(("127.0.0.1", 0)) as found:
@@ -64,7 +64,7 @@ class Mosquitto:
             self._process = None
 
     def settings(self, **changed: object) -> FleetSettings:
-        """To get there; `changed`: with `__` for the dot."""
+        """Settings to get there; `changed`: with `__` for the dot."""
         given = {key.replace("__", "."): value for key, value in changed.items()}
         return FleetSettings({"broker.port": self.port, "broker.keepalive_s": 2, **given})
 

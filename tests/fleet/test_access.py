@@ -1,4 +1,4 @@
-"""What a broker lets whom read and write: the access list of docs/fleet.md, and a robot that may not hear the stops."""
+"""Rights at a broker: the access list of docs/fleet.md, and a robot that may not hear the stops."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(MOSQUITTO is None or PASSWORDS is None, reason="
 
 
 def access_list() -> str:
-    """As the page has it."""
+    """The access list as the page has it."""
     [found] = re.findall(r"```text\n(pattern .*?)```", (ROOT / "docs/fleet.md").read_text(), re.DOTALL)
     return str(found)
 
@@ -124,7 +124,7 @@ def dynamic(folder: Path, *, subscribe: bool) -> str:
 def test_a_robot_that_may_not_hear_the_stops_says_so(
     tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In its state, so that `failstop fleet` has it, and of itself."""
+    """The robot says so in its state, so that `failstop fleet` has it, and of itself."""
     lines = ("allow_anonymous true", f"plugin {PLUGIN}", f"plugin_opt_config_file {dynamic(tmp_path, subscribe=False)}")
     with mosquitto(tmp_path, *lines) as broker:
         publisher = robot(broker, key, "r1", broker__user="", broker__password_file="")
@@ -133,7 +133,7 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
             f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
             "see its access list"
         )
-        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.DEAF]
+        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.FLEET_STOP_OFF]
         assert error["errorDescription"] == publisher.deaf()
         publisher.turn(0.0)
         assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())

@@ -1,4 +1,4 @@
-"""What somebody on the network may try against a stop of the fleet, each on a real broker."""
+"""Attacks from the network on a stop of the fleet, each on a real broker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from bench.fleet_flood import packet
 from failstop.fleet import levels, signed, topics
 from failstop.fleet.broker import HEAR_S
-from failstop.fleet.levels import Answer, Order
+from failstop.fleet.levels import Order, StopAnswer
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
@@ -28,7 +28,7 @@ STOP = "f" * 32
 
 @pytest.fixture
 def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> FleetSettings:
-    """Of who stops this test's fleet."""
+    """Settings of the program that stops this test's fleet."""
     return broker.settings(stop__key_file=key, robot__manufacturer=maker(request))
 
 
@@ -50,7 +50,7 @@ def order(key: str, **changed: object) -> bytes:
     return given.message(signed.read_key(key))
 
 
-def answers(listener: Listener, key: str) -> list[Answer]:
+def answers(listener: Listener, key: str) -> list[StopAnswer]:
     found = [payload for topic, payload in listener.all if "/answer/" in topic]
     return [levels.read_answer(signed.read_key(key), payload) for payload in found]
 
@@ -150,7 +150,7 @@ def test_nonsense(enrol: Enrol, listener: Listener, settings: FleetSettings, pay
 
 
 def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSettings) -> None:
-    """Of messages that look like stops, from who has no key and goes on with it."""
+    """Messages look like stops, come from a sender without a key, and go on coming."""
     robot = Pretended()
     publisher = enrol(robot=robot)
     topic = topics.stop(settings.text("robot.manufacturer"))
@@ -204,7 +204,7 @@ def test_a_message_of_twenty_megabytes(enrol: Enrol, listener: Listener, setting
 
 
 def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path) -> None:
-    """By who sees the stop's id and has no key; and one of another stop, recorded."""
+    """The sender sees the stop's id and has no key; another confirmation is of an earlier stop, recorded."""
     signed.make_key(str(tmp_path / "other"))
     other = signed.read_key(str(tmp_path / "other"))
     maker_id = settings.text("robot.manufacturer")
@@ -213,11 +213,11 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     sender = Sender(settings, "smoke", "ann")
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
     topic = topics.answer(maker_id, sender.id, "r1")
-    recorded = Answer(STOP, "r1", done).message(key)
+    recorded = StopAnswer(STOP, "r1", done).message(key)
     running = threading.Thread(daemon=True, target=sender.run, args=(1.0,))
     running.start()
     while running.is_alive():
-        listener.broker.say(topic, Answer(sender.id, "r1", done).message(other))
+        listener.broker.say(topic, StopAnswer(sender.id, "r1", done).message(other))
         listener.broker.say(topic, recorded)
         listener.turn(0.02)
     assert sender.sent_s is not None
@@ -227,7 +227,7 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
 def test_somebody_takes_a_robot_off_the_broker(
     enrol: Enrol, listener: Listener, settings: FleetSettings, broker: Mosquitto, key: str, tmp_path: Path
 ) -> None:
-    """Without a list nobody misses it; with one it is missed."""
+    """Nobody misses it without a list; with one it is missed."""
     maker_id = settings.text("robot.manufacturer")
     publisher = enrol("r1")
     enrol("r2").broker.close()
@@ -258,7 +258,7 @@ def test_the_broker_goes_and_comes_back(enrol: Enrol, settings: FleetSettings, b
 
 
 def test_a_robot_that_comes_late_is_stopped_too(enrol: Enrol, settings: FleetSettings, key: str) -> None:
-    """It was away when the stop was sent, and the broker knows of it."""
+    """The robot was away when the stop was sent, and the broker knows of it."""
     enrol("r2").close()
     here = enrol("r1")
     sender = Sender(settings, "smoke", "ann")

@@ -13,7 +13,7 @@ from tests.support.pages import ROOT
 
 DASHBOARD: dict[str, Any] = json.loads((ROOT / "examples" / "grafana" / "failstop.json").read_text("utf-8"))
 PROMETHEUS = {"up", "instance", "job"}
-"""What Prometheus adds."""
+"""Labels that Prometheus adds."""
 BY_NAME = {family.name: family for family in metrics.FAMILIES}
 QUERIES = [target["expr"] for panel in DASHBOARD["panels"] for target in panel["targets"]]
 QUERIES += [annotation["expr"] for annotation in DASHBOARD["annotations"]["list"]]

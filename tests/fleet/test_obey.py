@@ -10,7 +10,7 @@ import pytest
 from failstop.api.snapshot import Imu
 from failstop.api.state import State
 from failstop.fleet import levels, obey, signed
-from failstop.fleet.levels import Answer, Order
+from failstop.fleet.levels import Order, StopAnswer
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.policy import causes
@@ -26,7 +26,7 @@ def order(number: int = 1, dated_s: float = UNIX_S) -> Order:
 
 
 def stopped(epoch: int = EPOCH + 1, **changed: Any) -> State:
-    """After a stop in that epoch, of which nothing but `changed` is known."""
+    """A state after a stop in that epoch, of which nothing but `changed` is known."""
     proofs = {"written_s": None, "acknowledged_s": None, "observed_s": None}
     return states.latched(epoch=epoch, last_stop=states.stop(epoch=epoch, **{**proofs, "t": UNIX_S + 0.1, **changed}))
 
@@ -44,7 +44,7 @@ def begin(robot: Obedience, given: Order, now_s: float = 0.0, before: State | No
     robot.begin(given, now_s, UNIX_S, before)
 
 
-def told(answers: list[Answer]) -> list[list[str]]:
+def told(answers: list[StopAnswer]) -> list[list[str]]:
     return [list(answer.reached) for answer in answers]
 
 
@@ -54,7 +54,7 @@ def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> No
     assert told(robot.look(states.state(epoch=EPOCH), 0.01)) == [[levels.ASKED]]
     assert robot.look(states.state(epoch=EPOCH), 0.02) == []
     (written,) = robot.look(stopped(written_s=0.0002), 0.03)
-    assert written == Answer(order().id, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.03}, "")
+    assert written == StopAnswer(order().id, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.03}, "")
     assert robot.look(stopped(written_s=0.0002), 0.04) == []
     (acknowledged,) = robot.look(stopped(written_s=0.0002, acknowledged_s=0.004), 0.05)
     assert acknowledged.reached == {**written.reached, levels.ACKNOWLEDGED: 0.05}
@@ -181,7 +181,7 @@ def test_over_a_restart_it_is_answered_and_not_carried_out() -> None:
     anew = Obedience(KEY, "robot-1", Seen.load(seen.dump(), 10.0))
     found, answer = anew.hear(order().message(KEY), 5.0, UNIX_S + 1)
     assert found is None
-    assert answer == Answer(order().id, "robot-1", {levels.ASKED: 0.0}, obey.FORGOTTEN)
+    assert answer == StopAnswer(order().id, "robot-1", {levels.ASKED: 0.0}, obey.FORGOTTEN)
 
 
 def test_another_key_is_counted_and_not_answered(robot: Obedience) -> None:

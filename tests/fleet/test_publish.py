@@ -15,7 +15,7 @@ import pytest
 
 from failstop.api.events import Event
 from failstop.fleet import levels, repeats, sender, signed, topics
-from failstop.fleet.levels import Answer
+from failstop.fleet.levels import StopAnswer
 from failstop.lab.trial import Trial
 from failstop.policy import causes
 from tests.support import states
@@ -190,7 +190,7 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     pump("the stop", lambda: first in listener.last, asking.broker, listener)
     some = len(names) * 3 // 5
     for name in names[:some]:
-        answer = Answer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0))
+        answer = StopAnswer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0))
         listener.broker.say(topics.answer(maker(request), asking.id, name), answer.message(signed.read_key(key)))
     confirmed = lambda: len(asking.tally.reached(levels.OBSERVED)) == some  # noqa: E731
     pump("the answers", lambda: asking.heard_all and confirmed(), asking.broker, listener)

@@ -1,4 +1,4 @@
-"""Which stops are new: never twice, never old, wherever the clock is set."""
+"""Stops that are new: never twice, never old, wherever the clock is set."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOW_S = 1_000_000.0
 
 
 def obeyed(seen: Seen, stop_id: str, dated_s: float, now_s: float) -> bool:
-    """Whether the stop is carried out."""
+    """True where the stop is carried out."""
     if seen.judge(stop_id, dated_s, now_s) != NEW:
         return False
     seen.obeyed(stop_id, dated_s, now_s)

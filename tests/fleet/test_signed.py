@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.fleet import FleetError, levels, signed
-from failstop.fleet.levels import Answer, Order
+from failstop.fleet.levels import Order, StopAnswer
 
 KEY = bytes(range(32))
 OTHER = bytes(32)
 ORDER = Order("0" * 32, 1000.5, "smoke", "ann@desk")
-ANSWER = Answer("0" * 32, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.01}, "")
+ANSWER = StopAnswer("0" * 32, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.01}, "")
 
 
 def test_what_is_signed_is_read() -> None:

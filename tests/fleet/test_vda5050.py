@@ -18,7 +18,7 @@ REQUIRED = {
     *("orderId", "orderUpdateId", "lastNodeId", "lastNodeSequenceId", "nodeStates", "edgeStates", "driving"),
     *("actionStates", "batteryState", "operatingMode", "errors", "safetyState"),
 }
-"""Of a state, by the schema of 2.1.0."""
+"""Fields of a state, by the schema of 2.1.0."""
 OPTIONAL = {"paused", "velocity", "information"}
 
 

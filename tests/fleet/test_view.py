@@ -52,13 +52,13 @@ def test_a_robot_s_name_can_not_write_on_the_terminal_of_who_stops_it(key: str) 
 
 @pytest.mark.parametrize("text", ["a\x1bb", "a\nb", "a\u202eb", "a\x9bb", "a\u2028b"])
 def test_what_a_robot_says_can_not_write_on_the_terminal(text: str) -> None:
-    found = screen(told("r1", (vda5050.warning(vda5050.DEAF, text, ""),)))
+    found = screen(told("r1", (vda5050.warning(vda5050.FLEET_STOP_OFF, text, ""),)))
     assert "OBEYS NO FLEET STOP" in found
     assert all(line.isprintable() for line in found.splitlines())
 
 
 def test_a_robot_that_obeys_no_fleet_stop_is_seen_at_a_glance() -> None:
-    found = screen(told("r1", (vda5050.warning(vda5050.DEAF, "the broker does not let it", ""),)))
+    found = screen(told("r1", (vda5050.warning(vda5050.FLEET_STOP_OFF, "the broker does not let it", ""),)))
     assert "1 OBEYS NO FLEET STOP" in found.splitlines()[2]
     assert "OBEYS NO FLEET STOP: the broker does not let it; " in found
     assert "FLEET STOP" not in screen(told("r1"))

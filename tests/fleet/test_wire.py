@@ -1,4 +1,4 @@
-"""What a broker sends, cut into packets: whatever came, in whatever pieces."""
+"""Bytes of a broker, cut into packets: whatever came, in whatever pieces."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.fleet_flood import packet
-from failstop.fleet.wire import MOST_BYTES, Malformed, Message, Wire
+from failstop.fleet.wire import MOST_BYTES, Malformed, Message, MqttWire
 
 OTHERS = (b"\x20\x02\x00\x00", b"\xd0\x00", b"\x90\x03\x00\x01\x80", packet("t", b"asks for an answer", 1))
 """CONNACK, PINGRESP, SUBACK, and a message with an acknowledgement: paho-mqtt's."""
@@ -21,8 +21,8 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     return [data[start:end] for start, end in itertools.pairwise(at)]
 
 
-def read(*parts: bytes) -> tuple[Wire, list[Message], bytes]:
-    wire = Wire()
+def read(*parts: bytes) -> tuple[MqttWire, list[Message], bytes]:
+    wire = MqttWire()
     for part in parts:
         wire.feed(part)
     return wire, wire.messages(), wire.take(1 << 30)
@@ -40,7 +40,7 @@ def test_however_it_is_cut_all_arrives_in_order(packets: list[bytes], cuts: list
 @pytest.mark.parametrize("size", [MOST_BYTES, 2_000_000])
 @pytest.mark.parametrize("qos", [0, 1])
 def test_one_that_is_too_long_is_skipped_and_never_held(size: int, qos: int) -> None:
-    wire = Wire()
+    wire = MqttWire()
     data = packet("a", b"x", 0) + packet("t", bytes(size), qos) + packet("b", b"y", 0)
     for start in range(0, len(data), 5000):
         wire.feed(data[start : start + 5000])
@@ -51,7 +51,7 @@ def test_one_that_is_too_long_is_skipped_and_never_held(size: int, qos: int) -> 
 
 
 LONGEST_HELD = 10
-"""Of a packet that is too long: its head, and what came before it."""
+"""A packet that is too long: its head, and what came before it."""
 
 
 @given(st.binary(min_size=1, max_size=8))

@@ -15,8 +15,9 @@ from failstop.cli.screen import incident as screen
 from failstop.incidents import export, files, plot, story
 from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
-from failstop.lab.machine.kernel import Machine, Thread
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.process import Thread
 from tests.support.imports import FORBIDDEN, imported
 from tests.support.incident_parts import drive_and_die, printed
 
@@ -98,7 +99,7 @@ def test_records_that_make_no_sense_are_left_out_and_counted() -> None:
 
 
 def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> None:
-    """Its records are not guessed at, though some might decode to numbers."""
+    """Records of another layout are not guessed at, though some might decode to numbers."""
     made = drive_and_die()
     other = {"layout": 1, "reason": "the mast fell", "cause": {"name": "MAST_FELL"}}
     path = files.write(str(tmp_path), "old", files.build({**made.head(), **other}, made.body()))
@@ -160,7 +161,7 @@ except OSError as error:
 
 
 def test_the_saver_imports_little() -> None:
-    """It starts just after a stop, on the robot's own processor."""
+    """The saver starts just after a stop, on the robot's own processor."""
     assert sorted(imported("failstop.incidents.saver") & FORBIDDEN) == []
 
 

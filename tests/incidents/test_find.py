@@ -1,4 +1,4 @@
-"""Which incident a person means, and how many are kept."""
+"""Incidents by the words of a person, and how many are kept."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import pytest
 from failstop.api.events import EventLog
 from failstop.cli.main import main
 from failstop.incidents import files, story
-from failstop.incidents.incident import Incident, Sort
+from failstop.incidents.incident import Incident, WriteSort
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 
@@ -127,17 +127,17 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(kept: Kept) ->
 
 
 def check_driven(incident: Incident) -> None:
-    """Before: commands, decisions, frames, IMU, bytes. Then the burst, within a millisecond on the board owner's side,
-    and what followed for about 2 s."""
+    """Check what is in it: before, commands, decisions, frames, IMU, bytes; then the burst, within a millisecond on the
+    board owner's side, and what followed for about 2 s."""
     before = [tick for tick in incident.ticks if tick.ns < incident.cause_ns]
     assert before[-1].block == "driving"
     assert before[-1].who.startswith("trial (pid ")
     assert before[-1].velocity[0] > 0.05
-    bursts = [w for w in incident.writes if w.sort == Sort.STOP_BURST and w.ns >= incident.cause_ns]
+    bursts = [w for w in incident.writes if w.sort == WriteSort.STOP_BURST and w.ns >= incident.cause_ns]
     assert bursts[0].by == layout.PORT_OWNER
     assert incident.ms(bursts[0].ns) < 100
     assert incident.head["stop"]["written_us"] < 100_000
-    motion_after = [w for w in incident.writes if w.sort == Sort.MOTION and w.ns > bursts[0].ns]
+    motion_after = [w for w in incident.writes if w.sort == WriteSort.MOTION and w.ns > bursts[0].ns]
     assert motion_after == []
     end_ns = incident.span_ns[1]
     assert 1900 < incident.ms(end_ns) < 10_000
@@ -149,7 +149,7 @@ def check_driven(incident: Incident) -> None:
 
 
 def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:
-    """Both the stop, which is written at the return, and what came of it are in the file."""
+    """The stop, which is written at the return, and what came of it are in the file."""
     trial = kept.trial
     trial.enable()
     trial.drive(0.5)

@@ -31,7 +31,7 @@ HANGS = causes.HANGS(layout.SUPERVISOR, 60)
 @pytest.fixture
 def name() -> Iterator[str]:
     instance = f"copy{os.getpid()}x{next(_numbers)}"
-    for process in layout.PROCESSES:
+    for process in layout.PROCESS_NAMES:
         segments.create(instance, process, RUN).close()
     yield instance
     segments.unlink_all(instance)
@@ -48,7 +48,7 @@ def opened(name: str) -> Iterator[dict[str, int]]:
 
 def copied(name: str) -> dict[str, dict[str, Any]]:
     with opened(name) as fds:
-        assert list(fds) == list(layout.PROCESSES)
+        assert list(fds) == list(layout.PROCESS_NAMES)
         run, found = memory.copy(fds, name)
     assert run == RUN
     return found
@@ -129,7 +129,7 @@ def dead_run(name: str, beats: dict[str, int], epoch: int = 3) -> None:
 
 
 def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
-    dead_run(name, dict.fromkeys(layout.PROCESSES, 1_000_000_000))
+    dead_run(name, dict.fromkeys(layout.PROCESS_NAMES, 1_000_000_000))
     port_owner = owned(name, layout.PORT_OWNER)
     stops, wire = port_owner.ring_writer("stops"), port_owner.ring_writer("box")
     stops.put(records.STOPPED.pack(2, 5, 6, causes.PIPED("answered long ago").pack()))
@@ -152,7 +152,7 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     ],
 )
 def test_the_first_cause_is_told(name: str, noticed: list[tuple[int, Cause]], wanted: tuple[int, Cause]) -> None:
-    dead_run(name, dict.fromkeys(layout.PROCESSES, 90_000_000))
+    dead_run(name, dict.fromkeys(layout.PROCESS_NAMES, 90_000_000))
     stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
     for ms, cause in noticed:
         stops.put(records.STOPPED.pack(3, ms * 1_000_000, 0, cause.pack()))
@@ -161,7 +161,7 @@ def test_the_first_cause_is_told(name: str, noticed: list[tuple[int, Cause]], wa
 
 
 def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
-    dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
+    dead_run(name, {**dict.fromkeys(layout.PROCESS_NAMES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
     owned(name, layout.STOPPER).word("written_ns").set(1_051_000_000)
     found = copied(name)
     assert memory.left_cause(found) == (1_000_000_000, 3, SUPERVISOR_DIED)
@@ -170,7 +170,7 @@ def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
 
 
 def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
-    dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.TELEMETRY: 1_050_000_000})
+    dead_run(name, {**dict.fromkeys(layout.PROCESS_NAMES, 1_000_000_000), layout.TELEMETRY: 1_050_000_000})
     found = copied(name)
     assert memory.left_cause(found) == (1_050_000_000, 3, causes.ALL_DIED())
     assert memory.left_stop(found, 1_050_000_000) == {}

@@ -38,7 +38,7 @@ def saved(service: Simulated, after_s: float, name: str = OLDER) -> None:
 
 
 def replace(service: Simulated, process: str) -> None:
-    """This process dies; returns when the service is whole again."""
+    """Kill this process; returns when the service is whole again."""
     pid = service.pids()[process]
     service.die(process)
     service.recover(process, pid)

@@ -92,7 +92,7 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
 
 
 def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
-    """Of what drive_and_die() has put in."""
+    """Check the values that drive_and_die() has put in."""
 
     def value(topic: str, index: int) -> object:
         return found[f"/failstop/{topic}"][index][1]

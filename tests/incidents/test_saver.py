@@ -23,7 +23,7 @@ from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
-from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.shm.heartbeat import BEAT_RUNNING, BEAT_STARTING
 
 _numbers = itertools.count()
 SCRIPT = Path(failstop.__file__).parent / "incidents" / "saver.py"
@@ -38,7 +38,7 @@ class Saving:
     def __init__(self, state: Path) -> None:
         self.name = f"saver{os.getpid()}x{next(_numbers)}"
         self.state = state
-        for process in layout.PROCESSES:
+        for process in layout.PROCESS_NAMES:
             segments.create(self.name, process, RUN).close()
         self.supervisor = segments.attach(self.name, layout.SUPERVISOR, RUN, write=True)
         self.port_owner = segments.attach(self.name, layout.PORT_OWNER, RUN, write=True)
@@ -74,7 +74,7 @@ class Saving:
 
 
 def asleep(pid: int) -> bool:
-    """It sleeps at twenty looks in a row: a process that starts has work to do, or waits for the disk."""
+    """Wait until it sleeps at twenty looks in a row: a process that starts has work to do, or waits for the disk."""
     looks = (psutil.Process(pid).status() for _ in range(20) if not time.sleep(0.005))
     return all(status == psutil.STATUS_SLEEPING for status in looks)
 
@@ -117,10 +117,10 @@ def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> No
 
 
 def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Saving) -> None:
-    saving.supervisor.word("beat_state").set(STARTING)
+    saving.supervisor.word("beat_state").set(BEAT_STARTING)
     assert saving.save() == {}
     assert not saving.state.exists()
-    saving.supervisor.word("beat_state").set(RUNNING)
+    saving.supervisor.word("beat_state").set(BEAT_RUNNING)
     assert saving.save()["run"] == "before"
     assert saving.newest().reason == "all of the service died"
 

@@ -1,4 +1,4 @@
-"""What goes into the Debian package, and who is said to maintain it."""
+"""Content of the Debian package, and its maintainer."""
 
 from __future__ import annotations
 

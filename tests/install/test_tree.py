@@ -27,7 +27,7 @@ def running() -> list[Any]:
 
 
 def tops(entries: list[Any]) -> set[str]:
-    """What lies in site-packages."""
+    """Entries of site-packages."""
     return {entry.path.split("/")[3] for entry in entries if entry.path.startswith(tree.SITE)}
 
 

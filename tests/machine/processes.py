@@ -33,7 +33,7 @@ while time.monotonic() < until:
 
 
 class Processes:
-    """What a scenario may do, done to a real service. A context manager."""
+    """A real service, for what a scenario may do. A context manager."""
 
     failstop: Any = failstop
     time: Any = time
@@ -173,7 +173,7 @@ class Processes:
         os.unlink(self._stop_pipe())
 
     def start_driver(self, seconds: float) -> subprocess.Popen[bytes]:
-        """Another program, which drives for so long; returns when the wheels turn."""
+        """Start another program, which drives for so long; returns when the wheels turn."""
         words = (self.trial.name, seconds, SPEED_MPS, COMMAND_EVERY_S)
         driver = subprocess.Popen([sys.executable, "-c", DRIVER, *map(str, words)], stderr=subprocess.DEVNULL)
         self.trial.board.wait_wheels(True, 10.0)

@@ -47,7 +47,7 @@ PLAYS = {name: play for name, play in SCENARIOS.items() if name not in ON_ONE_AL
 pytestmark = pytest.mark.slow
 NAMES = PLAYS if LONG else ("drive_and_stop", "port_owner_dies", "gate_hangs", "replug", "driver_dies")
 TOLD_S = 2.6
-"""From a stop until all is told of it."""
+"""The time from a stop until all is told of it."""
 
 
 def told(event: Any) -> tuple[object, ...]:
@@ -58,7 +58,7 @@ def told(event: Any) -> tuple[object, ...]:
 
 
 def turns(speeds: Sequence[tuple[float, ...]]) -> list[bool]:
-    """Whether the wheels turned, at each change."""
+    """The changes of the wheels: True where they turned from then on."""
     found = [False]
     for each in speeds:
         if any(each) != found[-1]:

@@ -6,7 +6,7 @@ import pytest
 
 from failstop.lab.simulate import campaign, marks
 from failstop.lab.simulate.campaign import Plan
-from failstop.lab.simulate.controls import CONTROLS, Control
+from failstop.lab.simulate.controls import CONTROLS, Mutant
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 
@@ -31,13 +31,13 @@ def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down(name: str) -> N
 
 
 @pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
-def test_a_control_names_code_that_is_there(control: Control) -> None:
+def test_a_control_names_code_that_is_there(control: Mutant) -> None:
     Stage(SCENARIOS[control.scenario], patches=control.patches)
     assert control.patches
 
 
 @pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
-def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Control) -> None:
+def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Mutant) -> None:
     found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True))
     assert found.wrong
     assert found.wrong[0].story

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import Machine, living
+from failstop.lab.machine.kernel import Machine, running_machines
 from failstop.lab.machine.robot import MS, Robot
 
 SERVICES = 4
@@ -102,7 +102,7 @@ def test_ended_services_leave_nothing_in_memory() -> None:
         left += [weakref.ref(thread.greenlet) for thread in threads if thread.greenlet is not robot.machine.hub]
         left += map(weakref.ref, (robot.machine, robot.loader.load("failstop"), robot.loader.load("failstop").Robot))
         robot.machine.end()
-        assert robot.machine not in living
+        assert robot.machine not in running_machines
         del robot, threads
     gc.collect()
     assert len(left) > SERVICES * 10
@@ -145,7 +145,7 @@ def test_what_is_collected_with_its_machine_does_nothing(unraisable: list[Any]) 
 
 
 def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robot, unraisable: list[Any]) -> None:
-    """Its finalizers come in the middle of any process, and a number means another file there."""
+    """The collector's finalizers come in the middle of any process, and a number means another file there."""
     made = finalized(robot)
     made.objects.append(made)
     fds, told = set(robot.machine.caller().process.files), made.told
@@ -157,7 +157,7 @@ def test_the_collector_closes_no_descriptor_of_the_process_that_runs(robot: Robo
 
 
 def test_a_collection_in_another_thread_of_python_takes_no_call_away(robot: Robot) -> None:
-    """It may give the interpreter to the thread that the machine runs in, between its start and its end."""
+    """A collection may give the interpreter to the thread that the machine runs in, between its start and its end."""
     started, go = threading.Event(), threading.Event()
 
     def wait(phase: str, _: object) -> None:
@@ -213,6 +213,6 @@ def test_an_end_comes_once_and_leaves_other_machines_alone(robot: Robot) -> None
     other = Machine()
     other.end()
     other.end()
-    assert other not in living
-    assert robot.machine in living
+    assert other not in running_machines
+    assert robot.machine in running_machines
     robot.time.sleep(0.01)

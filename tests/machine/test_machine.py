@@ -11,7 +11,7 @@ import pytest
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.machine.robot import Robot
-from failstop.lab.simulate.controls import CONTROLS, Control
+from failstop.lab.simulate.controls import CONTROLS, Mutant
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 from tests.support import rooms
@@ -101,7 +101,7 @@ def test_stamps_are_of_the_simulated_clock() -> None:
 
 
 @pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
-def test_a_control_changes_source_that_is_there_once(control: Control) -> None:
+def test_a_control_changes_source_that_is_there_once(control: Mutant) -> None:
     loader = Loader(Machine(), control.patches)
     for name in {name for name, _, _ in control.patches}:
         assert loader.load(name)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import Robot
 from tests.support.children import NOBODY, call, needs_root, reachable
 
@@ -32,7 +32,7 @@ def prepare(system: Any, folder: str) -> None:
 
 
 def story(system: Any, folder: str) -> list[object]:
-    """What the calling user may do with all that."""
+    """Acts on all that, with the error of each that the calling user may not do."""
     told: list[object] = [system.geteuid(), system.getegid()]
 
     def ask(what: Callable[..., Any], *arguments: Any) -> None:
@@ -64,7 +64,7 @@ def story(system: Any, folder: str) -> list[object]:
 
 
 def modes(system: Any, folder: str) -> list[object]:
-    """Whose what is left is."""
+    """The owners and modes of the files that are left."""
     found: list[object] = []
     for place in sorted(system.listdir(folder)):
         for name in sorted(system.listdir(f"{folder}/{place}")):

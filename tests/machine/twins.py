@@ -97,7 +97,7 @@ def board_is_replugged_while_motion_is_disabled(stage: Any) -> None:
 
 @twin
 def supervisor_dies_at_rest(stage: Any) -> None:
-    """Its successor starts with the cause latched."""
+    """The supervisor dies at rest; its successor starts with the cause latched."""
     stage.connect()
     stage.kill("supervisor")
     robot = stage.connect()

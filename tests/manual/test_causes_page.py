@@ -16,7 +16,7 @@ def test_the_page_is_the_generated_one() -> None:
 
 def test_every_cause_has_a_row_with_every_cell_filled() -> None:
     rows = [line.strip("|").split("|") for line in manual.page().splitlines() if line.startswith("| `")]
-    assert [row[1].strip(" `") for row in rows] == list(causes.BY_NAME)
+    assert [row[1].strip(" `") for row in rows] == list(causes.CAUSE_BY_NAME)
     assert [row for row in rows if len(row) != 6 or not all(cell.strip() for cell in row)] == []
 
 

@@ -34,7 +34,7 @@ def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(script: Path, *words: str, cwd: Path | None = None) -> set[str]:
-    """What bash offers for the last of the words."""
+    """Words that bash offers for the last of those given."""
     result = subprocess.run(
         ["bash", "--norc", "-c", ASK, "ask", str(script), *words],
         capture_output=True,
@@ -103,7 +103,7 @@ def said(*command: str, cwd: Path | None = None) -> str:
 
 
 def offered(file: Path, line: str) -> set[str]:
-    """What fish offers."""
+    """Words that fish offers."""
     rows = said("fish", "--no-config", "-c", f'source {file}; complete -C "{line}"', cwd=file.parent)
     return {found.partition("\t")[0] for found in rows.splitlines()}
 

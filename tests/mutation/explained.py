@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 
 class Reason(NamedTuple):
-    """Which files (a pattern), which changes (a regular expression), why, and whether it's the same program."""
+    """Files (a pattern), changes in them (a regular expression), why they survive, and whether it's the same
+    program."""
 
     path: str
     changed: str
@@ -146,8 +147,8 @@ SHM: tuple[Reason, ...] = (
     ),
     Reason(
         "files/durable.py",
-        r"\n\+.*KINDS\.get\(.*, (None)?\)$",
-        "every kind of file that Linux has is one of KINDS",
+        r"\n\+.*FILE_TYPES\.get\(.*, (None)?\)$",
+        "every kind of file that Linux has is one of FILE_TYPES",
     ),
     Reason("shm/futex.py", r"\n\+.*\.ljust\(LINE_BYTES, \)", "the kernel reads the pointer alone"),
     Reason(

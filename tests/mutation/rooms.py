@@ -1,4 +1,5 @@
-"""What is mutated, and the tests that are to notice; mutmut finds out which of them call the changed function."""
+"""Rooms that are mutated, and the tests that are to notice; mutmut finds out which of them call the changed
+function."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def chosen(where: Path, rooms: list[str]) -> tuple[list[str], list[str]]:
 
 
 def matches(where: Path, patterns: tuple[str, ...]) -> list[Path]:
-    """What these patterns match; LookupError for one that matches nothing: its file has another name now."""
+    """Files that these patterns match; LookupError for one that matches nothing: its file has another name now."""
     found = {pattern: list(where.glob(pattern)) for pattern in patterns}
     if lost := [pattern for pattern, paths in found.items() if not paths]:
         raise LookupError(f"nothing matches {', '.join(lost)}: mend tests/mutation/rooms.py")
@@ -98,7 +98,7 @@ def settle(where: Path, rooms: list[str]) -> None:
 
 
 def outcomes(where: Path) -> list[Outcome]:
-    """What became of each mutant, from mutmut's own records."""
+    """The outcome of each mutant, from mutmut's own records."""
     codes = {
         (str(meta.relative_to(where / "mutants").with_suffix("")).removeprefix("failstop/"), name): code
         for meta in sorted((where / "mutants").rglob("*.py.meta"))

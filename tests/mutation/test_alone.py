@@ -1,4 +1,4 @@
-"""What a mutant may do to the machine that `make mutants` runs on."""
+"""Limits of a mutant on the machine that `make mutants` runs on."""
 
 from __future__ import annotations
 

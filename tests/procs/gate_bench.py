@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import REST, STILL, GateCore
+from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
 from failstop.procs.gate.sources import Command
 from tests.support.why import told
 
@@ -69,4 +69,4 @@ class Gate:
 
 def stands(gate: Gate) -> bool:
     """Whether the wheels stop."""
-    return gate.core.velocity == REST and gate.core.speeds == STILL
+    return gate.core.velocity == REST and gate.core.speeds == NO_SPEEDS

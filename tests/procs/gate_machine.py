@@ -12,7 +12,7 @@ from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import REST, STILL, GateCore
+from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
 from failstop.procs.gate.sources import Command
 from tests.support.why import told, why
 
@@ -253,7 +253,7 @@ class GateMachine(RuleBasedStateMachine):
     def stands_while_blocked(self) -> None:
         if self.expected_block() and self.stepped_ns == self.now:
             assert self.core.velocity == REST
-            assert self.core.speeds == STILL
+            assert self.core.speeds == NO_SPEEDS
 
     @invariant()
     def within_the_limits(self) -> None:

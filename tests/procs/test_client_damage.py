@@ -120,7 +120,7 @@ def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
             ],
         }
     )
-    assert len(state) <= layout.BY_NAME["gate"].records["state"].capacity
+    assert len(state) <= layout.SEGMENT_BY_NAME["gate"].records["state"].capacity
 
 
 # A gate that starts again.

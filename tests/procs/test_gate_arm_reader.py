@@ -9,7 +9,7 @@ import pytest
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
 from failstop.policy.joints import MOST_MISSES, Joint, from_settings
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, QUIET_NS, WAIT_NS, Reader
+from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, QUIET_NS, WAIT_NS, ServoReader
 
 T0 = 100_000_000_000
 ANSWERED_NS = 2_000_000
@@ -20,7 +20,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.joints = from_settings(Settings({"joints.a.servo": 4, "joints.b.servo": 9}))
-        self.reader = Reader(self.joints, T0)
+        self.reader = ServoReader(self.joints, T0)
         self.now = T0
 
     def ask(self, *wanted: Joint) -> tuple[Joint, int]:

@@ -8,7 +8,7 @@ import pytest
 
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import STILL
+from failstop.procs.gate.core import NO_SPEEDS
 
 from .gate_bench import MS, Gate, stands
 
@@ -28,7 +28,7 @@ def test_the_deadman_is_zero_at_once_and_sent_at_once(driving: Gate) -> None:
     driving.take((0.2, 0.0, 0.0))
     assert driving.step(300 * MS) is not None
     assert driving.core.velocity == (0.2, 0.0, 0.0)
-    assert driving.step(1) == STILL
+    assert driving.step(1) == NO_SPEEDS
     assert stands(driving)
 
 

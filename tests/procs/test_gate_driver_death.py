@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import causes
-from failstop.procs.gate.core import REST, STILL
+from failstop.procs.gate.core import NO_SPEEDS, REST
 
 from .client_side import Service
 from .gate_bench import MS, Gate, stands
@@ -38,7 +38,7 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
     assert dying.step() is None, "nothing drives before an enable"
     dying.enable()
     dying.take(VELOCITY, session=2)
-    assert dying.step() != STILL
+    assert dying.step() != NO_SPEEDS
 
 
 @pytest.mark.parametrize("dies", [1, 2])
@@ -87,7 +87,7 @@ def test_a_death_latches_where_the_settings_say_so() -> None:
 def test_a_death_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("stay")
     assert dying.gone(1) is None
-    assert dying.step(0) == STILL
+    assert dying.step(0) == NO_SPEEDS
     assert dying.blocked == "cmd timeout"
     assert [note.kind for note in dying.core.notes] == ["driver_gone"]
 
@@ -96,7 +96,7 @@ def test_a_death_leaves_motion_enabled_where_the_settings_say_so() -> None:
 def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
     ending = gate(driver_death)
     assert ending.gone(1, parted=True) is None
-    assert ending.step(0) == STILL
+    assert ending.step(0) == NO_SPEEDS
     assert ending.blocked == "cmd timeout"
     assert [note.kind for note in ending.core.notes] == ["driver_ended"]
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from failstop.procs.gate.core import STILL
+from failstop.procs.gate.core import NO_SPEEDS
 
 from .gate_bench import Gate
 
 
 def test_the_first_frame_after_enable_is_zero_and_at_once(gate: Gate) -> None:
     gate.enable()
-    assert gate.step() == STILL
+    assert gate.step() == NO_SPEEDS
 
 
 def test_a_frame_every_refresh_while_nothing_changes(driving: Gate) -> None:
@@ -28,7 +28,7 @@ def test_zero_frames_too_are_refreshed_while_blocked(gate: Gate) -> None:
     gate.enable()
     frames = [gate.step() for _ in range(50)]
     assert [n for n, frame in enumerate(frames) if frame is not None] == [0, 10, 20, 30, 40]
-    assert {frame for frame in frames if frame is not None} == {STILL}
+    assert {frame for frame in frames if frame is not None} == {NO_SPEEDS}
 
 
 def test_a_changed_speed_is_sent_at_every_tick(gate: Gate) -> None:

@@ -6,7 +6,7 @@ from math import inf, nan
 
 import pytest
 
-from failstop.procs.gate.core import REST, STILL
+from failstop.procs.gate.core import NO_SPEEDS, REST
 
 from .gate_bench import MS, Gate
 
@@ -42,7 +42,7 @@ def test_the_driver_s_orderly_end_stands_at_once(driving: Gate) -> None:
     driving.gone(2, parted=True)
     assert driving.blocked == "", "a client that does not drive"
     driving.gone(1, parted=True)
-    assert driving.step(0) == STILL
+    assert driving.step(0) == NO_SPEEDS
     assert driving.blocked == "cmd timeout"
     assert driving.core.latch is None
 

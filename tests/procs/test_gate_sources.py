@@ -7,7 +7,7 @@ import pytest
 from failstop.policy import kinematics
 from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
-from failstop.procs.gate.core import REST, STILL, GateCore
+from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
 from failstop.procs.gate.sources import PAD_PRIORITY, Command
 from tests.support.why import told
 
@@ -166,7 +166,7 @@ def test_a_sensor_silent_for_half_a_second_blocks_and_does_not_latch() -> None:
     assert gate.blocked == "no scan"
     assert gate.core.latch is None
     assert gate.core.enabled
-    assert gate.core.speeds == STILL
+    assert gate.core.speeds == NO_SPEEDS
 
 
 def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -> None:

@@ -10,7 +10,7 @@ from failstop.board.rrc.board import BOARD
 from failstop.lab import encoders
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
@@ -58,7 +58,7 @@ def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene
 def test_its_first_stop_does_not_wait_for_the_kernel_to_take_the_dying_gate_down(scene: Scene) -> None:
     """On one core it would, in a thread that does not run above it."""
     scene.turn()
-    assert scene.early.dying[scene.gate.pid] == BY_NAME[layout.GATE].priority
+    assert scene.early.dying[scene.gate.pid] == PROCESS_BY_NAME[layout.GATE].priority
 
 
 def test_a_key_that_rings_before_the_bell_is_cleared_is_heard_in_the_same_turn(scene: Scene) -> None:

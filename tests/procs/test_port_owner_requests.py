@@ -48,7 +48,7 @@ def test_a_full_pipe_of_garbage_is_a_stop(scene: Scene) -> None:
     assert scene.turn() == BURST
     reasons = scene.reasons()
     assert len(reasons) == 1
-    assert len(reasons[0].removeprefix("stop request: ").encode()) <= causes.ROOM
+    assert len(reasons[0].removeprefix("stop request: ").encode()) <= causes.ARGUMENTS_BYTES
 
 
 def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:

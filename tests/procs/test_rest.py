@@ -10,8 +10,9 @@ from collections.abc import Iterator
 import pytest
 
 from failstop import stopping
-from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.loading import File
+from failstop.lab.machine.process import Process
 from tests.support.stage import MS, PortMachine
 
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
@@ -84,7 +85,7 @@ def test_what_has_ended_is_not_counted(machine: PortMachine) -> None:
     dead, gone = start(machine), start(machine)
     for process in (dead, gone):
         machine.machine.die(process, 0)
-    machine.clock.now_ns += LATE_NS
+    machine.clock.now_ns += TAKEDOWN_NS
     gone.reaped = True
     put(machine, NOBODY, OURS)
     assert kill(machine) == (0, 0)
@@ -100,7 +101,7 @@ def test_the_stop_waits_for_all_workers_together(machine: PortMachine) -> None:
         start(machine)
     begun_ns = machine.clock()
     assert kill(machine) == (6, 0)
-    assert machine.clock() == begun_ns + LATE_NS
+    assert machine.clock() == begun_ns + TAKEDOWN_NS
 
 
 @pytest.mark.parametrize("becomes", [None, THEIRS])

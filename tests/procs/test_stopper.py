@@ -7,7 +7,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS, STALLED_NS
 from failstop.shm import heartbeat
@@ -39,7 +39,7 @@ def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_stopper_s(scene: S
 
 def test_its_first_stop_does_not_wait_until_the_dying_port_owner_is_taken_down(scene: Scene) -> None:
     """On one core it would, in a thread that does not run above it."""
-    assert scene.early.dying[scene.port_owner.pid] == BY_NAME[layout.PORT_OWNER].priority
+    assert scene.early.dying[scene.port_owner.pid] == PROCESS_BY_NAME[layout.PORT_OWNER].priority
 
 
 def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
@@ -71,7 +71,7 @@ def test_the_supervisor_s_death_is_the_port_owner_s_to_answer_first(scene: Scene
 def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
     scene.port_owner.kill()
     scene.turn()
-    scene.start(layout.PORT_OWNER, heartbeat.STARTING)
+    scene.start(layout.PORT_OWNER, heartbeat.BEAT_STARTING)
     assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
     scene.runs(layout.PORT_OWNER)
     assert scene.written(500) == []
@@ -95,7 +95,7 @@ def test_nor_does_one_that_was_held_up_before_the_repeats(scene: Scene) -> None:
 def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -> None:
     """The supervisor has named the next before this process came to look."""
     scene.port_owner.kill()
-    scene.start(layout.PORT_OWNER, heartbeat.STARTING)
+    scene.start(layout.PORT_OWNER, heartbeat.BEAT_STARTING)
     scene.stopper.turn({})
     assert scene.wire.read() == BURST
 

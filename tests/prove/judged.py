@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 from types import SimpleNamespace
 
-from failstop.lab.prove.run import Run
-from failstop.lab.prove.table import BY_PATH, BY_VELOCITY
+from failstop.lab.prove.run import PathRun
+from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
@@ -17,7 +17,7 @@ MS = 1_000_000
 LATCH = causes.PIPED("prove")
 
 
-def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object) -> Run:
+def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object) -> PathRun:
     """A run whose cause was at FAULT_NS: written after 1 ms, answered after 5, wheels at rest after 0.3 s."""
     samples = gyro((1.0, DRIVE), (0.3, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     watch = SimpleNamespace(
@@ -33,11 +33,11 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
         driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(cause=latch, estop=latch and str(latch)))),
         service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
     )
-    made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None, random.Random(1))  # type: ignore[arg-type]
+    made = PathRun(stand, SIMULATED, BY_PATH[path], BY_TURNING["0.2"], None, random.Random(1))  # type: ignore[arg-type]
     made.cause_ns = FAULT_NS
     return made
 
 
-def wrong(made: Run) -> list[str]:
+def wrong(made: PathRun) -> list[str]:
     made.judge()
     return made.result.wrong

@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 
 from failstop.lab.prove.run import Character
-from failstop.lab.prove.shake import Noise, Sample
+from failstop.lab.prove.shake import GyroSample, Noise
 
 S = 1_000_000_000
 RATE_HZ = 110
@@ -14,10 +14,10 @@ TURN = 0.0043
 DRIVE = 0.0055
 
 
-def gyro(*stretches: tuple[float, float], seed: int = 1, start_ns: int = 0, bias: float = 0.01) -> list[Sample]:
+def gyro(*stretches: tuple[float, float], seed: int = 1, start_ns: int = 0, bias: float = 0.01) -> list[GyroSample]:
     """(seconds, standard deviation in rad/s) one after the other."""
     random = Random(seed)
-    found: list[Sample] = []
+    found: list[GyroSample] = []
     for seconds, std in stretches:
         for _ in range(round(seconds * RATE_HZ)):
             t_ns = start_ns + len(found) * S // RATE_HZ
@@ -33,4 +33,4 @@ def level(std: float) -> Noise:
 SIMULATED = Character(
     still=level(STILL), spinning={"0.2": level(DRIVE), "turn": level(TURN)}, limit_radps=0.0035, configured_radps=0.0035
 )
-"""What characterizing the simulated board comes to."""
+"""The character of the simulated board."""

@@ -13,11 +13,11 @@ import pytest
 
 from failstop.lab.faults.fault import CONTINUE, HANG, KILL
 from failstop.lab.faults.steps import Steps
-from failstop.lab.faults.table import BY_NAME
+from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.lab.prove import campaign
-from failstop.lab.prove.run import Result, Run
+from failstop.lab.prove.run import PathRun, Result
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, of_fault
+from failstop.lab.prove.table import BY_PATH, BY_TURNING, of_fault
 from failstop.lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
@@ -29,7 +29,7 @@ PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 
 def test_a_campaign_takes_every_path_but_a_person_s_and_every_row_survived() -> None:
     found = campaign.paths()
     assert set(BY_PATH) - set(found) == {"pad"}
-    rows = [BY_NAME[name] for name in found if name not in BY_PATH]
+    rows = [FAULT_BY_NAME[name] for name in found if name not in BY_PATH]
     assert {"kill-gate+stopper", "kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate+telemetry"} <= {
         row.name for row in rows
     }
@@ -47,12 +47,12 @@ def test_a_seed_says_every_draw_from_any_index_on() -> None:
     again = [(p.name, v.name, c.random()) for p, v, c in campaign.draws(chosen, 7, lambda made: made >= 5, 15)]
     assert drawn[15:] == again
     assert len({name for name, _, _ in drawn}) > 10
-    assert len({name for _, name, _ in drawn}) == len(BY_VELOCITY)
+    assert len({name for _, name, _ in drawn}) == len(BY_TURNING)
 
 
 @pytest.mark.parametrize("name", ["kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate"])
 def test_steps_are_taken_as_the_row_says(name: str) -> None:
-    row, taken, waited = BY_NAME[name], list[tuple[int, int]](), list[float]()
+    row, taken, waited = FAULT_BY_NAME[name], list[tuple[int, int]](), list[float]()
     Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).take(PIDS, waited.append)
     numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
     assert sorted(taken) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
@@ -63,7 +63,7 @@ def test_steps_are_taken_as_the_row_says(name: str) -> None:
 
 
 def test_the_table_counts_and_spreads() -> None:
-    path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["turn"]
+    path, velocity = of_fault(FAULT_BY_NAME["kill-gate+stopper"]), BY_TURNING["turn"]
     results = [Result(path, velocity, False, acknowledged_ms=ms, rest_s=ms / 100) for ms in (10.0, 30.0, 20.0)]
     results.append(Result(path, velocity, False, wrong=["NO STOP written"]))
     (line,) = campaign.table_lines(results)[1:]
@@ -117,10 +117,10 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
         def choice(self, seq: Any) -> Any:
             raise OSError("nobody is there")
 
-    path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["0.2"]
+    path, velocity = of_fault(FAULT_BY_NAME["kill-gate+stopper"]), BY_TURNING["0.2"]
     with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path)) as stand:
         board.refuse_stop(not stops)
-        result = Run(stand, SIMULATED, path, velocity, None, Fails(1)).take()
+        result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).take()
         assert "OSError: nobody is there" in result.wrong
         assert result.runaway is not stops
         assert any(board.wheels()) is not stops

@@ -1,4 +1,4 @@
-"""What a run of `failstop prove` must call wrong, without a stand: each thing alone."""
+"""Faults that a run of `failstop prove` must call wrong, without a stand: each alone."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ import pytest
 from failstop.api.errors import Refused
 from failstop.doctor.system import System
 from failstop.lab.faults.driving import Driver
-from failstop.lab.prove.run import Result, Run
+from failstop.lab.prove.run import PathRun, Result
 from failstop.lab.prove.session import check_free
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import BY_PATH, BY_VELOCITY
+from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
 from tests.prove.noise import SIMULATED
@@ -46,7 +46,7 @@ def on_stand(tmp_path: Path, **settings: object) -> Iterator[Stand]:
 
 
 def one(stand: Stand, path: str, velocity: str = "0.2") -> Result:
-    return Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY[velocity], None, random.Random()).take()
+    return PathRun(stand, SIMULATED, BY_PATH[path], BY_TURNING[velocity], None, random.Random()).take()
 
 
 @pytest.fixture

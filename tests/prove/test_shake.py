@@ -1,4 +1,4 @@
-"""What the gyro shows, on generated noise of known kinds."""
+"""Judgements of the gyro, on generated noise of known kinds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_noise_of_one_kind() -> None:
     ],
     ids=["none", "short", "dead", "18 Hz"],
 )
-def test_noise_that_says_nothing(samples: list[shake.Sample]) -> None:
+def test_noise_that_says_nothing(samples: list[shake.GyroSample]) -> None:
     assert shake.noise(samples) is None
 
 

@@ -19,11 +19,11 @@ from failstop.api.client import send_stop
 from failstop.lab.faults import processes
 from failstop.lab.prove import character, report, session
 from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
-from failstop.lab.prove.held import LATE_NS, Held, waited_ns
+from failstop.lab.prove.held import WOKEN_LATE_NS, Held, waited_ns
 from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Result, Run, judge_latch
+from failstop.lab.prove.run import PathRun, Result, judge_latch
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_VELOCITY, PATHS, SWINGING
+from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_TURNING, PATHS, SWINGING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
@@ -36,7 +36,7 @@ from tests.support.board_events import STILL as REST
 
 
 def result(**changed: object) -> Result:
-    return Result(BY_PATH["stop-request"], BY_VELOCITY["0.2"], simulated=True, **changed)  # type: ignore[arg-type]
+    return Result(BY_PATH["stop-request"], BY_TURNING["0.2"], simulated=True, **changed)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -54,11 +54,11 @@ def test_only_what_a_starved_machine_can_bring_about_is_invalid(
     wrong: list[str], doubts: list[str], starved: str, runaway: bool, verdict: str
 ) -> None:
     assert result(wrong=wrong, doubts=doubts, starved=starved, runaway=runaway).verdict == verdict
-    assert verdict in report.ROLES
+    assert verdict in report.VERDICT_STYLES
 
 
 LATE_MS = BY_PATH["stop-request"].reaction_bar_ms(simulated=True) + 0.1
-EXCUSABLE: dict[str, Callable[[Run], object]] = {
+EXCUSABLE: dict[str, Callable[[PathRun], object]] = {
     "late at the board": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
     "written late": lambda made: late_and_answered(made),
     "never seen turning": lambda made: setattr(
@@ -70,13 +70,13 @@ EXCUSABLE: dict[str, Callable[[Run], object]] = {
 }
 
 
-def late_and_answered(made: Run) -> None:
+def late_and_answered(made: PathRun) -> None:
     written_ns = FAULT_NS + round(LATE_MS * MS)
     made.stand.watch.written = [(written_ns, "stopper")]
     made.stand.watch.answers = [(written_ns + MS, written_ns + 5 * MS)]
 
 
-FIRM: dict[str, Callable[[Run], object]] = {
+FIRM: dict[str, Callable[[PathRun], object]] = {
     "no stop": lambda made: setattr(made.stand.watch, "written", []),
     "no answer": lambda made: setattr(made.stand.watch, "answers", []),
     "motion after the stop": lambda made: setattr(
@@ -174,7 +174,7 @@ def test_the_sum_is_invalid_when_nothing_failed_and_something_was_spoiled(
 
 def test_lateness_is_counted_since_a_moment() -> None:
     held, now_ns = Held(), time.monotonic_ns()
-    held.woken(0, LATE_NS - 1)
+    held.woken(0, WOKEN_LATE_NS - 1)
     assert held.starved((0, now_ns)) == ""
     held.woken(0, 80 * MS)
     held.woken(1_000 * MS, 1_060 * MS)
@@ -212,10 +212,10 @@ def test_a_process_that_was_not_run_knows_it() -> None:
         stat = Path(f"/proc/{process.pid}/stat")
         wait_for("it to be stopped", lambda: stat.read_text().rpartition(") ")[2][0] == "T")
         stopped_ns = time.monotonic_ns()
-        wait_for("some time to pass", lambda: time.monotonic_ns() - stopped_ns > 2 * LATE_NS)
+        wait_for("some time to pass", lambda: time.monotonic_ns() - stopped_ns > 2 * WOKEN_LATE_NS)
         os.kill(process.pid, signal.SIGCONT)
         said, _ = process.communicate(timeout=30)
-    assert int(said) >= LATE_NS
+    assert int(said) >= WOKEN_LATE_NS
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -226,7 +226,7 @@ def test_advice_fits_the_board(simulated: bool) -> None:
     watch = SimpleNamespace(samples=gyro((2.0, STILL)), forget=str)
     stand = SimpleNamespace(settings=settings, driver=driver, board=simulated or None, run=lambda *_: True, watch=watch)
     with pytest.raises(Unfit) as error:
-        character.characterize(stand, [BY_VELOCITY["0.2"]], quick=True)  # type: ignore[arg-type]
+        character.characterize(stand, [BY_TURNING["0.2"]], quick=True)  # type: ignore[arg-type]
     assert (MOUNTED in str(error.value)) is not simulated
     assert ("quieter machine" in str(error.value)) is simulated
 
@@ -243,7 +243,7 @@ def on_stand(tmp_path: Path) -> Iterator[Stand]:
 )
 def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error: Exception, verdict: str) -> None:
     def breaks_off(_: str) -> None:
-        stand.held.woken(time.monotonic_ns() - 2 * LATE_NS, time.monotonic_ns())
+        stand.held.woken(time.monotonic_ns() - 2 * WOKEN_LATE_NS, time.monotonic_ns())
         raise error
 
     with SimBoard(tmp_path / "board") as board:
@@ -255,7 +255,7 @@ def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("late_ns", "verdict"), [(0, "FAIL"), (2 * LATE_NS, "INVALID")])
+@pytest.mark.parametrize(("late_ns", "verdict"), [(0, "FAIL"), (2 * WOKEN_LATE_NS, "INVALID")])
 def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, verdict: str) -> None:
     with on_stand(tmp_path) as stand:
         asked: list[int] = []
@@ -270,7 +270,7 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, ve
         stand.driver.each = each
         stand.held.longest_ns = lambda since_ns: late_ns  # type: ignore[method-assign]
         stand.held.mark = lambda: (0, 0)  # type: ignore[method-assign]
-        found = Run(stand, SIMULATED, BY_PATH["disable"], BY_VELOCITY["0.2"], None, random.Random()).take()
+        found = PathRun(stand, SIMULATED, BY_PATH["disable"], BY_TURNING["0.2"], None, random.Random()).take()
         assert [text for text in found.wrong if "a stop came before the cause: stop request: somebody" in text]
         assert found.verdict == verdict, found.wrong
         assert stand.whole(), "the next row finds a service"
@@ -283,7 +283,7 @@ def test_bars_of_a_lease_are_those_of_the_lease_in_force() -> None:
     for name in struck:
         before, after = BY_PATH[name], BY_PATH[name].leased(status.LEASE_WITHOUT_S)
         assert after.reaction_ms == 1e3 * status.LEASE_WITHOUT_S + processes.SLACK_MS
-        for velocity in BY_VELOCITY.values():
+        for velocity in BY_TURNING.values():
             later_s = (after.reaction_ms - before.reaction_ms) / 1e3
             assert after.rest_bar_s(velocity) - before.rest_bar_s(velocity) == pytest.approx(later_s)
     assert all(path.leased(0.0) == path for path in (*PATHS, *ARM_PATHS))

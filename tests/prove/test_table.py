@@ -9,42 +9,48 @@ import pytest
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, PATHS, QUICK_NAMES, VELOCITIES, plan
-from failstop.messages.layout import PROCESSES
+from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan
+from failstop.messages.layout import PROCESS_NAMES
 from tests.prove.noise import SIMULATED, gyro
 
 
 def test_every_process_is_killed_and_hung() -> None:
     for kind in (table.KILL, table.HANG):
-        assert {path.process for path in PATHS if path.kind == kind} == set(PROCESSES)
-    assert {path.kind for path in PATHS} >= {table.TIMEOUT, table.REQUEST, table.DISABLE, table.SCAN, table.PAD}
+        assert {path.process for path in PATHS if path.kind == kind} == set(PROCESS_NAMES)
+    assert {path.kind for path in PATHS} >= {
+        table.TIMEOUT,
+        table.STOP_REQUEST,
+        table.DISABLING,
+        table.SCAN,
+        table.PAD_STOP,
+    }
     assert len(BY_PATH) == len(PATHS)
 
 
 def test_every_bar_is_one() -> None:
     for path in PATHS:
         assert 0 < path.reaction_bar_ms(simulated=False) < path.reaction_bar_ms(simulated=True)
-        for velocity in VELOCITIES:
+        for velocity in TURNINGS:
             assert path.reaction_ms / 1000 < path.rest_bar_s(velocity) < 1.2
 
 
 def test_the_bars_are_those_that_were_measured_before() -> None:
-    bar = BY_PATH["timeout"].rest_bar_s(BY_VELOCITY["0.35"])
-    assert bar == pytest.approx(0.75 + table.RESOLUTION_S)
-    assert BY_PATH["hang-gate"].rest_bar_s(BY_VELOCITY["turn"]) == pytest.approx(0.065 + 0.25 + table.RESOLUTION_S)
+    bar = BY_PATH["timeout"].rest_bar_s(BY_TURNING["0.35"])
+    assert bar == pytest.approx(0.75 + table.REST_RESOLUTION_S)
+    assert BY_PATH["hang-gate"].rest_bar_s(BY_TURNING["turn"]) == pytest.approx(0.065 + 0.25 + table.REST_RESOLUTION_S)
 
 
 def test_plans() -> None:
     whole = plan(quick=False)
-    assert len(whole) == len(set(whole)) == len(PATHS) * len(VELOCITIES)
+    assert len(whole) == len(set(whole)) == len(PATHS) * len(TURNINGS)
     quick = plan(quick=True)
     assert {path.name for path, _ in quick} == set(QUICK_NAMES)
-    assert {velocity for _, velocity in quick} == set(VELOCITIES)
-    assert plan(quick=False, only=("scan",), at=("turn",)) == [(BY_PATH["scan"], BY_VELOCITY["turn"])]
+    assert {velocity for _, velocity in quick} == set(TURNINGS)
+    assert plan(quick=False, only=("scan",), at=("turn",)) == [(BY_PATH["scan"], BY_TURNING["turn"])]
 
 
 def result(**changed: object) -> Result:
-    found = Result(BY_PATH["timeout"], BY_VELOCITY["0.2"], False, 301.0, "gate", 420.0, 0.5)
+    found = Result(BY_PATH["timeout"], BY_TURNING["0.2"], False, 301.0, "gate", 420.0, 0.5)
     return dataclasses.replace(found, **changed)  # type: ignore[arg-type]
 
 

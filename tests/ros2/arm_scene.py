@@ -1,4 +1,4 @@
-"""What the tests of the arm by ROS share: settings with an arm, goals, and how they are sent."""
+"""Settings with an arm, goals and how they are sent, for the tests of the arm by ROS."""
 
 from __future__ import annotations
 

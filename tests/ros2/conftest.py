@@ -38,6 +38,6 @@ def scene(stage: BridgeTrial) -> BridgeTrial:
 
 @pytest.fixture
 def offers(ros: Ros) -> bool:
-    """Whether this ROS has the action; the stand-in has none."""
+    """True where this ROS has the action; the stand-in has none."""
     done = ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
     return done.returncode == 0

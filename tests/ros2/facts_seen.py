@@ -1,5 +1,5 @@
-"""What a ROS is seen to do, as JSON: a fact's name says what it is; none depends on chance. Never imported by a test.
-In the environment of a real one: `python tests/ros2/facts_seen.py > tests/ros2/facts.json` renews what is recorded."""
+"""Facts of a ROS, as JSON: a fact's name says what it is; none depends on chance. Never imported by a test. In the
+environment of a real one: `python tests/ros2/facts_seen.py > tests/ros2/facts.json` renews what is recorded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 STAND_IN = Path(__file__).parent / "standin/rclpy/types.py"
 DEADLINE_S = 20.0
 QUIET_S = 1.0
-"""What has not come by then does not come."""
+"""The longest wait for a message: one that has not come by then does not come."""
 
 
 def type_of(name: str) -> Any:
@@ -93,7 +93,7 @@ def fields() -> dict[str, str]:
 
 
 def matching(pair: Pair) -> dict[str, Any]:
-    """Whether a publisher and a subscription of these qualities find each other."""
+    """True where a publisher and a subscription of these qualities find each other."""
     sorts = {"reliable": True, "best effort": False}
     return {f"{one} to {other}": matches(pair, sorts[one], sorts[other]) for one in sorts for other in sorts}
 
@@ -107,7 +107,7 @@ def matches(pair: Pair, publisher: bool, subscription: bool) -> bool:
 
 
 def late(pair: Pair) -> dict[str, int]:
-    """How many of the messages before it a subscription hears that comes late."""
+    """The number of earlier messages that a subscription hears which comes late."""
     return {"volatile": caught_up(pair, False), "transient local": caught_up(pair, True)}
 
 
@@ -121,7 +121,7 @@ def caught_up(pair: Pair, lasting: bool) -> int:
 
 
 def graph(pair: Pair) -> dict[str, Any]:
-    """Whom a topic's count has, by one node's view of it."""
+    """The ends that a topic's count has, by one node's view of it."""
     seen: dict[str, Any] = {"nobody": pair.other.count_publishers("/counted")}
     ends = [
         pair.one.create_publisher(TWIST, "counted", profile(True)),

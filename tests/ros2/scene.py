@@ -40,7 +40,7 @@ _domains = itertools.count(os.getpid() % 40 + 1)
 
 
 def new_name() -> str:
-    """Of a service that no other test has."""
+    """A name of a service that no other test has."""
     return f"ros2-{os.getpid()}-{next(_numbers)}"
 
 
@@ -144,7 +144,7 @@ class Node:
         self.ask("hear", topic=topic, type=kind, qos=qos)
 
     def take(self, topic: str) -> list[tuple[int, float, dict[str, Any]]]:
-        """What it heard since the last call: monotonic ns, Unix time, the message."""
+        """Messages since the last call: monotonic ns, Unix time, the message."""
         found: list[tuple[int, float, dict[str, Any]]] = self.ask("take", topic=topic)["heard"]
         return found
 
@@ -270,7 +270,7 @@ class BridgeTrial:
             self._settings = ""
 
     def node(self, name: str, *words: str) -> Node:
-        """Another node; it ends with the scene."""
+        """Make another node; it ends with the scene."""
         self.nodes.append(Node(self.ros, name, *words))
         return self.nodes[-1]
 
@@ -316,7 +316,7 @@ class BridgeTrial:
         self.trial.board.wait_wheels(moving=False, timeout_s=DEADLINE_S)
 
     def fresh(self) -> None:
-        """As at the start: nobody commands, nothing is latched, motion is disabled."""
+        """Return to the start: nobody commands, nothing is latched, motion is disabled."""
         for node in [node for node in self.nodes if node is not self.eyes]:
             self.leave(node)
         self.state(lambda state: not state["publishers"])

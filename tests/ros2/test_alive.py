@@ -1,4 +1,4 @@
-"""Whether the sender of an arm's goal lives, as it is seen: the time and what DDS says are the test's."""
+"""Senders of an arm's goal, alive or not as seen: the time and what DDS says are the test's."""
 
 from __future__ import annotations
 

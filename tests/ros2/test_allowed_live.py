@@ -1,4 +1,4 @@
-"""With a list of who may publish cmd_vel: everybody else is a stranger, and a stop."""
+"""A list of who may publish cmd_vel: everybody else is a stranger, and a stop."""
 
 from __future__ import annotations
 

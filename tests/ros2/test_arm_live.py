@@ -151,7 +151,7 @@ def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: BridgeTri
 
 
 def test_a_goal_that_is_old_moves_nothing(scene: BridgeTrial) -> None:
-    """By its stamp, or since the bridge did not run while it lay there."""
+    """A goal is old by its stamp, or since the bridge did not run while it lay there."""
     planner = scene.node("old_planner")
     late = {"joint_names": ["base"], "points": [point(1, 0.3)]}
     at = scene.state()["arm_pose"]["1"]

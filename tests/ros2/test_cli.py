@@ -24,7 +24,7 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
 
 
 def said(scene: BridgeTrial, *words: str) -> str:
-    """What a command that ended well printed, in one line."""
+    """The output of a command that ended well, in one line."""
     done = scene.ros.run(*words)
     assert done.returncode == 0, done.stdout + done.stderr
     return " ".join(done.stdout.split())

@@ -1,4 +1,4 @@
-"""Who may command, on every path: the graph and the time are the test's."""
+"""Commanders, on every path: the graph and the time are the test's."""
 
 from __future__ import annotations
 
@@ -207,7 +207,8 @@ def test_whatever_comes_and_goes_a_command_passes_that_came_while_one_published(
 
 
 def _came_alone(looks: list[tuple[int, bool]], received_ns: int) -> bool:
-    """Whether all looks were good for long enough before that time and ever since, and no hold-up ended just before."""
+    """True where all looks were good for long enough before that time and ever since, and no hold-up ended just
+    before."""
     if not looks[-1][1]:
         return False
     bad = [at for at, (_, good) in enumerate(looks) if not good]

@@ -1,4 +1,4 @@
-"""Who commands: a second publisher, a stranger, a wrong type, and what people are told of them."""
+"""Commanders: a second publisher, a stranger, a wrong type, and what people are told of them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: 
 def test_the_second_publisher_is_named_wherever_the_cause_is_told(
     scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its process is new: the graph knows its publisher before its name."""
+    """The publisher's process is new: the graph knows the publisher before its name."""
     scene.drive()
     scene.node("joystick").ask("advertise", topic="cmd_vel", type=TWIST)
     scene.state(lambda state: "/joystick" in (state["estop"] or ""))

@@ -80,7 +80,7 @@ def test_whose_clock_disagrees_is_told_everywhere(scene: BridgeTrial) -> None:
     ],
 )
 def test_what_is_not_finite_latches(scene: BridgeTrial, part: str, axis: str, value: float) -> None:
-    """Also in the fields that a wheeled base has no use for: the publisher's sums went wrong somewhere."""
+    """A value that is not finite counts in the fields that a wheeled base has no use for, too: the sums went wrong."""
     scene.scan()
     driver = scene.drive()
     scene.enable()
@@ -117,7 +117,7 @@ def test_every_publisher_of_estop_can_stop(scene: BridgeTrial, qos: dict[str, bo
 
 
 def test_one_message_of_estop_is_one_stop(scene: BridgeTrial) -> None:
-    """Both subscriptions of the bridge hear a reliable publisher."""
+    """A reliable publisher is heard by both subscriptions of the bridge."""
     button = scene.node("button")
     button.publish("estop", BOOL, {"data": False}, hz=1.0)
     before = scene.bridge.said().count("E-STOP: estop topic")

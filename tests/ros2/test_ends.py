@@ -1,4 +1,4 @@
-"""How the bridge begins and ends: killed, stopped, told to end; and a service that comes, goes and comes back."""
+"""Begin and end of the bridge: killed, stopped, told to end; and a service that comes, goes and comes back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a real ROS was seen to do, recorded in facts.json: the stand-in does it too, and so does a real one today."""
+"""Facts of a real ROS, recorded in facts.json: the stand-in has them too, and so has a real one today."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def within(here: Any, there: Any) -> Any:
 
 
 def typed(value: Any) -> Any:
-    """With the type of each value, as 0 is equal to 0.0, and a NaN not to itself."""
+    """A value with its type, as 0 is equal to 0.0, and a NaN not to itself."""
     if isinstance(value, dict):
         return {field: typed(each) for field, each in value.items()}
     return (type(value), repr(value))

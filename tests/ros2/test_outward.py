@@ -1,4 +1,4 @@
-"""What the bridge publishes: values, rates, stamps and frames, as the old driver's programs expect them."""
+"""Topics that the bridge publishes: values, rates, stamps and frames, as the old driver's programs expect them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from failstop.lab.trial import wait_for
-from failstop.ros2.link import Link
+from failstop.ros2.link import RobotLink
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
 from tests.ros2.scene import NODE, BridgeTrial
@@ -21,7 +21,7 @@ SECONDS = 2.0
 
 
 def heard(scene: BridgeTrial, topic: str, kind: str, count: int, **qos: Any) -> list[tuple[int, float, dict[str, Any]]]:
-    """So many messages, from the first one on."""
+    """Hear so many messages, from the first one on."""
     scene.eyes.hear(topic, kind, **qos)
     found: list[tuple[int, float, dict[str, Any]]] = []
 
@@ -169,7 +169,7 @@ class Broken(Outward):
     """One whose turn fails."""
 
     def __init__(self, shared: Shared) -> None:
-        self._shared, self._link, self._ending = shared, Link("none"), False
+        self._shared, self._link, self._ending = shared, RobotLink("none"), False
         self._thread = threading.Thread(target=self._run)
 
     def turn(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from tests.support.commands import failstop
 
 NOBODY = 65534
 PYTHON = "/usr/bin/python3"
-"""One that every user may run."""
+"""A Python that every user may run."""
 PROFILE = """\
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <participant profile_name="own" is_default_profile="true">

@@ -1,4 +1,4 @@
-"""Where there is no ROS 2: one line that says what to do."""
+"""A machine without ROS 2: one line says what to do."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Attempt:
         self.group = os.stat(instance.claims_path(self.directory)).st_gid
 
     def does(self, work: Callable[[], object], user: str = "") -> Any:
-        """What the work returns, done as this user; False when that is refused."""
+        """The result of the work, done as this user; False when that is refused."""
 
         def does(_send: object, _wait: object) -> object:
             become(user or self.user, self.group)
@@ -109,7 +109,7 @@ def read_reasons(attempt: Attempt) -> bool:
 
 
 def keep_stopped(attempt: Attempt) -> bool:
-    """Whoever enables in between has the next request to answer to."""
+    """Go on asking: an enable in between meets the next request."""
 
     def ask(send: Callable[[object], None], _wait: Callable[[], None]) -> None:
         become(attempt.user, attempt.group)
@@ -165,7 +165,7 @@ def pose(attempt: Attempt) -> bool:
 def take_slot(attempt: Attempt) -> bool:
     def take() -> bool:
         fd = claim.open_claims(instance.claims_path(attempt.directory))
-        return any(claim.take(fd, index) for index in range(layout.CLIENT_SLOTS))
+        return any(claim.acquire(fd, index) for index in range(layout.CLIENT_SLOTS))
 
     return bool(attempt.does(take))
 
@@ -175,7 +175,7 @@ def overhear(attempt: Attempt) -> bool:
 
 
 def write_memory(attempt: Attempt) -> bool:
-    paths = [segments.path_of(attempt.memory, of) for of in (*layout.PROCESSES, "lifelines")]
+    paths = [segments.path_of(attempt.memory, of) for of in (*layout.PROCESS_NAMES, "lifelines")]
     return any(attempt.opens(path, os.O_RDWR) for path in paths)
 
 
@@ -207,7 +207,7 @@ def signal_it(attempt: Attempt) -> bool:
 
 
 def open_port_too(attempt: Attempt) -> bool:
-    """Whatever the port's mode."""
+    """Open the port, whatever its mode."""
     os.chmod(attempt.trial.link, 0o666)
     os.chmod(os.path.dirname(attempt.trial.link), 0o755)
     assert not attempt.does(lambda: open_port(attempt.trial.link, exclusive=True))
@@ -215,7 +215,7 @@ def open_port_too(attempt: Attempt) -> bool:
 
 
 def take_names(attempt: Attempt) -> bool:
-    """Before it starts; as if it were a run's."""
+    """Take names before the service starts, as if they were a run's."""
     name = f"{attempt.name}-next"
     files = [f"/dev/shm/failstop.{name}.{of}" for of in ("supervisor", "gate", "0000000000000007.supervisor")]
 
@@ -237,7 +237,7 @@ def take_names(attempt: Attempt) -> bool:
 
 
 def look_alive(attempt: Attempt) -> bool:
-    """By a lock on its memory; the strongest that this user may take."""
+    """Lock a dead run's memory, by the strongest lock that this user may take."""
     memory = segments.memory(f"{attempt.name}-dead", 7)
     segments.create(memory, layout.SUPERVISOR, 7).close()
     path = segments.path_of(memory, layout.SUPERVISOR)
@@ -260,7 +260,7 @@ def look_alive(attempt: Attempt) -> bool:
 
 
 def pass_off_memory(attempt: Attempt) -> bool:
-    """Under the right name, as after a removal."""
+    """Make memory under the right name, as after a removal."""
     memory = segments.memory(f"{attempt.name}-other", 7)
     path = segments.path_of(memory, layout.GATE)
     try:
@@ -278,7 +278,7 @@ def pass_off_memory(attempt: Attempt) -> bool:
 
 
 def pass_off_directory(attempt: Attempt) -> bool:
-    """In a place that is everybody's to write; looked for by root."""
+    """Make a directory in a place that is everybody's to write; root looks there."""
     place = attempt.folder / "place"
     place.mkdir()
     place.chmod(0o1777)
@@ -306,7 +306,7 @@ def pass_off_directory(attempt: Attempt) -> bool:
 
 
 def plant_link(attempt: Attempt) -> bool:
-    """Even in a directory that is this user's to use, and believed to be."""
+    """Plant a link even in a directory that is this user's to use, and believed to be."""
     base = attempt.folder / "failstop"
     path, victim = base / "robot", attempt.folder / "victim"
     path.mkdir(parents=True)
@@ -327,7 +327,7 @@ def plant_link(attempt: Attempt) -> bool:
             lambda: send_stop("robot", "overwrites it"),
             lambda: instances.lock(str(path)),
             lambda: claim.open_claims(instance.claims_path(str(path)), create=True, mode=0o666),
-            lambda: os.close(instance.publish(str(path), 7)),
+            lambda: os.close(instance.publish_run(str(path), 7)),
         ):
             with contextlib.suppress(FailstopError, OSError, instance.InstanceError):
                 write()

@@ -1,4 +1,4 @@
-"""What another local user can do and what not: each row of the page, tried as each of the four."""
+"""Powers of another local user, and their limits: each row of the page, tried as each of the four."""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ def service() -> Iterator[Trial]:
 
 @pytest.fixture
 def trial(service: Trial) -> Iterator[Trial]:
-    """The same for every test of a module: nothing latched, motion disabled, nobody else connected."""
+    """A trial for all tests of a module, each from the start: nothing latched, motion disabled, nobody else
+    connected."""
     if service.robot.state.estop:
         service.robot.reset()
     service.robot.disable()

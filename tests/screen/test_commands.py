@@ -18,7 +18,7 @@ from tests.support.typist import Typist
 
 QUICK = 3.0
 FLOOR = "import argparse, dataclasses, json, msgpack"
-"""What a command of this kind needs in any case; it may take so many times as long."""
+"""Time that a command of this kind needs in any case; it may take so many times as long."""
 LATEST_S = 10.0
 
 

@@ -45,7 +45,7 @@ def test_a_command_stays_whole_where_it_fits() -> None:
 
 X, Y = "x" * 20, "y" * 19
 COMMAND = "`failstop show first-and-last`"
-"""As long as a line of 40 has room behind an indent of 10."""
+"""A word as long as a line of 40 has room behind an indent of 10."""
 
 
 @pytest.mark.parametrize(

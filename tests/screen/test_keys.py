@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, STILL, Decoder, Hold
+from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, ENDS_S, MOST_AT_ONCE, NO_VELOCITY, Hold, KeyDecoder
 
 KEYS: tuple[tuple[bytes, list[str]], ...] = (
     (b"w", ["w"]),
@@ -30,29 +30,29 @@ KEYS: tuple[tuple[bytes, list[str]], ...] = (
 
 @pytest.mark.parametrize(("data", "found"), KEYS)
 def test_keys(data: bytes, found: list[str]) -> None:
-    assert Decoder().feed(data) == found
+    assert KeyDecoder().feed(data) == found
 
 
 @pytest.mark.parametrize(("data", "found"), KEYS)
 def test_keys_that_come_byte_by_byte(data: bytes, found: list[str]) -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     assert [key for at in range(len(data)) for key in decoder.feed(data[at : at + 1])] == found
 
 
 def test_half_an_arrow_is_no_letter() -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     assert decoder.feed(b"\x1b") == []
     assert decoder.feed(b"[") == []
     assert decoder.feed(b"A") == ["up"]
 
 
 def test_what_is_pasted_is_no_key() -> None:
-    assert Decoder().feed(b"\x1b[200~www \x1b[A\x1b[201~e") == ["e"]
+    assert KeyDecoder().feed(b"\x1b[200~www \x1b[A\x1b[201~e") == ["e"]
 
 
 @given(st.binary(max_size=300))
 def test_any_bytes_are_survived_and_the_keys_after_them_are_heard(data: bytes) -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     decoder.feed(data)
     decoder.feed(b"~" * 70 + b"\x1b[201~")
     assert decoder.feed(b" ") == [" "]
@@ -68,7 +68,7 @@ class Bench:
     def __init__(self) -> None:
         self.hold = Hold()
         self.now_s = 100.0
-        self._command: tuple[float, float, float] = STILL
+        self._command: tuple[float, float, float] = NO_VELOCITY
         self._command_s = 0.0
 
     def key(self, name: str) -> None:
@@ -79,7 +79,7 @@ class Bench:
             self._command, self._command_s = sent, self.now_s
 
     def wheels(self) -> tuple[float, float, float]:
-        return self._command if self.now_s - self._command_s <= COMMAND_S else STILL
+        return self._command if self.now_s - self._command_s <= COMMAND_S else NO_VELOCITY
 
     def pass_time(self, seconds: float) -> float:
         """Let time pass; returns how much of it the wheels turned."""
@@ -87,7 +87,7 @@ class Bench:
         for _ in range(round(seconds / 0.01)):
             self.now_s += 0.01
             self._take(self.hold.pressed([], self.now_s))
-            turned += self.wheels() != STILL
+            turned += self.wheels() != NO_VELOCITY
         return turned * 0.01
 
 
@@ -120,7 +120,7 @@ def test_keys_that_were_held_up_on_the_way_drive_nothing() -> None:
     bench = Bench()
     assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) is None
     bench.key("w")
-    assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) == STILL
+    assert bench.hold.pressed(["w"] * (MOST_AT_ONCE + 1), bench.now_s) == NO_VELOCITY
     assert not bench.hold.active
 
 
@@ -131,5 +131,5 @@ def test_whatever_was_typed_the_wheels_stop_soon_after_the_last_of_it(typed: lis
         bench.key(name)
         bench.pass_time(wait_s)
     bench.pass_time(ENDS_S + 0.02)
-    assert bench.wheels() == STILL
+    assert bench.wheels() == NO_VELOCITY
     assert bench.pass_time(2.0) == 0

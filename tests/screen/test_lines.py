@@ -21,7 +21,7 @@ from failstop.cli.commands.status import Live, spark
 from failstop.cli.screen import summary
 from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
-from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.kinds import EVENT_KINDS
 from tests.support.states import NOW_S, arm, driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
@@ -191,7 +191,7 @@ def test_an_event_is_a_line() -> None:
 
 
 def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
-    assert {kind.level for kind in KINDS} <= set(summary.LEVELS)
+    assert {kind.level for kind in EVENT_KINDS} <= set(summary.LEVEL_STYLES)
     assert events.kinds("stop, died") == {"stop", "died"}
     with pytest.raises(FailstopError, match="no kind of event is called foo"):
         events.kinds("stop,foo")
@@ -231,7 +231,7 @@ def test_the_last_events_fill_the_rows_that_are_free() -> None:
 
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
-    """That is at the top of the screen; at the end of a row it would be cut."""
+    """The step stands at the top of the screen; at the end of a row it would be cut."""
     step = "`failstop reset`"
     event = Event(1, NOW_S, 1, "stop", "warning", f"STOP latched: gate died; next: {step}", {}, step)
     rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])

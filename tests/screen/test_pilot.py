@@ -1,4 +1,4 @@
-"""What keys do to the robot, by a robot that writes down what it is asked."""
+"""Keys and what they do to the robot, by a robot that writes down what it is asked."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FULL = (0.2, 0.2, 1.0)
 
 
 class Scribe:
-    """In the robot's place."""
+    """A stand-in for the robot."""
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
@@ -106,7 +106,7 @@ def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
 
 
 def shown(lines: list[style.Line]) -> str:
-    """Of a screen that fits."""
+    """The text of a screen that fits."""
     assert len(lines) <= 23
     assert all(style.cells(style.plain(line)) <= 80 for line in lines)
     return "\n".join(map(style.plain, lines))

@@ -1,4 +1,4 @@
-"""Whether a terminal is still at the other end, and since when that is proven."""
+"""Proofs that a terminal is still at the other end, and since when."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MS = 1_000_000
 
 
 def answer(question: str) -> bytes:
-    """As a terminal does."""
+    """Answer as a terminal does."""
     found = re.fullmatch(r"\x1b\[(\d+);(\d+)H\x1b\[6n", question)
     assert found
     return f"\x1b[{found[1]};{found[2]}R".encode()

@@ -56,7 +56,8 @@ def drive(pilot: Typist, trial: Trial) -> int:
 
 
 def last_motion_ns(trial: Trial, since_ns: int) -> int:
-    """How long after `since_ns` the board executed the last frame that moves a wheel; waits until it has been still."""
+    """Time from `since_ns` until the board executed the last frame that moves a wheel; waits until it has been
+    still."""
     newest = since_ns
     quiet_ns = 700_000_000
     events: list[Event] = []
@@ -214,7 +215,7 @@ def test_a_hang_stops_by_the_command_timeout_and_what_was_typed_meanwhile_is_old
     pilot.process.send_signal(signal.SIGCONT)
 
     def answers() -> bool:
-        """What is typed together with what is old is old too."""
+        """Keys that are typed together with old ones are old too."""
         pilot.type(b"+")
         return "50 %" not in pilot.look(0.2)
 
@@ -248,7 +249,7 @@ def test_refusals_are_said_before_the_screen_changes(trial: Trial) -> None:
 
 
 def test_the_end_of_the_service() -> None:
-    """Its own, as the others go on with theirs."""
+    """A service of the test's own, as the others go on with theirs."""
     with Trial(f"screen-{os.getpid()}-end") as own, Typist.failstop("teleop", "--name", own.name) as pilot:
         pilot.wait("e enables it")
         own.leave()
@@ -259,5 +260,5 @@ def test_the_end_of_the_service() -> None:
 
 
 def test_the_hold_ends_after_the_command_timeout() -> None:
-    """Else a zero sent for the end of a hold would renew a command that still counts."""
+    """A zero sent for the end of a hold would otherwise renew a command that still counts."""
     assert ENDS_S > COMMAND_S

@@ -1,4 +1,4 @@
-"""What events tell that the state does not: processes that hung, drivers that left off, the run before this one."""
+"""Events that tell what the state does not: processes that hung, drivers that left off, the run before this one."""
 
 from __future__ import annotations
 

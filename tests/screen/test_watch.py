@@ -17,7 +17,7 @@ from tests.support.typist import Typist
 
 CPU_S = 5.0
 MOST_CPU = 0.01
-"""Of one core, as the robot has better things to do; measured here 0.0065."""
+"""A share of one core, as the robot has better things to do; measured here 0.0065."""
 BUSY = 2.0
 """A shared machine may give it that much more."""
 
@@ -117,7 +117,7 @@ def _ticks(pid: int) -> int:
 
 @pytest.mark.slow
 def test_it_costs_little(watch: Typist, trial: Trial) -> None:
-    """While the robot drives, when everything on the screen changes."""
+    """The robot drives, so that everything on the screen changes."""
     trial.enable()
     wait_for("the screen to settle", lambda: "no command" in watch.look(0.05))
     before = _ticks(watch.process.pid)

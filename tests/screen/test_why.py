@@ -1,4 +1,4 @@
-"""Why: for each block what holds, since when, what proves it, what to do."""
+"""`failstop why`: for each block what holds, since when, what proves it, what to do."""
 
 from __future__ import annotations
 

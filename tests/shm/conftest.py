@@ -40,6 +40,17 @@ def on() -> SimpleNamespace:
 
 
 @pytest.fixture
+def bases(on: SimpleNamespace) -> list[str]:
+    """The three candidate directories of a user, who is the test; none is made yet, and each can be."""
+    on.os.chmod("/run", 0o1777)
+    on.os.makedirs(f"/run/user/{simulated.USER}")
+    on.os.chown(f"/run/user/{simulated.USER}", simulated.USER, simulated.USER)
+    on.own.uid = on.own.gid = simulated.USER
+    found: list[str] = on.instance.bases()
+    return found
+
+
+@pytest.fixture
 def fds() -> Iterator[list[int]]:
     """Descriptors put here are closed after the test."""
     opened: list[int] = []

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
+from failstop.messages.layout import LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENT_BY_NAME, SEGMENTS
 from failstop.messages.segments import AttachError
 from failstop.shm import cell
 from failstop.shm.segment import Segment
@@ -57,7 +57,7 @@ def write_header(
 ) -> None:
     """Put a header of another program, run or layout into a segment."""
     header = HEADER.pack(
-        magic, layout, BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
+        magic, layout, SEGMENT_BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
     )
     with open(path_of(instance, of), "r+b") as file:
         file.write(cell.build(1, 0, header, HEADER_SEED, 104))

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.users import ProcessFolder
 
 MODULES = (
@@ -20,6 +21,7 @@ MODULES = (
     *(f"shm.{each}" for each in ("bell", "claim", "lifeline")),
 )
 S = 1_000_000_000
+USER, OTHER = 1000, 1001
 
 
 def machine() -> SimpleNamespace:
@@ -108,3 +110,10 @@ def mode(on: Any, path: str) -> int:
 def open_fds(on: Any) -> int:
     """The number of descriptors that the test has open."""
     return len(on.own.files)
+
+
+def give(on: Any, path: str) -> None:
+    """Give a directory, and the one above, to the test's user."""
+    with user(on, 0):
+        for each in (path, os.path.dirname(path)):
+            on.os.chown(each, USER, USER)

@@ -34,7 +34,7 @@ def holder(path: str, *indexes: int) -> Child:
 
     def work(send: Send, wait: Wait) -> None:
         fd = claim.open_claims(path)
-        send([claim.take(fd, index) for index in indexes])
+        send([claim.acquire(fd, index) for index in indexes])
         wait()
 
     child = Child(work)
@@ -69,38 +69,38 @@ def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:
     assert not claim.held(fd, 3)
     with holder(path, 3, 5) as child:
         assert [index for index in range(8) if claim.held(fd, index)] == [3, 5]
-        assert not claim.take(fd, 3)
-        assert claim.take(fd, 4)
+        assert not claim.acquire(fd, 3)
+        assert claim.acquire(fd, 4)
         child.go()
         assert child.wait() == 0
         assert [index for index in range(8) if claim.held(fd, index)] == []
-        assert claim.take(fd, 3)
+        assert claim.acquire(fd, 3)
 
 
 def test_a_holder_does_not_see_its_own_claim_as_somebody_else_s(path: str, fds: list[int]) -> None:
     fds += [one := claim.open_claims(path), other := claim.open_claims(path)]
-    assert claim.take(one, 0)
-    assert claim.take(one, 0)
+    assert claim.acquire(one, 0)
+    assert claim.acquire(one, 0)
     assert not claim.held(one, 0)
     assert claim.held(other, 0)
-    assert not claim.take(other, 0), "two descriptors of one process are two holders"
+    assert not claim.acquire(other, 0), "two descriptors of one process are two holders"
 
 
 def test_drop(path: str, fds: list[int]) -> None:
     fds += [one := claim.open_claims(path), other := claim.open_claims(path)]
-    assert claim.take(one, 1)
-    assert claim.take(one, 2)
-    claim.drop(one, 1)
-    assert claim.take(other, 1)
-    assert not claim.take(other, 2)
-    claim.drop(one, 1)  # not its own any more: nothing happens
+    assert claim.acquire(one, 1)
+    assert claim.acquire(one, 2)
+    claim.release(one, 1)
+    assert claim.acquire(other, 1)
+    assert not claim.acquire(other, 2)
+    claim.release(one, 1)  # not its own any more: nothing happens
     assert claim.held(one, 1)
 
 
 def test_a_closed_descriptor_holds_nothing(path: str, fds: list[int]) -> None:
     fds.append(watcher := claim.open_claims(path))
     fd = claim.open_claims(path)
-    assert claim.take(fd, 0)
+    assert claim.acquire(fd, 0)
     os.close(fd)
     assert not claim.held(watcher, 0)
 
@@ -126,7 +126,7 @@ def test_other_descriptors_of_the_file_do_not_lose_the_claim(path: str, fds: lis
 
     def work(send: Send, wait: Wait) -> None:
         fd = claim.open_claims(path)
-        assert claim.take(fd, 1)
+        assert claim.acquire(fd, 1)
         for _ in range(5):
             with open(path, "rb"):
                 pass
@@ -149,7 +149,7 @@ def test_a_read_only_descriptor_can_look_but_not_take(path: str, fds: list[int])
     with holder(path, 0):
         assert claim.held(fd, 0)
     with pytest.raises(OSError, match="Bad file descriptor"):
-        claim.take(fd, 0)
+        claim.acquire(fd, 0)
 
 
 def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: list[int]) -> None:
@@ -157,7 +157,7 @@ def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: l
     fcntl.fcntl(reading, fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
     assert claim.held(fd, 0)
     assert not claim.held(fd, 0, by_writer=True)
-    assert not claim.take(fd, 0)
+    assert not claim.acquire(fd, 0)
 
 
 def test_of_many_that_race_each_gets_a_slot_as_long_as_there_is_one(path: str) -> None:
@@ -168,7 +168,7 @@ def test_of_many_that_race_each_gets_a_slot_as_long_as_there_is_one(path: str) -
         for _ in range(rounds):
             wait()
             fd = claim.open_claims(path)
-            send(next((index for index in range(slots) if claim.take(fd, index)), -1))
+            send(next((index for index in range(slots) if claim.acquire(fd, index)), -1))
             wait()
             os.close(fd)
             send("closed")
@@ -205,7 +205,7 @@ def exec_sleeper() -> tuple[int, int]:
 def test_a_program_started_by_the_holder_does_not_keep_the_claim(path: str, fds: list[int]) -> None:
     fds.append(watcher := claim.open_claims(path))
     fd = claim.open_claims(path)
-    assert claim.take(fd, 0)
+    assert claim.acquire(fd, 0)
     pid, leash = exec_sleeper()
     try:
         assert claim.held(watcher, 0)
@@ -222,7 +222,7 @@ def test_a_forked_child_that_execs_nothing_keeps_the_claim(path: str, fds: list[
 
     def work(send: Send, wait: Wait) -> None:
         fd = claim.open_claims(path)
-        assert claim.take(fd, 0)
+        assert claim.acquire(fd, 0)
         pid = os.fork()
         if pid:
             send(pid)
@@ -240,8 +240,8 @@ def test_a_forked_child_that_execs_nothing_keeps_the_claim(path: str, fds: list[
 
 def test_claims_do_not_depend_on_the_file_s_content(path: str, fds: list[int]) -> None:
     fds += [fd := claim.open_claims(path), other := claim.open_claims(path)]
-    assert claim.take(fd, 5)
+    assert claim.acquire(fd, 5)
     os.pwrite(fd, b"anything at all", 0)
-    assert not claim.take(other, 5)
+    assert not claim.acquire(other, 5)
     os.ftruncate(fd, 0)
-    assert not claim.take(other, 5)
+    assert not claim.acquire(other, 5)

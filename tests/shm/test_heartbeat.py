@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.messages import segments
 from failstop.shm import heartbeat, segment
-from failstop.shm.heartbeat import RUNNING, STARTING, STOPPING, Heartbeat, HeartbeatReader
+from failstop.shm.heartbeat import BEAT_RUNNING, BEAT_STARTING, BEAT_STOPPING, Heartbeat, HeartbeatReader
 from failstop.shm.words import Word
 
 RUN = 3
@@ -26,9 +26,9 @@ def test_before_the_first_beat_nobody_runs(name: str) -> None:
 def test_beats(name: str) -> None:
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME | heartbeat.MEMORY_LOCKED, 1_000)
-    assert (seen.pid.get(), seen.rights.get(), seen.state.get(), seen.ns.get()) == (77, 3, STARTING, 1_000)
+    assert (seen.pid.get(), seen.rights.get(), seen.state.get(), seen.ns.get()) == (77, 3, BEAT_STARTING, 1_000)
     assert not seen.running(77)
-    beats.state(RUNNING, 1_000)
+    beats.state(BEAT_RUNNING, 1_000)
     assert seen.running(77)
     assert not seen.running(78)
     for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
@@ -37,7 +37,7 @@ def test_beats(name: str) -> None:
         assert told == (now_ns, i, i * 100, worst_ns)
     assert seen.age_ns(1_100) == 40
     assert seen.age_ns(1_000) == 0
-    beats.state(STOPPING, 2_000)
+    beats.state(BEAT_STOPPING, 2_000)
     assert seen.ns.get() == 2_000
     assert not seen.running(77)
 
@@ -46,10 +46,10 @@ def test_a_successor_starts_anew(name: str) -> None:
     """What its dead predecessor had seen and done must not count as its own."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
-    beats.state(RUNNING, 1_000)
+    beats.state(BEAT_RUNNING, 1_000)
     beats.beat(9_000, epoch=12)
     Heartbeat(own, 78, 0, 20_000)
-    assert (seen.pid.get(), seen.state.get(), seen.rights.get(), seen.ns.get()) == (78, STARTING, 0, 20_000)
+    assert (seen.pid.get(), seen.state.get(), seen.rights.get(), seen.ns.get()) == (78, BEAT_STARTING, 0, 20_000)
     assert (seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (0, 0, 0)
     assert not seen.running(77)
     assert not seen.running(78)
@@ -59,7 +59,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
     """The pid is published after everything that makes the old state untrue, the time last."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, 0, 1_000)
-    beats.state(RUNNING, 1_000)
+    beats.state(BEAT_RUNNING, 1_000)
     beats.beat(9_000, epoch=12)
     order: list[int] = []
 

@@ -14,23 +14,11 @@ from hypothesis import strategies as st
 from failstop import instances
 from failstop.files import instance, root
 from failstop.files.instance import InstanceError
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 
-from .simulated import content, kill, living, mode, open_fds, put, refusing, user
+from .simulated import OTHER, USER, content, give, kill, living, mode, open_fds, put, refusing, user
 
-USER, OTHER = 1000, 1001
 MS = 1_000_000
-
-
-@pytest.fixture
-def bases(on: SimpleNamespace) -> list[str]:
-    """The three candidate directories of a user, who is the test; none is made yet, and each can be."""
-    on.os.chmod("/run", 0o1777)
-    on.os.makedirs(f"/run/user/{USER}")
-    on.os.chown(f"/run/user/{USER}", USER, USER)
-    on.own.uid = on.own.gid = USER
-    found: list[str] = on.instance.bases()
-    return found
 
 
 @pytest.mark.parametrize("name", ["a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_"])
@@ -239,7 +227,7 @@ def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(on: SimpleNames
     for base in bases:
         path = f"{base}/robot"
         on.os.makedirs(path)
-        own(on, path)
+        give(on, path)
         assert on.instances.holder(path) == ""
         first = holder(on, path)
         assert on.instances.holder(path) == str(first.pid)
@@ -250,18 +238,11 @@ def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(on: SimpleNames
         on.instances.refuse_locked("robot")
 
 
-def own(on: Any, path: str) -> None:
-    """Give a directory, and the one above, to the test's user."""
-    with user(on, 0):
-        for each in (path, os.path.dirname(path)):
-            on.os.chown(each, USER, USER)
-
-
 def test_who_listens_in_another_directory_is_refused(on: SimpleNamespace, bases: list[str]) -> None:
     on.instances.refuse_listening("robot")
     path = f"{bases[1]}/robot"
     on.os.makedirs(path)
-    own(on, path)
+    give(on, path)
     first = holder(on, path)
     on.instances.refuse_listening("robot", but=path)
     for but in ("", f"{bases[0]}/robot"):
@@ -278,7 +259,7 @@ def test_all_that_listen_are_found_by_name(on: SimpleNamespace, bases: list[str]
     assert on.instances.listening() == []
     for base, name in ((bases[2], "alpha"), (bases[1], "robot"), (bases[1], "silent"), (bases[1], "No name")):
         on.os.makedirs(f"{base}/{name}")
-        own(on, f"{base}/{name}")
+        give(on, f"{base}/{name}")
     both = [holder(on, path) for path in (f"{bases[1]}/robot", f"{bases[2]}/alpha")]
     assert on.instances.listening() == ["alpha", "robot"]
     assert [on.instances.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
@@ -325,7 +306,7 @@ def test_a_lock_is_its_directory_s_and_its_owner_s_alone_and_crosses_no_exec(
 def test_find_looks_everywhere_for_the_one_that_runs(on: SimpleNamespace, bases: list[str]) -> None:
     for base in bases:
         on.os.makedirs(f"{base}/robot")
-        own(on, f"{base}/robot")
+        give(on, f"{base}/robot")
         put(on, f"{base}/robot/lock", "123\n")
     with pytest.raises(
         on.instance.NoService, match=r"no service named 'robot' is running: start it with `failstop run --name robot`"
@@ -343,122 +324,6 @@ def test_everyone_can_find_a_service_of_root_s_that_everyone_may_stop(on: Simple
     holder(on, path)
     with user(on, OTHER):
         assert on.instance.find("robot") == path
-
-
-def test_paths_lie_in_the_runtime_dir_by_their_own_names() -> None:
-    names = {"lock": instance.lock_path, "claims": instance.claims_path, "stop": instance.stop_path}
-    names |= {"bell": instance.bell_path, "run": instance.run_path, "last": instance.last_path}
-    assert {name: path("/run/x") for name, path in names.items()} == {name: f"/run/x/{name}" for name in names}
-
-
-def test_the_run_that_is_published_is_the_one_that_is_read(on: SimpleNamespace, bases: list[str]) -> None:
-    path, fds = on.instances.make_runtime_dir("robot"), []
-    with pytest.raises(on.instance.NoService):
-        on.instance.run(path)
-    for incarnation in (7, 2**64 - 1, 0):
-        fds.append(on.instance.publish(path, incarnation))
-        assert on.instance.run(path) == (incarnation, USER)
-        found = on.os.fstat(fds[-1])
-        assert (found.st_nlink, found.st_mode & 0o7777) == (1, 0o644)
-    assert on.os.fstat(fds[0]).st_nlink == 0
-    on.instance.clear(path)
-    assert on.os.listdir(path) == []
-
-
-def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
-    on: SimpleNamespace, bases: list[str]
-) -> None:
-    path = on.instances.make_runtime_dir("robot")
-    on.instance.publish(path, 7)
-    before = open_fds(on)
-    with refusing(on, "pwrite", errno.EFBIG), pytest.raises(OSError, match="File too large"):
-        on.instance.publish(path, 8)
-    on.machine.shortened = True
-    with pytest.raises(OSError, match="No space left on device") as full:
-        on.instance.publish(path, 8)
-    assert (full.value.errno, full.value.filename) == (errno.ENOSPC, on.instance.run_path(path))
-    assert on.instance.run(path) == (7, USER)
-    on.os.unlink(f"{on.instance.run_path(path)}.new")
-    on.os.symlink(bases[0], f"{on.instance.run_path(path)}.new")
-    with pytest.raises(on.place.Untrusted, match="is a link"):
-        on.instance.publish(path, 8)
-    assert open_fds(on) == before
-
-
-def test_what_a_run_has_left_is_cleared_but_for_the_lock(on: SimpleNamespace, bases: list[str]) -> None:
-    path = on.instances.make_runtime_dir("robot")
-    for name in ("lock", "claims", "stop", "bell", "run", "run.new", "last.new", "kept"):
-        put(on, f"{path}/{name}")
-    before = open_fds(on)
-    for _ in range(2):
-        on.instance.clear(path)
-        assert sorted(on.os.listdir(path)) == ["kept", "lock"]
-    on.instance.clear(f"{path}-absent")
-    assert open_fds(on) == before
-
-
-def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...], str]:
-    """How the last run of this name was started."""
-    found = on.instance.last(name)
-    return found.device, found.command, found.servos, found.board
-
-
-NO_RUN = ("", "", (), "")
-
-
-def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: list[str]) -> None:
-    for name in ("robot", "no/slash", ""):
-        assert remembered(on, name) == NO_RUN
-    path = on.instances.make_runtime_dir("robot")
-    for servos in ((), (1, 2, 10)):
-        words = ("/dev/my board", "failstop run --device '/dev/my board'", servos, "ugv")
-        before = open_fds(on)
-        on.instance.remember(path, on.instance.Last(*words))
-        assert remembered(on, "robot") == words
-        assert open_fds(on) == before
-    on.instance.clear(path)
-    assert remembered(on, "robot")[0] == "/dev/my board"
-    assert on.os.listdir(path) == ["last"]
-    assert mode(on, on.instance.last_path(path)) == 0o644
-    assert remembered(on, "other") == NO_RUN
-    with pytest.raises(on.instance.NoService, match=r"start it with `failstop run --device '/dev/my board'`$"):
-        on.instance.find("robot")
-    on.instance.remember(path, on.instance.Last("/dev/x", "failstop run --config '\x1b[2J'"))
-    assert remembered(on, "robot") == ("/dev/x", "", (), ""), "what would write on the terminal is not shown"
-
-
-def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str]) -> None:
-    for base in (*bases, bases[0]):
-        on.os.makedirs(f"{base}/robot")
-        own(on, f"{base}/robot")
-        on.instance.remember(f"{base}/robot", on.instance.Last(base, "failstop run"))
-        assert remembered(on, "robot")[0] == base
-
-
-@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0one", b"\0" * 99])
-def test_nonsense_is_no_run(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
-    put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), junk)
-    assert remembered(on, "robot") == NO_RUN
-
-
-def test_what_somebody_has_planted_is_not_believed(on: SimpleNamespace, bases: list[str]) -> None:
-    path = on.instances.make_runtime_dir("robot")
-    put(on, "/tmp/planted", b"/dev/x\0failstop run")
-    on.os.symlink("/tmp/planted", on.instance.last_path(path))
-    assert remembered(on, "robot") == NO_RUN
-    on.os.symlink("/tmp/planted", on.instance.run_path(path))
-    with pytest.raises(on.instance.InstanceError, match="run is a link: remove it"):
-        on.instance.run(path)
-
-
-@pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])
-def test_a_run_that_can_not_be_read_is_no_service(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
-    path = on.instances.make_runtime_dir("robot")
-    put(on, on.instance.run_path(path), junk)
-    before = open_fds(on)
-    with pytest.raises(on.instance.NoService):
-        on.instance.run(path)
-    assert open_fds(on) == before
 
 
 def test_root_takes_over_no_directory_of_another_user(on: SimpleNamespace) -> None:

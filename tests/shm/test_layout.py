@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 from failstop.messages import layout
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.messages.layout import CLIENT_SLOTS, LAYOUT_HASH, PROCESS_NAMES, SEGMENT_BY_NAME, SEGMENTS
 from failstop.shm import cell, segment
 from failstop.shm.cell import cell_bytes
 from failstop.shm.segment import HEADER_BYTES, Record, SegmentSpec
@@ -52,7 +52,7 @@ def test_records_lie_on_lines_of_their_own_in_whole_pages(spec: SegmentSpec) -> 
 def test_every_segment_has_a_writer_and_every_record_a_reader(spec: SegmentSpec) -> None:
     assert spec.writer.strip()
     assert spec.records
-    known = {*PROCESSES, "clients", "everyone", "its successor", "the client of that slot"}
+    known = {*PROCESS_NAMES, "clients", "everyone", "its successor", "the client of that slot"}
     for record in spec.records.values():
         assert record.kind in ("word", "latest", "ring", "futexes")
         readers = {reader.strip() for reader in record.readers.split(",")}
@@ -68,16 +68,16 @@ def test_no_record_is_declared_twice() -> None:
             sum(record.size() for record in spec.records.values())
             == max(end for _, end, _ in places(spec)) - HEADER_BYTES
         )
-    assert len(BY_NAME) == len(SEGMENTS)
+    assert len(SEGMENT_BY_NAME) == len(SEGMENTS)
 
 
 def test_one_segment_for_each_process_and_client_slot() -> None:
-    assert [spec.name for spec in SEGMENTS if spec.mode == layout.PUBLIC] == list(PROCESSES)
+    assert [spec.name for spec in SEGMENTS if spec.mode == layout.PUBLIC] == list(PROCESS_NAMES)
     assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS_WRITE] == [
         f"client.{i}" for i in range(CLIENT_SLOTS)
     ]
-    for process in PROCESSES:
-        assert BY_NAME[process].writer == process
+    for process in PROCESS_NAMES:
+        assert SEGMENT_BY_NAME[process].writer == process
 
 
 def test_modes() -> None:
@@ -90,15 +90,15 @@ def test_modes() -> None:
 
 
 def test_each_client_slot_has_its_reply() -> None:
-    replies = [name for name in BY_NAME["gate"].records if name.startswith("reply.")]
+    replies = [name for name in SEGMENT_BY_NAME["gate"].records if name.startswith("reply.")]
     assert replies == [f"reply.{i}" for i in range(CLIENT_SLOTS)]
 
 
 def test_every_process_has_a_whole_heartbeat() -> None:
-    beats = {name for name in BY_NAME["supervisor"].records if name.startswith("beat_")}
+    beats = {name for name in SEGMENT_BY_NAME["supervisor"].records if name.startswith("beat_")}
     assert len(beats) == 8
-    for process in PROCESSES:
-        assert beats <= set(BY_NAME[process].records)
+    for process in PROCESS_NAMES:
+        assert beats <= set(SEGMENT_BY_NAME[process].records)
 
 
 @pytest.mark.parametrize("capacity", [0, 1, 39, 40, 41, 104, 105, 2048])
@@ -119,7 +119,7 @@ def test_the_hash_is_reproducible() -> None:
     assert 0 < LAYOUT_HASH < 2**64
     same, here = ([(spec.name, spec.size, spec.offsets) for spec in of.SEGMENTS] for of in (module, layout))
     assert same == here
-    gate = module.BY_NAME["gate"].records
+    gate = module.SEGMENT_BY_NAME["gate"].records
     assert (gate["frames"].capacity, gate["frames"].cells, gate["state"].capacity) == (269, 64, 4096)
 
 

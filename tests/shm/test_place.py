@@ -40,7 +40,7 @@ def refused(on: Any, *ways: str) -> list[str]:
         "claims": lambda: on.claim.open_claims(on.instance.claims_path(FOLDER)),
         "create": lambda: on.claim.open_claims(on.instance.claims_path(FOLDER), create=True),
         "make": lambda: on.bell.make_pipe(on.instance.bell_path(FOLDER), 0o622),
-        "publish": lambda: on.instance.publish(FOLDER, 7),
+        "publish": lambda: on.instance.publish_run(FOLDER, 7),
     }
     found = []
     before = open_fds(on)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.messages import records
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
+from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.messages.packing import pack
 from failstop.messages.records import Shape
 from failstop.policy import causes
@@ -25,13 +25,13 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
-CAUSE = st.binary(max_size=causes.ROOM + 2)
+CAUSE = st.binary(max_size=causes.ARGUMENTS_BYTES + 2)
 """A packed one; what is in it is no matter of the records."""
 
 
 def capacity(place: str) -> int:
     of, _, record = place.partition("/")
-    return BY_NAME[of].records[record].capacity
+    return SEGMENT_BY_NAME[of].records[record].capacity
 
 
 def text_strategy(room: int) -> st.SearchStrategy[str]:
@@ -117,7 +117,7 @@ def test_said(session: int, sees: str, wrong: str) -> None:
 
 @given(pid=U32, block=U32, arrival_ns=st.integers(0, 2**62 - 1), index=st.integers(0, 3))
 def test_a_life_and_a_pong_are_words(pid: int, block: int, arrival_ns: int, index: int) -> None:
-    life, pong = records.life(pid, block), records.pong(arrival_ns, index)
+    life, pong = records.life(pid, block), records.pack_pong(arrival_ns, index)
     assert all(0 <= word < 2**64 for word in (life, pong))
     assert records.unpack_life(life) == (pid, block)
     assert records.unpack_pong(pong) == (arrival_ns, index)
@@ -196,7 +196,7 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
         (records.PORT.unpack(records.PORT.pack(1, 1, 1, text))[-1], 300),
         (records.HELLO.unpack(records.HELLO.pack(1, 1, 1, text))[-1], 64),
         (records.REPLY.unpack(records.REPLY.pack(1, 1, True, 0, text, b"cause"))[-2], 290),
-        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ROOM),
+        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ARGUMENTS_BYTES),
     ):
         assert is_cut(str(found), text, room)
         assert "\ufffd" not in str(found)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import stat
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,12 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
+from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.shm.segment import HEADER_BYTES, Segment
 from tests.support.children import NOBODY, Child
 
 from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
-from .simulated import content, kill, living, open_fds, put, refusing, user
+from .simulated import content, open_fds, put, refusing, user
 
 
 @pytest.mark.parametrize("of", SERVICE + PRIVATE_NAMES)
@@ -29,11 +27,11 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
     for expected in (RUN, None):
         found = segments.attach(name, of, expected)
         assert found.incarnation == RUN
-        assert found.spec is BY_NAME[of]
+        assert found.spec is SEGMENT_BY_NAME[of]
         assert (found.mapped is None) is (of in PRIVATE_NAMES)
         assert (found.fileno() == -1) is (of in SERVICE), "a mapping needs no descriptor"
         found.close()
-    assert os.stat(path_of(name, of)).st_size == BY_NAME[of].size
+    assert os.stat(path_of(name, of)).st_size == SEGMENT_BY_NAME[of].size
     made.close()
 
 
@@ -61,8 +59,8 @@ def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
             on.segments.create("r", of, RUN, *([gid] if gid >= 0 else []))
     for of in NAMES:
         found = on.os.stat(path_of("r", of))
-        assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
-        assert (found.st_uid, found.st_gid) == (0, group if BY_NAME[of].mode & 0o060 == 0o060 else own)
+        assert stat.S_IMODE(found.st_mode) == SEGMENT_BY_NAME[of].mode
+        assert (found.st_uid, found.st_gid) == (0, group if SEGMENT_BY_NAME[of].mode & 0o060 == 0o060 else own)
 
 
 def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
@@ -132,7 +130,7 @@ def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: st
 
 
 CLIENT_RECORDS = [
-    name for name, record in BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
+    name for name, record in SEGMENT_BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
 ]
 
 
@@ -161,7 +159,7 @@ def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
     nowhere = segments.memory("nobody", RUN)
     for index in range(CLIENT_SLOTS):
         none = segments.read_client_slot(nowhere, index, RUN)
-        assert none.spec is BY_NAME[f"client.{index}"]
+        assert none.spec is SEGMENT_BY_NAME[f"client.{index}"]
         assert none.incarnation == RUN
         assert not os.get_inheritable(none.fileno())
         for record in CLIENT_RECORDS:
@@ -251,69 +249,6 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(on: SimpleNamesp
     on.segments.attach("r", of, RUN, owner=NOBODY, write=write)
 
 
-def test_a_dead_run_is_one_s_own(on: SimpleNamespace) -> None:
-    """Of what others have put there nothing is read, and nothing removed."""
-    mine, other = on.segments.memory("r", RUN), on.segments.memory("r", RUN + 1)
-    for run in (mine, other):
-        for of in NAMES:
-            on.segments.create(run, of, RUN).close()
-    assert on.segments.dead_runs("r") == [mine, other]
-    for of in NAMES:
-        on.os.chown(path_of(other, of), NOBODY, -1)
-    assert on.segments.dead_runs("r") == [mine]
-    assert on.segments.open_all(other) == {}
-
-
-def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(on: SimpleNamespace) -> None:
-    older, newer = on.segments.memory("r", RUN + 1), on.segments.memory("r", RUN)
-    gone = path_of("r.gone", "gate")
-    for strange in ("r.gate", "failstop.r.gate", "failstop.r.1234.unknown"):
-        put(on, f"/dev/shm/{strange}")
-    assert on.segments.dead_runs("r") == []
-    put(on, gone)
-    for run, client in ((older, 3), (newer, 0), (older, 1), (newer, 2)):
-        on.segments.create(run, f"client.{client}", RUN).close()
-    with refusing(on, "stat", FileNotFoundError(errno.ENOENT, "gone"), of=gone) as asked:
-        assert on.segments.dead_runs("r") == [older, newer]
-    assert asked
-
-
-def test_what_is_left_of_a_run_is_opened_whatever_is_missing(on: SimpleNamespace) -> None:
-    for of in PROCESSES[1:2] + PROCESSES[3:]:
-        on.segments.create("r", of, RUN)
-    assert list(on.segments.open_all("r")) == [PROCESSES[1], *PROCESSES[3:]]
-
-
-def test_a_lock_that_can_not_be_asked_for_is_nobody_s(on: SimpleNamespace) -> None:
-    on.segments.create("r", "supervisor", RUN)
-    assert on.segments.living("r")
-    before = open_fds(on)
-    with refusing(on, "fcntl", errno.ENOLCK):
-        assert not on.segments.living("r")
-    assert open_fds(on) == before
-
-
-def test_a_run_lives_as_long_as_its_supervisor(on: SimpleNamespace) -> None:
-    run = on.segments.memory("r", RUN)
-    assert not on.segments.living(run)
-    supervisor = living(on, lambda: [on.segments.create(run, of, RUN) for of in NAMES])
-    assert on.segments.living(run)
-    assert on.segments.dead_runs("r") == []
-    kill(on, supervisor)
-    assert not on.segments.living(run)
-    assert on.segments.dead_runs("r") == [run]
-
-
-def test_it_is_the_supervisor_s_segment_that_tells_so(on: SimpleNamespace) -> None:
-    """Each is made and held by this process; its copies for other names are not asked."""
-    made = {of: on.segments.create("r", of, RUN) for of in ("gate", "supervisor")}
-    assert on.segments.living("r")
-    made["supervisor"].close()
-    assert not on.segments.living("r")
-    on.os.rename(path_of("r", "gate"), path_of("r", "supervisor"))
-    assert not on.segments.living("r"), "the gate's is not locked"
-
-
 @pytest.mark.parametrize(("number", "look"), [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "df /dev/shm")])
 def test_what_keeps_a_segment_from_its_size_is_told(on: SimpleNamespace, number: int, look: str) -> None:
     expected = rf"no room in /dev/shm for \d+ bytes \({os.strerror(number)}\): look at `{look}`$"
@@ -330,14 +265,6 @@ def test_a_program_without_descriptors_is_no_damage(on: SimpleNamespace, number:
     with refusing(on, "open", number), pytest.raises(on.segments.AttachError, match="can't be opened") as told:
         on.segments.attach("r", "gate", RUN)
     assert told.value.kind == kind
-
-
-def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> None:
-    """Everyone may read the supervisor's segment, and lock what they may read, for reading."""
-    create_all(name)
-    with open(path_of(name, "supervisor"), "rb") as file:
-        fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
-        assert not segments.living(name)
 
 
 def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:

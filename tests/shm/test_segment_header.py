@@ -7,7 +7,7 @@ import os
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME, LAYOUT_HASH
+from failstop.messages.layout import LAYOUT_HASH, SEGMENT_BY_NAME
 from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
 from failstop.version import VERSION
@@ -113,7 +113,7 @@ def test_a_header_of_another_segment(name: str, wrong: dict[str, object]) -> Non
 @pytest.mark.parametrize("of", ["gate", "client.0"])
 def test_a_file_that_is_too_small_is_not_mapped(name: str, of: str) -> None:
     segments.create(name, of, RUN).close()
-    for size in (BY_NAME[of].size - 1, 4095, 128):
+    for size in (SEGMENT_BY_NAME[of].size - 1, 4095, 128):
         os.truncate(path_of(name, of), size)
         kind, message = refusal(lambda: attach_any(name, of))
         assert kind == "damaged"

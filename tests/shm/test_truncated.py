@@ -13,7 +13,7 @@ from collections.abc import Callable
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME
+from failstop.messages.layout import SEGMENT_BY_NAME
 from failstop.messages.segments import AttachError
 from failstop.shm.cell import FileView
 from failstop.shm.segment import Segment
@@ -104,7 +104,7 @@ def reading_child(name: str, of: str, attach: Callable[[], Segment]) -> Child:
 def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     """Truncate, regrow, scribble and write, until the reader has ended."""
     dice = random.Random(1)
-    size = BY_NAME[of].size
+    size = SEGMENT_BY_NAME[of].size
     own = segments.attach(name, of, RUN, write=True)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
@@ -151,7 +151,7 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
     def attach_mapped() -> Segment:
         with open(path_of(name, "client.0"), "rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
-        return Segment(BY_NAME["client.0"], RUN, mapped)
+        return Segment(SEGMENT_BY_NAME["client.0"], RUN, mapped)
 
     for write in (False, True):
         attached = segments.attach(name, "client.0", RUN, write=write)

@@ -7,7 +7,7 @@ import random
 from typing import TYPE_CHECKING
 
 from failstop.messages import segments
-from failstop.messages.layout import BY_NAME, CLIENT_SLOTS
+from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.shm.cell import LatestReader, RingReader
 from failstop.shm.segment import Segment, SegmentSpec
 
@@ -24,7 +24,7 @@ class Written:
     """A segment with a history in every record, the readers on it, and what may be read from each."""
 
     def __init__(self, instance: str, of: str, dice: random.Random) -> None:
-        self.spec: SegmentSpec = BY_NAME[of]
+        self.spec: SegmentSpec = SEGMENT_BY_NAME[of]
         self.dice = dice
         segments.create(instance, of, RUN).close()
         self.instance = instance

@@ -121,7 +121,7 @@ def test_it_takes_what_it_has_room_for_and_the_rest_when_the_wire_is_free() -> N
     assert device.unanswered == 1
     device.advance(due_ns)
     assert [done.token for done in device.done] == [1, 2]
-    assert device.next_ns == acm.NEVER  # type: ignore[attr-defined]
+    assert device.next_ns == acm.NEVER_NS  # type: ignore[attr-defined]
 
 
 def test_while_held_it_takes_nothing_and_then_all_of_it_in_order() -> None:
@@ -130,7 +130,7 @@ def test_while_held_it_takes_nothing_and_then_all_of_it_in_order() -> None:
     device.host_out(1, b"a", 0)
     device.host_out(2, b"b", 0)
     device.advance(10**9)
-    assert (device.unanswered, device.arrived, device.next_ns) == (2, [], acm.NEVER)  # type: ignore[attr-defined]
+    assert (device.unanswered, device.arrived, device.next_ns) == (2, [], acm.NEVER_NS)  # type: ignore[attr-defined]
     device.held = False
     device.advance(10**9)
     assert device.arrived == [(10**9, b"a"), (10**9, b"b")]

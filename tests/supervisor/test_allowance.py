@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.supervisor.events import ASKED_BYTES, MINUTE_NS, MOST_WAITING, OWN_BYTES
+from failstop.supervisor.events import MINUTE_NS, MOST_EVENTS_WAITING, OWN_BYTES, REPEATS_BYTES
 from tests.support.supervisor_scene import Scene
 
 S = 10**9
@@ -55,7 +55,7 @@ def test_requests_without_end_are_bounded_and_counted_and_take_nobody_s_room(sce
     lines += said
     own = 3 * sum(len(f"failstop: {text}\n") for text in ("stopped again: gate died", "STOP latched: stop request: x"))
     told_of = 2 * 4 * 120
-    room = 2 * ASKED_BYTES
+    room = 2 * REPEATS_BYTES
     assert all(room - told_of < told <= room + own + told_of for told in minutes), minutes
     assert sum(line == "failstop: stopped again: gate died" for line in lines) == 4 * 3
     assert sum(line == "failstop: STOP latched: stop request: x" for line in lines) == 4 * 3
@@ -101,10 +101,10 @@ def test_critical_events_have_room_of_their_own(scene: Scene) -> None:
 
 
 def test_events_that_come_at_one_time_are_bounded_and_counted_too(scene: Scene) -> None:
-    for number in range(MOST_WAITING + 7):
+    for number in range(MOST_EVENTS_WAITING + 7):
         scene.run.events.tell("note", str(number))
     lines = flush(scene, end=True)
-    assert len(lines) == MOST_WAITING + 1
+    assert len(lines) == MOST_EVENTS_WAITING + 1
     assert left_out(lines) == 7
 
 
@@ -138,4 +138,4 @@ def test_a_minute_has_no_more_than_two_allowances(spent: list[tuple[int, int]]) 
         SCENE.run.events.tell("stop_again", "x" * (size - len("failstop: \n")), {"cause": "piped"})
         told += [(SCENE.now_ns, len(line) + 1) for line in flush(SCENE) if "left out" not in line]
     for at_ns, _ in told:
-        assert sum(size for t_ns, size in told if at_ns <= t_ns < at_ns + MINUTE_NS) <= 2 * ASKED_BYTES
+        assert sum(size for t_ns, size in told if at_ns <= t_ns < at_ns + MINUTE_NS) <= 2 * REPEATS_BYTES

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor.blackbox import START_NS
 from failstop.supervisor.children import KILLED
-from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
+from failstop.supervisor.main import ALONE_EVERY_NS, STOP_ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
 from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS
 from tests.support.stage import MS
@@ -108,7 +108,7 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
     assert scene.next_ns() == scene.now_ns + 5 * MS, "to the moment"
     assert scene.turn(5 * MS - 1) == b"", "it has the first go"
     assert scene.turn(1) == BURST, "and the fault table promises 10 ms from the fault"
-    assert ANSWER_NS == 5 * MS
+    assert STOP_ANSWER_NS == 5 * MS
     assert scene.told()["written_by"] == "supervisor"
 
 
@@ -278,7 +278,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene) -> None:
     scene.run.events.tell("note", "from before")
     scene.turn()
     assert scene.events() == []
-    scene.turn(ANSWER_NS)
+    scene.turn(STOP_ANSWER_NS)
     assert seen == [[]]
     assert scene.events()[0]["text"] == "from before"
 

@@ -8,7 +8,8 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
+from failstop.lab.machine.process import Process
 from failstop.messages import box, layout
 from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, PATIENCE_NS, SAMPLE_NS, START_NS, STEP
 from tests.support.stage import MS
@@ -64,7 +65,7 @@ def ends(scene: Scene, saver: Process, said: bytes = msgpack.packb({"id": "0012"
     """It says a word and ends, and a turn later that is known."""
     socket(saver).node.send(said)
     scene.machine.die(saver, code)
-    scene.now_ns += LATE_NS
+    scene.now_ns += TAKEDOWN_NS
     follow(scene)
 
 
@@ -77,7 +78,7 @@ def test_the_longest_silence_of_each_process_is_sampled_ten_times_a_second(scene
     beats = {name: own.word("beat_ns") for name, own in scene.own.items()}
     beats[layout.SUPERVISOR].set(0)
     follow(scene)
-    assert sampled(scene) == [[(0.0, 0.0)] * len(layout.PROCESSES)], "nobody has beaten yet"
+    assert sampled(scene) == [[(0.0, 0.0)] * len(layout.PROCESS_NAMES)], "nobody has beaten yet"
     for elapsed_ms in (20, 90):
         follow(scene, T0 + elapsed_ms * MS)
         beats[layout.GATE].set(T0 + elapsed_ms * MS)
@@ -89,7 +90,7 @@ def test_the_longest_silence_of_each_process_is_sampled_ten_times_a_second(scene
     ((t_ns, record),) = scene.boxed()
     assert t_ns == T0 + SAMPLE_NS
     found = [(a / 1e3, b / 1e3) for a, b in box.unpack_beats(record)]
-    assert dict(zip(layout.PROCESSES, found, strict=True)) == {
+    assert dict(zip(layout.PROCESS_NAMES, found, strict=True)) == {
         "supervisor": (5.0, 0.0),
         "port_owner": (0.0, 0.0),
         "gate": (70.0, 10.0),
@@ -138,7 +139,7 @@ def test_the_black_box_starts_few_savers_at_one_time(scene: Scene) -> None:
 def test_the_black_box_saves_nothing_where_that_is_off() -> None:
     scene = Scene(settings={"incidents.save": "off"})
     latched(scene, 7)
-    left_behind(scene, len(layout.PROCESSES))
+    left_behind(scene, len(layout.PROCESS_NAMES))
     scene.supervisor.blackbox.begin()
     follow(scene, T0 + START_NS)
     assert scene.born == []
@@ -192,7 +193,7 @@ def test_the_supervisor_closes_what_a_saver_had_and_does_not_wait_for_its_word(s
     assert len(scene.fds()) == len(before) + 1
     socket(saver).references += 1  # another process has it too
     scene.machine.die(saver, 0)
-    scene.now_ns += LATE_NS
+    scene.now_ns += TAKEDOWN_NS
     follow(scene)
     assert scene.fds() == before
     assert scene.said() == [lost("the saver ended with code 0")]
@@ -201,16 +202,16 @@ def test_the_supervisor_closes_what_a_saver_had_and_does_not_wait_for_its_word(s
 def left_behind(scene: Scene, count: int) -> list[int]:
     """Segments of a dead run."""
     fds = [scene.os.dup(0) for _ in range(count)]
-    scene.run.left = dict(zip(layout.PROCESSES, fds, strict=False))
+    scene.run.left = dict(zip(layout.PROCESS_NAMES, fds, strict=False))
     return fds
 
 
 def test_a_dead_run_s_saver_copies_and_takes_processor_time_when_this_run_is_ready(scene: Scene) -> None:
-    fds = left_behind(scene, len(layout.PROCESSES))
+    fds = left_behind(scene, len(layout.PROCESS_NAMES))
     scene.supervisor.blackbox.begin()
     (given,) = savers(scene)
     assert given["until_ns"] == str(T0 + PATIENCE_NS)
-    assert given["fds"] == ",".join(f"{process}:{fd}" for process, fd in zip(layout.PROCESSES, fds, strict=True))
+    assert given["fds"] == ",".join(f"{process}:{fd}" for process, fd in zip(layout.PROCESS_NAMES, fds, strict=True))
     assert not scene.fds() & set(fds), "they are the saver's now"
     latched(scene, 7)
     follow(scene, T0 + START_NS, ready=False)
@@ -225,17 +226,17 @@ def test_a_dead_run_s_saver_copies_and_takes_processor_time_when_this_run_is_rea
 
 def test_a_dead_run_s_saver_that_is_killed_costs_nothing_but_the_incident(scene: Scene) -> None:
     """As the one process that the kernel takes when memory is short."""
-    left_behind(scene, len(layout.PROCESSES))
+    left_behind(scene, len(layout.PROCESS_NAMES))
     scene.supervisor.blackbox.begin()
     scene.machine.die(scene.born[0], -9)
-    scene.now_ns += LATE_NS
+    scene.now_ns += TAKEDOWN_NS
     for ready in (False, True):
         follow(scene, ready=ready)
     assert scene.said() == [lost("the saver was killed by signal 9")]
 
 
 def test_a_dead_run_that_is_not_whole_is_not_saved(scene: Scene) -> None:
-    fds = left_behind(scene, len(layout.PROCESSES) - 1)
+    fds = left_behind(scene, len(layout.PROCESS_NAMES) - 1)
     scene.supervisor.blackbox.begin()
     assert scene.born == []
     assert not scene.fds() & set(fds)

@@ -7,15 +7,15 @@ import signal
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.machine.kernel import LATE_NS
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.messages import layout, records
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm import heartbeat
 from failstop.supervisor import main
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 
-KILLED_NS = len(BY_NAME) * LATE_NS
+KILLED_NS = len(PROCESS_BY_NAME) * TAKEDOWN_NS
 """Until they are gone, one after the other."""
 STOPPING = ("stopping", "service is stopping; stop frame written by the port owner after 0 us")
 
@@ -23,7 +23,7 @@ STOPPING = ("stopping", "service is stopping; stop frame written by the port own
 @pytest.fixture
 def scene() -> Scene:
     """Every process runs; the port owner has stopped already for the end that is to come."""
-    made = Scene(*BY_NAME)
+    made = Scene(*PROCESS_BY_NAME)
     made.pass_time()
     made.keep_beating()
     made.port_owner.word("written_ns").set(made.now_ns)
@@ -35,7 +35,7 @@ def scene() -> Scene:
 def answer(scene: Scene, sent_ns: int) -> None:
     """The board has answered a ping a millisecond after it was sent."""
     scene.port_owner.word("ping_0").set(sent_ns)
-    scene.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+    scene.telemetry.word("pong").set(records.pack_pong(sent_ns + MS, 0))
 
 
 def end(scene: Scene) -> tuple[bool, list[tuple[str, str]]]:
@@ -59,9 +59,9 @@ def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_s
     ]
     assert scene.wire.read() == BURST
     assert scene.now_ns == began_ns + KILLED_NS, "it waits for nothing that is known"
-    assert [scene.state(name) for name in BY_NAME] == ["waiting"] * len(BY_NAME)
-    assert scene.word("beat_state").get() == heartbeat.STOPPING
-    assert sorted(process.name for process in scene.born) == sorted(BY_NAME), "an end in order is no incident"
+    assert [scene.state(name) for name in PROCESS_BY_NAME] == ["waiting"] * len(PROCESS_BY_NAME)
+    assert scene.word("beat_state").get() == heartbeat.BEAT_STOPPING
+    assert sorted(process.name for process in scene.born) == sorted(PROCESS_BY_NAME), "an end in order is no incident"
 
 
 def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(scene: Scene) -> None:
@@ -110,4 +110,4 @@ def test_an_end_without_a_port_owner_has_the_supervisor_s_stop_and_waits_for_nob
     assert well
     assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 0 us")
     assert scene.wire.read() == 2 * BURST
-    assert scene.now_ns == began_ns + KILLED_NS - LATE_NS
+    assert scene.now_ns == began_ns + KILLED_NS - TAKEDOWN_NS

@@ -14,7 +14,14 @@ import pytest
 
 from failstop.notify import Outbox
 from failstop.supervisor import kinds
-from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, journal_entry, pack, say
+from failstop.supervisor.events import (
+    EVENT_BYTES,
+    LONGEST_HOLD_NS,
+    MOST_EVENTS_WAITING,
+    journal_entry,
+    ring_entry,
+    say,
+)
 from tests.supervisor.streams import stderr_is
 from tests.support.supervisor_scene import Scene
 
@@ -151,7 +158,7 @@ def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Sce
 
 
 def test_programs_are_told_how_much_was_left_out(scene: Scene) -> None:
-    for _ in range(MOST_WAITING + 7):
+    for _ in range(MOST_EVENTS_WAITING + 7):
         scene.run.events.tell("stop", "x", {"reason": "x"}, level="critical")
     text = "7 events of the kind stop were left out: too many to tell of each"
     assert scene.said()[-1] == ("left_out", "critical", text, {"of": "stop", "count": 7})
@@ -167,8 +174,8 @@ def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene, journa
 @pytest.mark.parametrize("size", [1, 47, 200, 5_000, 100_000])
 def test_every_event_fits_into_its_cell(size: int) -> None:
     fields: dict[str, str | int | float] = {"reason": "\u2713" * size, "who": "\udcff" * size, "epoch": 2**63}
-    data = pack(2**62, 1.7e9, "stop_outcome", "critical", "\u2713" * size, fields)
-    assert len(data) <= ROOM
+    data = ring_entry(2**62, 1.7e9, "stop_outcome", "critical", "\u2713" * size, fields)
+    assert len(data) <= EVENT_BYTES
     found = msgpack.unpackb(data)
     assert (found["kind"], found["ns"]) == ("stop_outcome", 2**62)
     assert found["text"].startswith("\u2713")
@@ -176,13 +183,13 @@ def test_every_event_fits_into_its_cell(size: int) -> None:
 
 
 def test_fields_that_do_not_fit_however_short_are_left_out() -> None:
-    data = pack(1, 1.0, "note", "info", "text", {f"field_{i}": "x" * 30 for i in range(100)})
-    assert len(data) <= ROOM
+    data = ring_entry(1, 1.0, "note", "info", "text", {f"field_{i}": "x" * 30 for i in range(100)})
+    assert len(data) <= EVENT_BYTES
     assert msgpack.unpackb(data)["fields"] == {}
 
 
 def test_the_journal_s_entry_has_a_level_and_an_id_for_every_kind() -> None:
-    for kind in kinds.KINDS:
+    for kind in kinds.EVENT_KINDS:
         lines = journal_entry("x", 1, kind.name, kind.level, "text", {}).decode().splitlines()
         found = dict(line.split("=", 1) for line in lines)
         assert 2 <= int(found["PRIORITY"]) <= 6

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.messages.layout import GATE
-from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
+from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
@@ -117,7 +117,7 @@ def test_the_lease_is_long_without_rights_unless_somebody_chose_one(
 
 
 def test_the_lease_without_rights_changes_nothing_of_who_stops_first() -> None:
-    others_s = [HANG_NS / 1e9, BY_NAME[GATE].deadline_ns / 1e9]
+    others_s = [HANG_NS / 1e9, PROCESS_BY_NAME[GATE].deadline_ns / 1e9]
     assert all(Settings().ns(status.LEASE) / 1e9 <= status.LEASE_WITHOUT_S < other_s for other_s in others_s)
 
 

@@ -11,7 +11,7 @@ import pytest
 import failstop
 from failstop.lab.pages import catalog
 from failstop.lab.pages.catalog_texts import TEXTS
-from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, EventKind
+from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS, EventKind
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 ALWAYS = {"MESSAGE", "FAILSTOP_NAME", "FAILSTOP_EVENT"}
@@ -23,15 +23,15 @@ AGREED = {
 
 
 def test_no_name_and_no_id_is_given_twice() -> None:
-    assert len(BY_NAME) == len({kind.message_id for kind in KINDS}) == len(KINDS)
-    assert list(TEXTS) == list(BY_NAME), "each has its text"
+    assert len(EVENT_BY_NAME) == len({kind.message_id for kind in EVENT_KINDS}) == len(EVENT_KINDS)
+    assert list(TEXTS) == list(EVENT_BY_NAME), "each has its text"
 
 
 def test_the_kinds_that_programs_go_by_are_there() -> None:
-    assert set(BY_NAME) >= AGREED
+    assert set(EVENT_BY_NAME) >= AGREED
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", EVENT_KINDS, ids=lambda kind: kind.name)
 def test_every_kind_is_whole(kind: EventKind) -> None:
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*", kind.name)
     assert re.fullmatch(r"[0-9a-f]{32}", kind.message_id)
@@ -61,7 +61,7 @@ def test_every_kind_is_told_somewhere_and_none_that_is_not_in_the_table() -> Non
     for room in ("supervisor", "procs"):
         for path in (ROOT / room).rglob("*.py"):
             found |= told(path)
-    assert found == set(BY_NAME)
+    assert found == set(EVENT_BY_NAME)
 
 
 def test_the_catalog_in_the_tree_is_made_from_the_table() -> None:
@@ -70,4 +70,4 @@ def test_the_catalog_in_the_tree_is_made_from_the_table() -> None:
 
 
 def test_the_catalog_has_an_entry_for_each_kind() -> None:
-    assert re.findall(r"^-- ([0-9a-f]{32})$", catalog.text(), re.MULTILINE) == [kind.message_id for kind in KINDS]
+    assert re.findall(r"^-- ([0-9a-f]{32})$", catalog.text(), re.MULTILINE) == [kind.message_id for kind in EVENT_KINDS]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.procs.loop import GONE
@@ -90,11 +90,11 @@ def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene:
     asked = scene.port_owner.word("ping_0")
     pong = scene.telemetry.word("pong")
     asked.set(scene.now_ns + 2 * MS)
-    pong.set(records.pong(scene.now_ns + MS, 0))
+    pong.set(records.pack_pong(scene.now_ns + MS, 0))
     scene.turn(3 * MS)
     assert scene.read("link") == b"unproven"
     assert scene.table("stop")["acknowledged_us"] is None
-    pong.set(records.pong(scene.now_ns + MS, 0))
+    pong.set(records.pack_pong(scene.now_ns + MS, 0))
     scene.turn(2 * MS)
     assert scene.read("link") == b"alive"
     assert scene.table("stop")["acknowledged_us"] > 0

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM, Process, Thread
+from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.messages import layout
 
 DIRECTORY = "/run/failstop/failstop"
-SUPERVISOR = 1 + len(layout.PROCESSES)
+SUPERVISOR = 1 + len(layout.PROCESS_NAMES)
 """How many eventfds a supervisor makes before it can begin: a bell each, and one for the early news."""
 
 
@@ -31,7 +32,7 @@ class Service:
         self.find = (
             self.load("failstop.api.state").StateReader,
             self.load("failstop.api.events").EventLog,
-            self.load("failstop.api.client").Run,
+            self.load("failstop.api.client").SeenRun,
         )
         self.read_state, self.read_events, _ = self.find
 
@@ -67,7 +68,7 @@ class Service:
 
     def memory(self) -> str:
         """Of the run that has the name."""
-        incarnation, _ = self.load("failstop.files.instance").run(DIRECTORY)
+        incarnation, _ = self.load("failstop.files.instance").current_run(DIRECTORY)
         found: str = self.load("failstop.messages.segments").memory("failstop", incarnation)
         return found
 
@@ -100,7 +101,7 @@ def test_all_that_a_client_reads_is_there_when_the_name_is(service: Service) -> 
         assert not robot.drive(0.1, 0.0, 0.0, manual=True)
         robot.sensed()
     assert state.processes[layout.SUPERVISOR].pid == service.process.pid
-    assert set(state.processes) == set(layout.PROCESSES)
+    assert set(state.processes) == set(layout.PROCESS_NAMES)
     assert state.waiting_for == "port_owner, stopper, gate, telemetry"
     assert (state.enabled, state.blocked, state.cause) == (False, "disabled", None)
     assert (state.device.path, state.device.state, state.device.link) == (DEVICE, "open", "unproven")

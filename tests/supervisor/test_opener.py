@@ -13,7 +13,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
 from tests.support.children import scheduled

@@ -6,7 +6,7 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.messages import layout, records
-from failstop.shm.heartbeat import STARTING
+from failstop.shm.heartbeat import BEAT_STARTING
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import LOOK_NS, SHARE_NS
 from tests.support.stage import MS
@@ -112,7 +112,7 @@ def test_one_that_is_starting_inherits_it_and_gets_it_when_it_runs_without(scene
     scene.dies(name)
     turn(scene)
     assert scene.state(name) == "starting"
-    scene.own[name].word("beat_state").set(STARTING)
+    scene.own[name].word("beat_state").set(BEAT_STARTING)
     scene.has_port(name, 0)
     turn(scene, SHARE_NS)
     assert received(scene, name) == []

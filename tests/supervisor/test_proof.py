@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.policy.proofs import ALIVE, DEAF, UNASKED, UNPROVEN, still_after
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, still_after
 from failstop.supervisor.proof import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Link, Proof
 from failstop.supervisor.stops import Stop
 from tests.support.why import why
@@ -207,23 +207,23 @@ def deaf_after_ms(link: Link, pings_ms: list[int], until_ms: int = 5_000) -> int
 
 def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
     link = Link(1_000 * MS, asked=False)
-    assert link.state == UNASKED
+    assert link.state == LINK_UNASKED
     assert not link.silent(T0 + 10_000 * MS, T0 + 20_000 * MS)
     link.opened()
-    assert link.state == UNASKED
+    assert link.state == LINK_UNASKED
 
 
 def test_a_board_that_never_answers_is_unproven_and_no_cause() -> None:
     link = Link(DEAF_NS)
-    assert link.state == UNPROVEN
+    assert link.state == LINK_UNPROVEN
     assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
-    assert link.state == UNPROVEN
+    assert link.state == LINK_UNPROVEN
 
 
 def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once() -> None:
     link = heard(T0)
     assert deaf_after_ms(link, [0, 500, 1_000, 1_500]) == 1_020, "the ping at 1,000 may still be answered"
-    assert link.state == DEAF
+    assert link.state == LINK_DEAF
     assert deaf_after_ms(link, [2_000, 2_500]) is None, "once"
 
 
@@ -232,7 +232,7 @@ def test_a_board_that_answers_is_alive() -> None:
     for ms in range(0, 10_000, 500):
         assert not link.silent(T0 + ms * MS, T0 + ms * MS + 20 * MS)
         link.answered(T0 + ms * MS)
-    assert link.state == ALIVE
+    assert link.state == LINK_ALIVE
 
 
 def test_nobody_is_deaf_who_was_not_asked() -> None:
@@ -258,11 +258,11 @@ def test_a_deaf_board_that_answers_again_is_alive() -> None:
     link = heard(T0)
     assert deaf_after_ms(link, [500, 1_000]) == 1_020
     link.answered(T0 + 1_500 * MS)
-    assert link.state == ALIVE
+    assert link.state == LINK_ALIVE
 
 
 def test_another_port_is_another_board() -> None:
     link = heard(T0)
     link.opened()
-    assert link.state == UNPROVEN
+    assert link.state == LINK_UNPROVEN
     assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from failstop.messages import layout
-from failstop.policy.processes import BY_NAME
-from failstop.supervisor.main import ANSWER_NS
+from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.supervisor.main import STOP_ANSWER_NS
 from failstop.supervisor.status import TELL_EVERY_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
 
 
 def test_the_service_is_not_ready_before_its_stop_is_answered_and_its_port_open() -> None:
-    scene = Scene(*BY_NAME)
+    scene = Scene(*PROCESS_BY_NAME)
     scene.has_port(layout.STOPPER)
     scene.answers()
     scene.turn()
     assert scene.word("ready").get() == 1
     scene.gate_stops()
     scene.turn()
-    scene.turn(ANSWER_NS)
+    scene.turn(STOP_ANSWER_NS)
     assert scene.waits_for() == "a stop being carried out", "answered for an older epoch only"
     scene.answers()
     scene.turn()
@@ -71,7 +71,7 @@ def test_the_service_manager_is_told_what_is_new(scene: Scene) -> None:
     said = heard(scene)
     scene.pass_time()
     assert said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
-    for name in BY_NAME:
+    for name in PROCESS_BY_NAME:
         scene.employ(name)
     scene.has_port(layout.STOPPER)
     scene.answers()

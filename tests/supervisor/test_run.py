@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import LATE_NS
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.messages import layout
 from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
@@ -55,16 +55,16 @@ def dies_before(scene: Scene) -> str:
         scene.machine.block()
 
     process = scene.machine.process("before", body)
-    scene.machine.run(lambda: process.threads[0].waiting, LATE_NS)
+    scene.machine.run(lambda: process.threads[0].waiting, TAKEDOWN_NS)
     scene.machine.die(process, -9)
-    scene.now_ns += LATE_NS
+    scene.now_ns += TAKEDOWN_NS
     memory: str = made[0].memory
     return memory
 
 
 def test_every_segment_is_there_and_of_this_run(scene: Scene) -> None:
     assert len(segments(scene)) == len(layout.SEGMENTS)
-    for process in layout.PROCESSES:
+    for process in layout.PROCESS_NAMES:
         assert incarnation(scene, scene.run, process) == scene.run.incarnation
 
 
@@ -167,7 +167,7 @@ def test_nothing_is_left_but_how_it_was_started(ended: Scene) -> None:
 def test_claims_of_clients_work_on_the_file(scene: Scene) -> None:
     claim, path = scene.load("failstop.shm.claim"), f"{RUNTIME_DIR}/claims"
     client, service = claim.open_claims(path), scene.os.open(path, os.O_RDONLY)
-    assert claim.take(client, 3)
+    assert claim.acquire(client, 3)
     assert claim.held(service, 3)
     scene.os.close(client)
     assert not claim.held(service, 3)
@@ -198,7 +198,7 @@ def test_a_start_that_fails_keeps_the_black_box_of_the_run_before(ended: Scene) 
     assert segment.dead_runs("stage") == [before]
     ended.allow()
     made = ended.new_run()
-    assert set(made.left) == set(layout.PROCESSES)
+    assert set(made.left) == set(layout.PROCESS_NAMES)
     made.publish()
     assert segment.dead_runs("stage") == []
 

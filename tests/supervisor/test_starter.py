@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 import failstop
-from failstop.lab.machine.kernel import Replaced
+from failstop.lab.machine.process import Replaced
 from failstop.policy.settings import Settings
 from failstop.supervisor import starter
 from tests.support.supervisor_scene import Scene

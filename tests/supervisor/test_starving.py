@@ -6,30 +6,30 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import starved
 from failstop.supervisor.process_table import STARVED_SHOWN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
 
-SPARED = tuple(name for name in BY_NAME if name != layout.PORT_OWNER)
+SPARED = tuple(name for name in PROCESS_BY_NAME if name != layout.PORT_OWNER)
 
 
 @pytest.fixture
 def scene() -> Scene:
     """Every process runs, and the machine runs none of them."""
-    made = Scene(*BY_NAME)
+    made = Scene(*PROCESS_BY_NAME)
     made.supervisor.status.ever = True
-    for name in BY_NAME:
+    for name in PROCESS_BY_NAME:
         made.starve(name)
     return made
 
 
 def beat_but(scene: Scene, name: str, elapsed_ns: int = 10 * MS) -> None:
     """A tick in which everybody else beats."""
-    scene.tick(elapsed_ns, beating=tuple(other for other in BY_NAME if other != name))
+    scene.tick(elapsed_ns, beating=tuple(other for other in PROCESS_BY_NAME if other != name))
 
 
 def shown(process: str, longest_ms: int, times: int) -> dict[str, object]:
@@ -43,8 +43,8 @@ def test_a_starved_process_is_left_alone_while_motion_is_disabled(scene: Scene) 
     scene.tick(800 * MS)
     assert (supervisor.epoch, scene.word("ready").get()) == (1, 0)
     assert not any(child.fence for child in supervisor.children)
-    assert scene.waits_for() == ", ".join(BY_NAME)
-    scene.beat(*BY_NAME)
+    assert scene.waits_for() == ", ".join(PROCESS_BY_NAME)
+    scene.beat(*PROCESS_BY_NAME)
     for _ in range(2):
         scene.pass_time()
     assert scene.waits_for() == ""
@@ -57,7 +57,10 @@ def test_a_starved_process_is_stopped_for_once_while_motion_is_enabled(scene: Sc
     scene.enabled()
     while scene.supervisor.epoch == 1:
         beat_but(scene, name)
-    assert scene.cause()[1] == f"{name} hangs: {BY_NAME[name].deadline_ns // MS} ms silent (the machine is starved)"
+    assert (
+        scene.cause()[1]
+        == f"{name} hangs: {PROCESS_BY_NAME[name].deadline_ns // MS} ms silent (the machine is starved)"
+    )
     beat_but(scene, name, 800 * MS)
     assert scene.supervisor.epoch == 2, "it is disabled now"
     assert not scene.supervisor.processes[name].fence
@@ -76,7 +79,7 @@ def test_a_starved_port_owner_is_fenced_while_it_may_move(scene: Scene, sign: st
 
 def test_nobody_is_spared_for_ever_and_none_is_down_for_it(scene: Scene) -> None:
     telemetry = scene.supervisor.processes[layout.TELEMETRY]
-    deadline_ns = BY_NAME[layout.TELEMETRY].deadline_ns
+    deadline_ns = PROCESS_BY_NAME[layout.TELEMETRY].deadline_ns
     for _ in range(6):
         scene.starve(layout.TELEMETRY)
         began_ns = scene.now_ns

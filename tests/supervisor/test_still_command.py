@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.lab.machine.kernel import Process
+from failstop.lab.machine.process import Process
 from failstop.messages import layout
 from failstop.policy import causes
 from tests.support.stage import MS

@@ -7,15 +7,15 @@ import importlib
 import pytest
 
 from failstop.messages import layout
-from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
+from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
 
 each = pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
 STOPPING = {layout.PORT_OWNER, layout.STOPPER}
 
 
 def test_every_process_of_the_layout_but_the_supervisor_has_its_row() -> None:
-    assert sorted(BY_NAME) == sorted(set(layout.PROCESSES) - {layout.SUPERVISOR})
-    assert len(BY_NAME) == len(PROCESSES)
+    assert sorted(PROCESS_BY_NAME) == sorted(set(layout.PROCESS_NAMES) - {layout.SUPERVISOR})
+    assert len(PROCESS_BY_NAME) == len(PROCESSES)
 
 
 @each

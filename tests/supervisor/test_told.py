@@ -9,8 +9,8 @@ import pytest
 from failstop.messages import layout
 from failstop.messages.packing import Note
 from failstop.policy import causes
-from failstop.supervisor.kinds import BY_NAME
-from failstop.supervisor.monitor import MOST_SAID
+from failstop.supervisor.kinds import EVENT_BY_NAME
+from failstop.supervisor.monitor import SENTENCES_KEPT
 from failstop.supervisor.status import WAITED_NS
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import Scene
@@ -37,7 +37,7 @@ def status(scene: Scene) -> Any:
 def told(scene: Scene) -> list[tuple[str, str, object, str]]:
     """What people were told: kind, text, fields, and the level that is not the kind's."""
     return [
-        (kind, text, fields, "" if level == BY_NAME[kind].level else level)
+        (kind, text, fields, "" if level == EVENT_BY_NAME[kind].level else level)
         for kind, level, text, fields in scene.said()
     ]
 
@@ -62,7 +62,7 @@ def test_the_monitor_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene
         return bool(scene.said())
 
     monitor.latched(made(scene, KEY))
-    assert all(news(str(number)) for number in range(MOST_SAID - 1))
+    assert all(news(str(number)) for number in range(SENTENCES_KEPT - 1))
     assert not news("key1")
     assert not news("0")
     assert news("one more")

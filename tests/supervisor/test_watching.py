@@ -9,10 +9,10 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.messages import layout
 from failstop.policy import causes
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs.loop import NEVER
 from failstop.supervisor.children import GIVEN_UP, STARTING_NS
-from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
+from failstop.supervisor.main import CLIENT_SILENT_NS, EXCUSE_NS, HELD_UP_NS, TICK_NS
 from failstop.supervisor.process_table import GATE_AGAIN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
@@ -24,13 +24,13 @@ S = 1_000_000_000
 @pytest.fixture
 def whole() -> Scene:
     """Every process runs, and the service was ready once."""
-    made = Scene(*BY_NAME)
+    made = Scene(*PROCESS_BY_NAME)
     made.supervisor.status.ever = True
     return made
 
 
 def others(name: str) -> tuple[str, ...]:
-    return tuple(other for other in BY_NAME if other != name)
+    return tuple(other for other in PROCESS_BY_NAME if other != name)
 
 
 def epochs(scene: Scene) -> list[int]:
@@ -58,9 +58,9 @@ def test_the_supervisor_wakes_those_who_are_to_answer_an_epoch(scene: Scene) -> 
     assert all(map(scene.rung, asked))
 
 
-@pytest.mark.parametrize("name", list(BY_NAME))
+@pytest.mark.parametrize("name", list(PROCESS_BY_NAME))
 def test_a_process_that_is_silent_is_killed_before_it_is_stopped_for(whole: Scene, name: str) -> None:
-    process, deadline_ns = whole.employ(name), BY_NAME[name].deadline_ns
+    process, deadline_ns = whole.employ(name), PROCESS_BY_NAME[name].deadline_ns
     lived: list[bool] = []
     whole.wire.on_bytes = lambda data: lived.append(not process.dead)
     assert whole.tick(deadline_ns - 1, beating=others(name)) == b""
@@ -91,7 +91,7 @@ def fence(scene: Scene, *names: str) -> None:
     """Processes hang, and are killed for it."""
     for name in names:
         scene.employ(name)
-    longest_ns, *_ = deadlines = sorted((BY_NAME[name].deadline_ns for name in names), reverse=True)
+    longest_ns, *_ = deadlines = sorted((PROCESS_BY_NAME[name].deadline_ns for name in names), reverse=True)
     scene.tick(longest_ns - deadlines[-1], beating=(layout.PORT_OWNER,))
     scene.tick(deadlines[-1])
     scene.events()
@@ -339,7 +339,7 @@ def test_a_board_is_not_deaf_while_telemetry_is_down() -> None:
 
 
 def test_a_board_is_not_deaf_while_the_port_owner_is_starved() -> None:
-    deadline_ns = BY_NAME[layout.PORT_OWNER].deadline_ns
+    deadline_ns = PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns
     scene = nearly_deaf(deadline_ns + 20 * MS)
     scene.starve(layout.PORT_OWNER)
     scene.tick(deadline_ns, beating=(layout.TELEMETRY,))
@@ -348,7 +348,9 @@ def test_a_board_is_not_deaf_while_the_port_owner_is_starved() -> None:
     assert scene.read("link") == b"alive"
 
 
-@pytest.mark.parametrize(("silent_ns", "motion", "deaf"), [(LATE_NS, 0, 0), (LATE_NS - 1, 0, 1), (LATE_NS, 1, 1)])
+@pytest.mark.parametrize(
+    ("silent_ns", "motion", "deaf"), [(CLIENT_SILENT_NS, 0, 0), (CLIENT_SILENT_NS - 1, 0, 1), (CLIENT_SILENT_NS, 1, 1)]
+)
 @pytest.mark.parametrize("held_up", [*HEARS, layout.SUPERVISOR])
 def test_a_process_that_was_held_up_did_not_listen_unless_something_may_move(
     held_up: str, silent_ns: int, motion: int, deaf: int
@@ -378,8 +380,8 @@ def test_a_process_has_its_time_from_its_start_whatever_was_beaten_before(scene:
 def test_the_supervisor_sleeps_until_what_is_due_next(scene: Scene) -> None:
     assert scene.next_ns() == scene.now_ns + TICK_NS
     scene.employ(layout.GATE)
-    overdue_ns = scene.now_ns + BY_NAME[layout.GATE].deadline_ns
-    scene.tick(BY_NAME[layout.GATE].deadline_ns - MS)
+    overdue_ns = scene.now_ns + PROCESS_BY_NAME[layout.GATE].deadline_ns
+    scene.tick(PROCESS_BY_NAME[layout.GATE].deadline_ns - MS)
     assert scene.next_ns() == overdue_ns, "who hangs is not waited for until a tick"
     scene.beat(layout.GATE)
     scene.pass_time()

@@ -1,4 +1,4 @@
-"""How much of the same: little in `make test`, and much in `make campaigns`."""
+"""Amounts of what is tried: little in `make test`, and much in `make campaigns`."""
 
 from __future__ import annotations
 

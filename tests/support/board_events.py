@@ -1,4 +1,4 @@
-"""What a board reports after a fault."""
+"""Frames as a board reports them after a fault."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ CLAIMS = instance.claims_path(RUNTIME_DIR)
 BELL = instance.bell_path(RUNTIME_DIR)
 NAMESPACE = "/proc/self/ns/pid"
 ANSWER_NS = 1 * MS
-"""From the board through port owner and telemetry."""
+"""The time of an answer from the board through port owner and telemetry."""
 
 
 class Client:
@@ -45,7 +45,7 @@ class Client:
         claim = stage.load("failstop.shm.claim")
         self._claims: int = claim.open_claims(CLAIMS)
         self.segment = stage.owned(f"client.{index}")
-        assert claim.take(self._claims, index)
+        assert claim.acquire(self._claims, index)
         self.hello(session, name, pid, namespace)
 
     def hello(self, session: int, name: str, pid: int = 0, namespace: int | None = None) -> None:
@@ -55,7 +55,7 @@ class Client:
         self.write("hello", records.HELLO.pack(session, pid, namespace, name))
 
     def succeed(self, session: int, name: str) -> None:
-        """Another session takes the slot, and counts its requests from the first again."""
+        """Give the slot to another session, which counts its requests from the first again."""
         self.session, self.number = session, 0
         self.hello(session, name)
 
@@ -121,7 +121,7 @@ class Scene(Stage):
         self.said: dict[int, list[int]] = {servo: [] for servo in SERVOS}
         """The last answers about each servo's position."""
         self.moves: list[tuple[int, bytes]] = []
-        """When, and the data of each frame that moved servos."""
+        """Each frame that moved servos: when, and its data."""
         self.dropped = 0
         self._answers: list[tuple[int, bytes]] = []
         self.asked: list[int] = []
@@ -138,17 +138,17 @@ class Scene(Stage):
         return self.clients[-1]
 
     def start_gate(self) -> None:
-        """For the first time, or after its death."""
+        """Start the gate for the first time, or after its death."""
         self.gate = self.load("failstop.procs.gate.main").Gate(self)
 
     # The supervisor.
 
     def ready(self, word: int) -> None:
-        """What it says of the service: 1 when motion may be enabled."""
+        """The word `ready` of the service: 1 when motion may be enabled."""
         self.views[layout.SUPERVISOR].word("ready").set(word)
 
     def stop(self, cause: Cause | str) -> None:
-        """It latches and raises the epoch; the port owner's burst stops wheels and servos."""
+        """Latch a cause and raise the epoch; the port owner's burst stops wheels and servos."""
         self.epoch += 1
         now_ns, stopped = self.clock(), why(cause) if isinstance(cause, str) else cause
         self.latch.add([Stop(now_ns, layout.SUPERVISOR, stopped)], self.epoch, now_ns)
@@ -157,7 +157,7 @@ class Scene(Stage):
         self._burst()
 
     def decide(self) -> None:
-        """It hears of a reset that the gate passes on, and the gate of what became of it."""
+        """Hear of a reset that the gate passes on, and tell the gate what became of it."""
         while (number := self.own.word("resets_asked").get()) != self._resets_word.get():
             reply = self.latch.reset(self.gate.epoch, self.own.word("reset_asked_ns").get())
             if self.latch.newest:
@@ -212,7 +212,7 @@ class Scene(Stage):
         return self._carry_out()
 
     def latched(self) -> str | None:
-        """What the gate takes to be latched."""
+        """The cause that the gate takes to be latched."""
         return str(self.gate.core.latch) if self.gate.core.latch else None
 
     def stopped(self) -> str:
@@ -221,7 +221,7 @@ class Scene(Stage):
         return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
 
     def told(self) -> list[str]:
-        """What people were told since the last look."""
+        """The notes that people got since the last look."""
         found = []
         while entry := self._told.next():
             found.append(Note.unpack(entry[2]).text)
@@ -313,18 +313,18 @@ class Scene(Stage):
     # The gamepad, by telemetry.
 
     def pad(self, joint: int, share: float) -> None:
-        """In its joint mode."""
+        """Push a stick of the gamepad in its joint mode."""
         self._pad.write(records.PAD_ARM.pack(joint, share))
 
     def pad_resets(self) -> None:
-        """Its reset."""
+        """Ask for the gamepad's reset."""
         request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
         self.views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
 
     # Port owner and board.
 
     def at(self, servo: int) -> float:
-        """Where it is in truth."""
+        """The true position of a servo."""
         return self.servos.by_id[servo].leg.at(self.clock())
 
     def _burst(self) -> None:

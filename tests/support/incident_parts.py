@@ -49,7 +49,7 @@ class KeptRing:
 
 
 class Recorder:
-    """What a run leaves; incident() or save() make a file of it."""
+    """Memory as a run leaves it; incident() or save() make a file of it."""
 
     def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
         self.why = cause
@@ -93,7 +93,7 @@ class Recorder:
         ring.put(box.pack_board(box.IMU_KIND, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
 
     def beats(self, ms: float, **ages_ms: float) -> None:
-        ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESSES]
+        ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESS_NAMES]
         self.ring(layout.SUPERVISOR, "box").put(box.pack_beats(ages, [1000] * len(ages)), at(ms))
 
     def event(self, ms: float, kind: str, text: str, level: str = "notice", *, step: str = "", **fields: Any) -> None:
@@ -126,7 +126,7 @@ class Recorder:
 
     def body(self) -> dict[str, Any]:
         segments: dict[str, Any] = {}
-        for index, name in enumerate(layout.PROCESSES):
+        for index, name in enumerate(layout.PROCESS_NAMES):
             words = {"beat_pid": 100 + index, "beat_ns": at(2190), "beat_worst_ns": 21_000_000, "written_ns": 0}
             rings = {ring: kept.entries for (segment, ring), kept in self.rings.items() if segment == name}
             segments[name] = {"words": words, "latest": {}, "rings": rings}

@@ -51,7 +51,7 @@ class Scene(Stage):
         return self._without_pings(self.wire.read())
 
     def next_ns(self) -> int:
-        """When it turns without any news."""
+        """The time of its next turn without any news."""
         return min(self.clock() + main.TICK_NS, self.owner.loop.due_ns())
 
     def _without_pings(self, wrote: bytes) -> bytes:
@@ -74,12 +74,12 @@ class Scene(Stage):
         kind: int = records.MOTION,
         elapsed_ns: int = 0,
     ) -> bytes:
-        """What it writes in a turn for a frame of the gate's."""
+        """The bytes that it writes in a turn for a frame of the gate's."""
         self.put(frame, epoch=epoch, age_ns=age_ns, kind=kind)
         return self.turn(elapsed_ns)
 
     def answer(self, elapsed_ns: int = 0, *, alive: bool = True) -> tuple[bytes, list[str]]:
-        """What it writes in a turn, and the reasons of its own stops."""
+        """The bytes that it writes in a turn, and the reasons of its own stops."""
         return self.turn(elapsed_ns, alive=alive), self.reasons()
 
     def drive(self) -> None:
@@ -103,7 +103,7 @@ class Scene(Stage):
         return int(self.views[layout.PORT_OWNER].word(name).get())
 
     def kept(self) -> list[tuple[int, int, int]]:
-        """What the black box has got since the last call, without pings: (kind, bytes, how many of them were taken)."""
+        """Entries of the black box since the last call, without pings: (kind, bytes, how many of them were taken)."""
         found = []
         while entry := self.black_box.next():
             kind, length, taken, head = box.WIRE.unpack(entry[2])

@@ -1,4 +1,4 @@
-"""What several tests of the processes need: waiting for a condition, raw ptys, and the board at their other end."""
+"""Waits and ptys for tests of the processes: waiting for a condition, raw ptys, and the board at their other end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HELD = 4095
 
 
 def open_fds() -> int:
-    """How many descriptors this process has open, but for those of garbage that earlier tests have left."""
+    """The number of descriptors that this process has open, but for those of garbage that earlier tests have left."""
     gc.collect()
     return len(os.listdir("/proc/self/fd"))
 
@@ -62,7 +62,7 @@ class Pty:
         return data
 
     def fill(self) -> int:
-        """Until the kernel takes no more; returns how many bytes it took."""
+        """Write until the kernel takes no more; returns how many bytes it took."""
         return fill(self.slave, self.master)
 
     def unplug(self) -> None:

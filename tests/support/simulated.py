@@ -11,7 +11,8 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
@@ -55,7 +56,7 @@ class Board:
         return self._model.wheels
 
     def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
-        """Until any wheel turns, or until all stand."""
+        """Wait until any wheel turns, or until all stand."""
         self._wait_for("the wheels", lambda: any(self.wheels()) == moving, timeout_s)
 
     def key(self, key_id: int, event: int) -> None:
@@ -64,19 +65,19 @@ class Board:
 
     def pad(self, buttons: int = 0, *, ly: int = 0, hold: bool = False) -> None:
         """One gamepad frame; with `hold` 20 a second."""
-        self._model.pad(upward.gamepad(buttons, ly=ly), self._robot.machine.now_ns, hold=hold)
+        self._model.pad(upward.gamepad_frame(buttons, ly=ly), self._robot.machine.now_ns, hold=hold)
         self._robot.board.plan()
 
     def pad_silent(self) -> None:
         self._model.pad_silent()
 
     def joints(self) -> dict[int, float]:
-        """Where each of the arm's servos stands now, in pulses."""
+        """The position of each of the arm's servos now, in pulses."""
         now_ns = self._robot.machine.now_ns
         return {servo: found.leg.at(now_ns) for servo, found in self._model.servos.by_id.items()}
 
     def joint_track(self) -> list[Leg]:
-        """What the arm's servos did."""
+        """The moves that the arm's servos made."""
         return list(self._model.servos.track)
 
     def servo(self, servo: int, **values: bool | float) -> None:
@@ -163,7 +164,7 @@ class Simulated:
 
     @property
     def said(self) -> str:
-        """What the service wrote to stderr."""
+        """The text that the service wrote to stderr."""
         return self.lab.said
 
     def pids(self) -> dict[str, int]:
@@ -175,7 +176,7 @@ class Simulated:
 
     @staticmethod
     def _lives(process: Process) -> bool:
-        return process.name in layout.PROCESSES and process.code is None
+        return process.name in layout.PROCESS_NAMES and process.code is None
 
     def _of(self, name: str) -> Process:
         found = self.lab.named(name)
@@ -236,23 +237,23 @@ class Simulated:
         return self.lab.command(words, each)
 
     def printed(self, *words: str) -> str:
-        """What a command prints that has nothing to complain of, as one line."""
+        """The output of a command that has nothing to complain of, as one line."""
         code, out, err = self.command(*words)
         assert (code, err) == (0, "")
         return " ".join(out.split())
 
     def json(self, *words: str, each: Callable[[], object] = lambda: None) -> Any:
-        """What a command prints with --json."""
+        """The object that a command prints with --json."""
         code, out, err = self.command(*words, "--json", each=each)
         assert (code, err) == (0, "")
         return json.loads(out)
 
     def program(self, name: str, body: Callable[[Any], object]) -> Process:
-        """Another program, which is called with its `failstop`."""
+        """Start another program, which is called with its `failstop`."""
         return self.lab.program(name, body)
 
     def driver(self, client: str, velocity: tuple[float, float, float] = FORWARD, **options: object) -> Process:
-        """Another program that drives until it is killed."""
+        """Start another program, which drives until it is killed."""
 
         def drive(failstop: Any) -> None:
             with failstop.Robot(client=client) as robot:

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from failstop.lab.machine.files import IN, OUT, Open, Pidfd
-from failstop.lab.machine.kernel import Machine, Thread
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import File, Loader, Patches
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Thread
 from failstop.messages import layout, records
 from failstop.shm import heartbeat
 
@@ -27,12 +28,12 @@ class BoardPort(Port):
     """A port whose driver has little room, or counts bytes that are under way."""
 
     room: int | None = None
-    """How many bytes it still takes; None: as many as a port does."""
+    """The number of bytes that it still takes; None: as many as a port does."""
     under_way = 0
-    """What the kernel says that it holds, beside what it does."""
+    """Bytes that the kernel says it holds, beside those that it does."""
 
     def takes(self, room: int | None = None) -> None:
-        """So many bytes from here on; None: all."""
+        """Take so many bytes from here on; None: all."""
         self.room = room
         self.notify()
 
@@ -91,7 +92,7 @@ class Wire:
             self.port.unplug()
 
     def replug(self) -> Wire:
-        """Another port after this one."""
+        """Put another port in the place of this one."""
         self.unplug()
         return Wire(self.machine, self.number + 1)
 
@@ -102,9 +103,9 @@ class Early:
     def __init__(self, bell: Any) -> None:
         self.bell = bell
         self.armed: list[tuple[int, int, int]] = []
-        """Whose death is waited for, at which futex: pid, block, index."""
+        """The process whose death is waited for, and its futex: pid, block, index."""
         self.dying: dict[int, int] = {}
-        """By its pid: the priority that a thread which stops for it is to run above."""
+        """The priority that a thread which stops for a process is to run above, by its pid."""
         self._lives: dict[int, tuple[Any, Callable[[], None] | None]] = {}
 
     def arm(self, life: Any, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0) -> None:
@@ -115,7 +116,7 @@ class Early:
         self._lives[life.pid] = (life, stop)
 
     def tell(self, pid: int) -> None:
-        """What the thread does that waits for this one's death, when the news comes early."""
+        """The act of the thread that waits for this one's death, when the news comes early."""
         life, stop = self._lives[pid]
         life.marked = True
         if stop:
@@ -123,7 +124,7 @@ class Early:
         self.bell.ring()
 
     def watch(self, life: Any, segment: Any, line: int = 0) -> None:
-        """Nor here."""
+        """Nothing to watch here."""
 
 
 class Dummy:
@@ -241,7 +242,7 @@ class Stage(PortMachine):
         }
         self.port_number = 1
         self._bells = {name: self._bell.EventBell.create() for name in BELLS}
-        self.views = {name: self.owned(name) for name in layout.PROCESSES}
+        self.views = {name: self.owned(name) for name in layout.PROCESS_NAMES}
         self.frames = self.views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
@@ -268,7 +269,7 @@ class Stage(PortMachine):
         return self._segment.attach(self.name, name, INCARNATION, write=True)
 
     def news_of(self, dummy: Dummy) -> dict[int, int]:
-        """What a wait returns to which the news of its death has come, and no other."""
+        """The result of a wait to which the news of its death has come, and no other."""
         files = {fd: opened.node for fd, opened in self.me.files.items()}
         return {fd: IN for fd, node in files.items() if isinstance(node, Pidfd) and node.process.pid == dummy.pid}
 
@@ -279,7 +280,7 @@ class Stage(PortMachine):
         for process in processes:
             self.views[process].word("beat_ns").set(self.clock() - age_ns)
 
-    def start(self, process: str, state: int = heartbeat.RUNNING) -> Dummy:
+    def start(self, process: str, state: int = heartbeat.BEAT_RUNNING) -> Dummy:
         """A new process which the supervisor names."""
         dummy = Dummy(self.machine, process)
         self.views[process].word("beat_pid").set(dummy.pid)
@@ -289,8 +290,8 @@ class Stage(PortMachine):
         return dummy
 
     def runs(self, process: str) -> None:
-        """It says so."""
-        self.views[process].word("beat_state").set(heartbeat.RUNNING)
+        """Have it say that it runs."""
+        self.views[process].word("beat_state").set(heartbeat.BEAT_RUNNING)
 
     def ask_to_stop(self, message: bytes) -> None:
         self.os.write(self._fds["stop"], message)

@@ -10,7 +10,7 @@ from failstop.board import stop_port
 
 
 class Time:
-    """In the place of `time`: every look takes a microsecond, and a sleep no real time."""
+    """A stand-in for `time`: every look takes a microsecond, and a sleep no real time."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0

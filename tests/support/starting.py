@@ -1,4 +1,4 @@
-"""Which tests start a process: `make quick` runs the others, and none of those may.
+"""Tests that start a process: `make quick` runs the others, and none of those may.
 
 A file starts processes when it, or a helper that it imports from the tests, or what its conftest.py imports for the
 fixtures that it uses, imports one of STARTERS or calls one of CALLS. That is read from the source, so that what is not
@@ -22,17 +22,17 @@ STARTERS = frozenset(
 )
 """Modules that are there to start processes."""
 CALLS = frozenset({"fork", "forkpty", "popen", "posix_spawn", "posix_spawnp", "spawnv", "system"})
-"""Of os and pty."""
+"""Functions of os and pty that start a process."""
 EVENTS = frozenset({"os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"})
-"""What the interpreter says when a process is started (its audit events)."""
+"""Audit events of the interpreter when a process is started."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """What a file of tests or helpers says."""
+    """The source of a file of tests or helpers, as far as it starts processes."""
 
     imports: dict[str, set[str]]
-    """What a name in it stands for: whole names, of modules or of what it takes from one."""
+    """Whole names that a name in it stands for, of modules or of what it takes from one."""
     functions: dict[str, set[str]]
     """The functions of a conftest.py, its fixtures among them: the names that each uses."""
     calls: bool
@@ -41,7 +41,7 @@ class Source:
 
 
 def starts(path: Path) -> bool:
-    """Whether the tests of this file may start a process."""
+    """True where the tests of this file may start a process."""
     left = [path]
     seen = set(left)
     while left:
@@ -57,7 +57,7 @@ def starts(path: Path) -> bool:
 
 
 def _fixtures(conftest: Path, asked: set[str]) -> set[str]:
-    """What a conftest.py imports for the fixtures that are asked for, and for what these ask for."""
+    """Imports of a conftest.py for the fixtures that are asked for, and for those that these ask for."""
     if not conftest.exists():
         return set()
     source = _read(conftest)

@@ -30,11 +30,11 @@ class Scene(Stage):
         return self.wire.read()
 
     def next_ns(self) -> int:
-        """When it turns without any news."""
+        """The time of its next turn without any news."""
         return min(self.clock() + main.LONGEST_SLEEP_NS, self.stopper.loop.due_ns())
 
     def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
-        """What it writes in the coming milliseconds, asked each millisecond."""
+        """Bytes that it writes in the coming milliseconds, asked each millisecond."""
         return [(ms, wrote) for ms in range(1, until_ms + 1) if (wrote := self.turn(MS, alive=alive))]
 
     def port_owner_writes(self) -> None:

@@ -10,14 +10,15 @@ from typing import Any
 import msgpack
 
 from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.kernel import LATE_NS, Process
+from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import unpack_reply
-from failstop.shm.heartbeat import RUNNING
+from failstop.shm.heartbeat import BEAT_RUNNING
 from failstop.supervisor import main
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
@@ -25,7 +26,7 @@ from tests.support.why import said, told, why
 DEVICE = "/dev/ttyACM0"
 RUNTIME_DIR = "/run/failstop/stage"
 NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
-"""What is told of a machine that runs everybody."""
+"""The fields of an event on a machine that runs everybody."""
 
 
 class Scene(PortMachine):
@@ -65,7 +66,7 @@ class Scene(PortMachine):
         self.view = attach(self.run.memory, layout.SUPERVISOR)
         self.word = self.view.word
         self._told, self._box = self.view.ring_reader("events"), self.view.ring_reader("box")
-        self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESSES}
+        self.own = {name: attach(self.run.memory, name, write=True) for name in layout.PROCESS_NAMES}
         self.port_owner, self.gate, self.telemetry, self.stopper = (
             self.own[name] for name in (layout.PORT_OWNER, layout.GATE, layout.TELEMETRY, layout.STOPPER)
         )
@@ -130,7 +131,7 @@ class Scene(PortMachine):
         return wrote
 
     def next_ns(self) -> int:
-        """When it turns without any news."""
+        """The time of its next turn without any news."""
         due_ns: int = self.supervisor.loop.due_ns()
         return min(self.now_ns + main.TICK_NS, due_ns)
 
@@ -141,7 +142,7 @@ class Scene(PortMachine):
         child = self.supervisor.processes[name]
         if not child.pid:
             self.supervisor.processes.start(child)
-        for word, value in (("beat_pid", child.pid), ("beat_state", RUNNING)):
+        for word, value in (("beat_pid", child.pid), ("beat_state", BEAT_RUNNING)):
             self.own[name].word(word).set(value)
         self.beat(name)
         self.supervisor.processes.arm()
@@ -150,7 +151,7 @@ class Scene(PortMachine):
     def dies(self, who: str | Process, code: int = -9) -> None:
         """A process dies, and the late news of it has come; by its name one that runs."""
         self.machine.die(self.employ(who) if isinstance(who, str) else who, code)
-        self.now_ns += LATE_NS
+        self.now_ns += TAKEDOWN_NS
 
     def starve(self, name: str) -> None:
         """The machine does not run it."""
@@ -171,7 +172,7 @@ class Scene(PortMachine):
 
     def keep_beating(self) -> None:
         """Every process beats from now on, each millisecond."""
-        self.beat(*layout.PROCESSES[1:])
+        self.beat(*layout.PROCESS_NAMES[1:])
         self.machine.at(self.now_ns + MS, self.keep_beating)
 
     def has_port(self, name: str, number: int = 1, state: int = records.PORT_OPEN) -> None:
@@ -209,7 +210,7 @@ class Scene(PortMachine):
         """A ping goes out now; its answer comes a millisecond later."""
         self.port_owner.word(f"ping_{index}").set(self.now_ns)
         if answered:
-            self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
+            self.telemetry.word("pong").set(records.pack_pong(self.now_ns + MS, index))
 
     def judge(self, *, still: bool) -> None:
         """The IMU's verdict of just now."""
@@ -270,7 +271,7 @@ class Scene(PortMachine):
         return {"reason": said(causes.read(found["cause"])), **times}
 
     def cause(self) -> tuple[int, str]:
-        """Since which epoch a stop is latched (0: none is), and the cause, as everybody reads."""
+        """The epoch since which a stop is latched (0: none is), and the cause, as everybody reads."""
         since, _, _, cause = records.LATCH.unpack(self.read("latch"))
         return since, said(causes.read(cause))
 
@@ -295,7 +296,7 @@ class Scene(PortMachine):
         return found
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """What people are told, at once: kind, level, text and fields of each."""
+        """Events that people are told of at once: kind, level, text and fields of each."""
         self.run.events.flush()
         return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
 
@@ -316,7 +317,7 @@ class Scene(PortMachine):
         return set(self.me.files)
 
     def refuse(self, call: str, error: Exception, when: Callable[..., bool] = lambda *about: True) -> None:
-        """From now on that call of the system fails, of the supervisor."""
+        """Have that call of the system fail from now on, of the supervisor."""
 
         def at_seam(thread: Any, name: str, about: tuple[Any, ...]) -> None:
             if name == call and thread is self.machine.inline and when(*about):

@@ -16,7 +16,7 @@ S = 1_000 * MS
 NOON_S = 1_773_662_400
 """2026-03-16 12:00:00 UTC."""
 FOLDER = "/state"
-"""Where telemetry keeps its files; not there at first."""
+"""The folder of telemetry's files; not there at first."""
 
 
 class Scene(Stage):
@@ -32,7 +32,7 @@ class Scene(Stage):
         self.start_telemetry()
 
     def start_telemetry(self) -> None:
-        """For the first time, or after its death."""
+        """Start telemetry for the first time, or after its death."""
         self.telemetry = self.load("failstop.procs.telemetry.main").Telemetry(self)
 
     def turn(self, *frames: tuple[int, bytes], elapsed_ns: int = 0, gate: bool = True) -> None:
@@ -85,7 +85,7 @@ class Scene(Stage):
         return (x, y, z), tracking, calibrated
 
     def commands(self) -> int:
-        """How many pad commands were written."""
+        """The number of pad commands that were written."""
         entry = self.own.latest_reader("pad_command").read()
         return entry[0] if entry else 0
 
@@ -101,11 +101,11 @@ class Scene(Stage):
         return [records.PAD_REQUEST.unpack(request) for request in self.told("pad_requests")]
 
     def notes(self) -> list[str]:
-        """What people are told since the last look."""
+        """The notes that people got since the last look."""
         return [Note.unpack(note).text for note in self.told("notes")]
 
     def rung(self, name: str) -> bool:
-        """Whether a bell was rung; clears it."""
+        """True where a bell was rung; clears it."""
         try:
             return bool(self.os.read(self.bell(name).fd, 8))
         except BlockingIOError:

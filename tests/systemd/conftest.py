@@ -65,7 +65,7 @@ def shared_place() -> Iterator[Place]:
 
 @pytest.fixture
 def place(shared_place: Place) -> Iterator[Place]:
-    """Without failstop, before and after."""
+    """A container without failstop, before and after."""
     before = shared_place.files()
     assert shared_place.accounts() == []
     yield shared_place
@@ -78,7 +78,7 @@ def place(shared_place: Place) -> Iterator[Place]:
 
 @pytest.fixture(scope="package")
 def built(shared_place: Place) -> list[str]:
-    """What the build says."""
+    """The output of the build."""
     build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(shared_place.packages)]
     done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr

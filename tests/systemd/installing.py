@@ -13,7 +13,7 @@ from failstop.lab.sim.client import SimBoard
 UNIT = "failstop.service"
 BOARD = "/board/port"
 LINK = "/dev/failstop"
-"""There is no udev inside: what its rule would make is made by the tests."""
+"""Files that the udev rule would make: there is no udev inside, and the tests make them."""
 SETTINGS = "/etc/failstop/failstop.toml"
 OLDER = "0.0.9"
 ASKING = "0.0.8"
@@ -56,7 +56,7 @@ class Place:
         return {path for path in found if path not in own and "__pycache__" not in path}
 
     def accounts(self) -> list[str]:
-        """What the user and group files say of failstop."""
+        """The lines of the user and group files about failstop."""
         return self.box.run("grep", "-h", "failstop", "/etc/passwd", "/etc/group", check=False).stdout.splitlines()
 
     def plug(self) -> None:

@@ -1,4 +1,4 @@
-"""What a process of the unit may and may not do: tries everything once and prints what came of it, as JSON.
+"""Powers of a process of the unit: tries everything once and prints what came of it, as JSON.
 
 Run by the unit itself, in place of the service.
 """
@@ -68,7 +68,7 @@ def executable_memory() -> None:
 
 
 def real_time() -> None:
-    """As the port owner asks for it, and as the service takes it from the dying."""
+    """Ask for real time as the port owner does, and take it away as the service does from the dying."""
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
     os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 

@@ -16,7 +16,7 @@ MS = 1_000_000
 
 
 def test_one_round_has_every_row(shared_scene: Scene, tmp_path: Path) -> None:
-    """Whether the bars are met is for a quiet machine to say; no stop is missed anywhere."""
+    """A quiet machine judges the bars; no stop is missed anywhere."""
     out = tmp_path / "out" / "rows.json"
     service.main(["--kills", "1", "--json", str(out)])
     rows = {row["measure"]: row for row in json.loads(out.read_text())["rows"]}

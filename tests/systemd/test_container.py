@@ -18,7 +18,7 @@ from failstop.lab.trial import TrialError, wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
 LATEST_BOOT_S = 5.0
-"""For a busy machine; 0.1 s here."""
+"""The longest start on a busy machine; 0.1 s here."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,8 @@ def test_boots_soon_and_whole(box: Container) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="takes an account away, which needs root")
 def test_nothing_of_an_installation_on_the_machine_is_in_it(tmp_path: Path) -> None:
-    """Its root begins as the machine's own files: with an account, settings, incidents and a command, for one."""
+    """The container's root begins as the machine's own files: with an account, settings, incidents and a command,
+    say."""
     accounts = {
         "passwd": "root:x:0:0:root:/root:/bin/sh\nfailstop:x:979:979::/var/lib/failstop:/bin/false\n",
         "group": "root:x:0:\nfailstop:x:979:\ndialout:x:20:failstop,anna\n",
@@ -113,7 +114,7 @@ def test_it_ends_with_everything_in_it() -> None:
 
 
 def test_it_ends_with_a_killed_owner(box: Container) -> None:
-    """And the next one takes away what it has left."""
+    """The next one takes away what it has left."""
     program = (
         "import signal; from bench.container import Container as C; c = C(); print(c.pid, flush=True); signal.pause()"
     )

@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
 
 def completes(place: Place, script: str) -> bool:
-    """Whether bash knows with this script what to type after `failstop est`."""
+    """True where bash knows with this script what to type after `failstop est`."""
     words = f". {script}; COMP_WORDS=(failstop est); COMP_CWORD=1; $(complete -p failstop | grep -o '_[a-z]*')"
     done = place.box.run("bash", "-c", f'{words} failstop est failstop; echo "${{COMPREPLY[@]}}"', check=False)
     return "estop" in done.stdout.split()

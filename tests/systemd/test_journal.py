@@ -17,7 +17,7 @@ import failstop
 from bench import installed
 from bench.service_scene import UNIT, Scene
 from failstop.lab.trial import wait_for
-from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS
+from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "journal.md").read_text(), re.MULTILINE)
@@ -85,7 +85,7 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
         entry["FAILSTOP_EVENT"] for entry in found
     }
     for entry in found:
-        kind = BY_NAME[entry["FAILSTOP_EVENT"]]
+        kind = EVENT_BY_NAME[entry["FAILSTOP_EVENT"]]
         assert entry["MESSAGE_ID"] == kind.message_id
         assert entry["FAILSTOP_NAME"] == "failstop"
         assert int(entry["PRIORITY"]) in LEVELS.values()
@@ -95,7 +95,7 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
 
 @pytest.mark.slow
 def test_nothing_is_told_twice(incident: Scene) -> None:
-    """Neither by stderr as well as natively."""
+    """An entry comes natively, and not by stderr as well."""
     assert entries(incident, "_TRANSPORT=stdout", f"_SYSTEMD_UNIT={UNIT}", "_COMM=fs:supervisor") == []
 
 
@@ -104,7 +104,7 @@ def test_the_catalog_is_accepted_and_explains_a_stop(incident: Scene) -> None:
     done = incident.box.run("journalctl", "--update-catalog")
     assert done.stdout + done.stderr == ""
     listed = incident.box.run("journalctl", "--list-catalog").stdout
-    assert all(f"{kind.message_id} failstop: " in listed for kind in KINDS)
+    assert all(f"{kind.message_id} failstop: " in listed for kind in EVENT_KINDS)
     explained = incident.box.run("journalctl", "-b", "-x", "-n", "1", "FAILSTOP_EVENT=fenced").stdout
     assert "Subject: stopper hung and was fenced" in explained
     assert "Next: was the machine overloaded or frozen?" in explained
@@ -132,7 +132,7 @@ ANSWERS = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("question", "kinds"), list(zip(QUESTIONS, ANSWERS, strict=True)), ids=range(1, 11))
 def test_each_question_is_answered(incident: Scene, question: str, kinds: set[str]) -> None:
-    """By the very command that the page has; and once more for the kinds of what it has found."""
+    """The page's own command answers; it is asked once more for the kinds of what it has found."""
     words = [*shlex.split(question), "--no-pager", "--quiet"]
     done = incident.box.run(*words)
     assert done.stderr == ""

@@ -55,7 +55,7 @@ def by_hand(place: Place, name: str) -> Iterator[None]:
 
 
 def test_a_service_that_was_started_by_hand_outlives_a_removal(place: Place, package: str) -> None:
-    """Its pipe stays where its clients look for it."""
+    """The pipe stays where its clients look for it."""
     place.plug()
     place.dpkg("-i", package)
     wait_for("the service to be ready", place.ready)

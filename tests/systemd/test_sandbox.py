@@ -46,7 +46,7 @@ REFUSED = {
 
 
 def in_place_of_the_service(scene: Scene, rights: str) -> dict[str, Any]:
-    """What the probe finds in the unit's sandbox. Only how it is run and ended is the probe's own."""
+    """Findings of the probe in the unit's sandbox. Only how it is run and ended is the probe's own."""
     unit = re.sub(r"^(Exec|Watchdog|Restart|Timeout|Start)\w+=.*\n", "", installed.units()[UNIT], flags=re.MULTILINE)
     unit = unit.replace("Type=notify\n", "Type=oneshot\n").replace("Restart=always\n", "")
     program = f"{installed.PREFIX}/bin/python3 {installed.PREFIX}/src/tests/systemd/probe.py"
@@ -64,7 +64,7 @@ def in_place_of_the_service(scene: Scene, rights: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def bare(shared_scene: Scene) -> dict[str, Any]:
-    """With nothing but what the unit gives."""
+    """A unit with nothing but what it gives."""
     return in_place_of_the_service(shared_scene, "")
 
 

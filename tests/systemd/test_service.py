@@ -22,16 +22,16 @@ from failstop.lab.trial import Stopped, wait_for
 from failstop.messages import layout
 from tests.systemd.units import SYSTEMD
 
-CHILDREN = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]
+CHILDREN = [name for name in layout.PROCESS_NAMES if name != layout.SUPERVISOR]
 LATEST_MS = 100.0
 ALL_LATEST_MS = 1000.0
-"""For systemd to notice, and to run the stop tool; p50 80 ms here."""
+"""Time for systemd to notice, and to run the stop tool; p50 80 ms here."""
 WATCHDOG_S = 1.0
 SLEEP = "failstop-sleep.service"
 SLEEP_S = 3.0
-"""For the start of a Python program on a busy machine."""
+"""Time for the start of a Python program on a busy machine."""
 BUSY_S = 2.0
-"""What a busy machine may add to what systemd does by its timers."""
+"""Time that a busy machine may add to what systemd does by its timers."""
 
 
 def stopped_in_time(stopped: Stopped, limit_ms: float = LATEST_MS) -> None:
@@ -46,7 +46,7 @@ def whole_again(scene: Scene, before: dict[str, int], restarts: int) -> None:
     nothing."""
     scene.recover(restarts)
     after = scene.pids()
-    assert set(after) >= set(layout.PROCESSES)
+    assert set(after) >= set(layout.PROCESS_NAMES)
     assert not set(before.values()) & set(scene.box.pids(UNIT))
     assert not any(os.path.exists(f"/proc/{pid}") for pid in before.values())
     scene.board.events()
@@ -86,7 +86,7 @@ def test_ready_means_stopped_and_healthy(shared_scene: Scene) -> None:
     assert not found["enabled"]
     assert found["device"]["state"] == "open"
     assert {name: row["state"] for name, row in found["processes"].items()} == dict.fromkeys(
-        layout.PROCESSES, "running"
+        layout.PROCESS_NAMES, "running"
     )
     assert all(row["realtime"] and row["memory_locked"] for row in found["processes"].values())
     scene.end()
@@ -317,7 +317,7 @@ def test_a_crash_loop_ends_stopped(shared_scene: Scene) -> None:
 
 
 def test_two_robots_share_nothing_but_the_user(scene: Scene) -> None:
-    """What the one removes at its end is not the other's."""
+    """Files that the one removes at its end are not the other's."""
     link = os.path.join(os.path.dirname(scene.board.link), "two")
     other = "failstop@two.service"
     with SimBoard(link, mode=0o666) as board:

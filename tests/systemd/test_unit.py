@@ -47,7 +47,7 @@ def runnable(tmp_path: Path) -> Path:
     "name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service", "failstop-ros2@root.service", FLEET]
 )
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
-    """Its exit code is 0 for unknown keys and bad values too."""
+    """The tool's exit code is 0 for unknown keys and bad values too."""
     if "@" in name:
         (runnable / name).symlink_to(re.sub("@.*[.]", "@.", name))
     done = analyze("verify", "--man=no", str(runnable / name))
@@ -124,7 +124,7 @@ def test_the_wheels_stand_before_the_machine_sleeps() -> None:
 
 @pytest.mark.parametrize("name", [ONE, MANY])
 def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
-    """Else the port is refused to the service, and to its stop tool, until the next start."""
+    """The port is otherwise refused to the service, and to its stop tool, until the next start."""
     classes = [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
     drivers = {"ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
     wanted = " ".join(f"modprobe@{drivers[found]}.service" for found in classes)

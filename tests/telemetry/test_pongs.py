@@ -68,7 +68,7 @@ def test_its_answer_names_the_ping(index: int) -> None:
         upward.pwm_servo_position(5, 1500),
         upward.pwm_servo_deviation(1, 0),
         upward.bus_servo(1, 0x05, 500),
-        upward.key(1, 5),
+        upward.key_frame(1, 5),
         framing.frame(framing.PWM_SERVO, b"\x01\x05\xdc"),
         framing.frame(framing.PWM_SERVO, b""),
         BOARD.pings[1],

@@ -70,7 +70,7 @@ def main(base: Path, words: list[str]) -> int:
 
 
 def _mount(base: Path) -> None:
-    """The same files as outside, to be changed without a trace. Raises CalledProcessError."""
+    """Mount the files of outside, to be changed without a trace. Raises CalledProcessError."""
     run = ["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs"]
     subprocess.run(["mount", "--make-rprivate", "/"], check=True)
     subprocess.run([*run, str(base)], check=True)
@@ -88,7 +88,7 @@ def _mount(base: Path) -> None:
 
 
 def _live(service: Service) -> None:
-    """What leaves incidents: one of this run, and older and newer ones beside it."""
+    """Leave incidents: one of this run, and older and newer ones beside it."""
     send_stop(service.name, "used")
     folder = STATE / "incidents"
     wait_for("an incident", lambda: folder.is_dir() and any(folder.glob("*.incident")), SAVED_S)

@@ -1,4 +1,4 @@
-"""What `make vm` is made of, as far as it needs no virtual machine: its table, its agent, its names."""
+"""Parts of `make vm` that need no virtual machine: its table, its agent, its names."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ AGENT = Path(image.HERE, "agent.py")
 def test_every_trial_is_one_that_can_be_run() -> None:
     for where, do in ((INSIDE, inside.DO), (OUTSIDE, outside.DO)):
         assert {trial.name for trial in table.TRIALS if trial.where == where} == set(do)
-    assert len(table.BY_NAME) == len(table.TRIALS)
-    assert next(iter(table.BY_NAME)) == "install", "the others need it"
+    assert len(table.TRIAL_BY_NAME) == len(table.TRIALS)
+    assert next(iter(table.TRIAL_BY_NAME)) == "install", "the others need it"
 
 
 def test_a_trial_that_wants_a_guest_of_its_own_has_one() -> None:
@@ -41,7 +41,7 @@ def test_a_trial_that_wants_a_guest_of_its_own_has_one() -> None:
 
 
 def row(name: str, *results: Result, floor_ms: float = 5.0) -> table.Row:
-    floor = Result(table.FLOORS[table.BY_NAME[name].where], ms=floor_ms)
+    floor = Result(table.FLOORS[table.TRIAL_BY_NAME[name].where], ms=floor_ms)
     [found] = table.rows([floor, *results], [name])
     return found
 

@@ -36,7 +36,7 @@ def flood(web: Web) -> Iterator[list[socket.socket]]:
 
 
 def _drain(viewer: Viewer) -> None:
-    """Until it is closed."""
+    """Read until it is closed."""
     while True:
         viewer.next()
 
@@ -118,7 +118,7 @@ def test_what_viewers_say_means_nothing(trial: Trial, web: Web) -> None:
 
 
 def test_a_flood_of_stops_is_one_stop(trial: Trial, web: Web) -> None:
-    """And the service lives."""
+    """The service lives through it."""
     ended = threading.Event()
 
     def flood() -> None:

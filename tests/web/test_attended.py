@@ -21,12 +21,12 @@ from failstop.lab.trial import Trial, judge, wait_for
 LEASE_S = 0.5
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
 LATE_S = 0.02
-"""After the lease's end."""
+"""Time after the lease's end."""
 
 
 @pytest.fixture(scope="module")
 def pages(trial: Trial, settings: str) -> Iterator[list[Web]]:
-    """Those that run: one for all tests, and another after a test that ends it."""
+    """Pages that run: one for all tests, and another after a test that ends it."""
     running: list[Web] = []
     yield running
     for page in running:
@@ -54,12 +54,12 @@ def anna(web: Web, paired: dict[Web, dict[str, str]]) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def paired() -> dict[Web, dict[str, str]]:
-    """By page: one pairs five devices at once, and no more."""
+    """Devices by page: one pairs five of them at once, and no more."""
     return {}
 
 
 def enabled(trial: Trial) -> None:
-    """As soon as somebody attends."""
+    """Enable as soon as somebody attends."""
 
     def enable() -> bool:
         with contextlib.suppress(Refused):
@@ -116,7 +116,7 @@ def test_a_program_that_stops_renewing(trial: Trial) -> None:
 
 
 def test_a_client_that_is_killed_has_left(trial: Trial) -> None:
-    """Its claim ends, and with it the attendance: the lease is not waited for."""
+    """The claim ends, and with it the attendance: the lease is not waited for."""
     reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -189,7 +189,7 @@ def test_an_end_that_nobody_sees_counts_when_the_lease_ends(
 
 @pytest.mark.page
 def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
-    """What a network held back comes all at once, right and in order; and what was taken once, again."""
+    """A network delivers at once, right and in order, what it held back, and once more what was taken before."""
     with Viewer(web, anna) as viewer:
         viewer.attend()
         wait_for("the operator", lambda: trial.robot.state.attended_by)
@@ -249,7 +249,7 @@ in the swap (MADV_PAGEOUT)."""
 
 
 def faults(pid: int) -> int:
-    """How often the process has touched memory that was not there."""
+    """The number of times that the process has touched memory that was not there."""
     with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
         fields = file.read().rpartition(")")[2].split()
     return int(fields[7]) + int(fields[9])
@@ -302,7 +302,7 @@ def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
 
 @pytest.mark.page
 def test_of_two_operators_one_sleeps_and_the_other_leaves(trial: Trial, web: Web) -> None:
-    """That counts at once: who sleeps does not attend."""
+    """The leaving counts at once: a sleeping operator does not attend."""
     with driven(trial), Viewer(web, web.pair("Carla")) as carla, Viewer(web, web.pair("Emil")) as emil:
         emil.attend()
         moving(trial, carla)

@@ -49,12 +49,12 @@ HELD_BACK = """
   };
   dispatchEvent(new Event("link-open"));
 })()"""
-"""What the page asks next about itself is answered now, and heard when it is let go."""
+"""Hold back the answer to the page's next question about itself, and let it be heard later."""
 
 
 @pytest.fixture(scope="module")
 def paired(tab: Tab, web: Web) -> Tab:
-    """The same, paired with a photographed code, while an answer from before that is still on its way."""
+    """A page that is paired with a photographed code, while an answer from before that is still on its way."""
     code = web.code()
     tab.open("about:blank")
     tab.open(f"{web.url}#{code}")
@@ -234,7 +234,7 @@ def test_a_page_that_is_hidden_gives_up_at_once(trial: Trial, browser: Browser, 
 
 
 def test_a_browser_that_is_suspended_stops_the_robot(trial: Trial, browser: Browser, paired: Tab) -> None:
-    """As a phone that falls asleep."""
+    """A phone that falls asleep suspends its browser so."""
     driving(trial, paired)
     browser.signal(signal.SIGSTOP)
     suspended_ns = time.monotonic_ns()

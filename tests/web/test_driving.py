@@ -32,7 +32,7 @@ def anna(web: Web) -> dict[str, str]:
 
 
 def enable(trial: Trial, viewer: Viewer) -> None:
-    """As soon as somebody attends."""
+    """Enable as soon as somebody attends."""
 
     def enabled() -> bool:
         viewer.stay(0.1)
@@ -64,7 +64,7 @@ def motion(trial: Trial) -> int:
 
 
 def told(viewer: Viewer) -> list[str]:
-    """What stood in the way of its commands."""
+    """The reasons that stood in the way of its commands."""
     return [message["drive"] for message in viewer.seen if "drive" in message]
 
 
@@ -149,7 +149,7 @@ def test_a_backlog_of_commands_moves_nothing(trial: Trial, web: Web, anna: dict[
 
 
 def test_an_old_answer_is_as_old_as_its_nonce(trial: Trial, web: Web, anna: dict[str, str]) -> None:
-    """Of the second newest nonce: its command ends sooner by as much as it came late."""
+    """A command with the second newest nonce ends sooner by as much as it came late."""
     with ready(trial, web, anna) as viewer:
         viewer.stay(0.5, FORWARD)
         nonce = ""
@@ -246,7 +246,7 @@ def test_two_devices_do_not_drive_at_once(trial: Trial, web: Web, anna: dict[str
 
 
 def test_it_is_off_unless_a_setting_says_otherwise(trial: Trial, tmp_path: Path) -> None:
-    """By one of both settings: nobody drives from a page that proves nobody's presence."""
+    """Either setting turns it off: nobody drives from a page that proves nobody's presence."""
     for number, text in enumerate(('[attend]\nrequired = "on"\n[web]\n', '[web]\ndrive = "on"\n')):
         path = tmp_path / f"{number}.toml"
         path.write_text(f'{text}pairing = "on"\n')

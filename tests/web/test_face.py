@@ -1,4 +1,4 @@
-"""What the page shows of a state: the word, one reason, one step, and what stands in the way of a button."""
+"""The page's view of a state: the word, one reason, one step, and what stands in the way of a button."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which requests are let in: each row of the table, and that nothing gets round it."""
+"""Requests that are let in: each row of the table, and that nothing gets round it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from hypothesis import strategies as st
 
 from failstop.api.errors import FailstopError
 from failstop.web import guard
-from failstop.web.guard import Request
+from failstop.web.guard import PageRequest
 
 KNOWN = guard.names("Robot-7.lan.example", "rover  kiosk.example")
-OWN = Request("GET", "http", "robot-7.local:8477")
-POST = Request("POST", "http", "robot-7.local:8477", "http://robot-7.local:8477", "1", "same-origin")
+OWN = PageRequest("GET", "http", "robot-7.local:8477")
+POST = PageRequest("POST", "http", "robot-7.local:8477", "http://robot-7.local:8477", "1", "same-origin")
 SOCKET = dataclasses.replace(OWN, origin="http://robot-7.local:8477", upgrade=True)
 
 
-def refused(request: Request, **changed: Any) -> int:
+def refused(request: PageRequest, **changed: Any) -> int:
     """The status of a refusal; 0: it is let in."""
     found = guard.refusal(dataclasses.replace(request, **changed), KNOWN)
     return found[0] if found else 0
 
 
 @pytest.mark.parametrize("request_", [OWN, POST, SOCKET])
-def test_its_own_page_is_let_in(request_: Request) -> None:
+def test_its_own_page_is_let_in(request_: PageRequest) -> None:
     assert refused(request_) == 0
 
 
@@ -79,7 +79,7 @@ PROXIED = guard.origin_of("https://Robot.Example/")
 
 @pytest.mark.parametrize("host", ["robot.example", "127.0.0.1:8477", "robot-7.local"])
 def test_behind_a_proxy_the_origin_is_what_the_browser_sees(host: str) -> None:
-    """Whatever name the proxy gives the robot."""
+    """The name that the proxy gives the robot does not matter."""
     known = guard.names("robot-7", "", PROXIED)
     for request in (POST, SOCKET):
         given = dataclasses.replace(request, host=host, origin="https://robot.example")
@@ -106,7 +106,7 @@ def test_a_browser_that_says_where_it_comes_from(site: str) -> None:
 
 
 def test_a_form_or_a_link_cannot_stop_or_drive() -> None:
-    """Neither can set a header."""
+    """A form and a link can set no header."""
     assert refused(POST, header="") == 403
 
 
@@ -125,8 +125,8 @@ WORDS = st.text(string.ascii_letters + string.digits + ".-:@/#?[]% \t", max_size
 
 @given(WORDS, WORDS, WORDS)
 def test_whoever_is_let_in_named_this_robot(host: str, origin: str, header: str) -> None:
-    """Whatever is sent: a change comes under an own name or address, from an own page, with the header."""
-    request = Request("POST", "http", host, origin, header)
+    """Requests of any kind: a change comes under an own name or address, from an own page, with the header."""
+    request = PageRequest("POST", "http", host, origin, header)
     if guard.refusal(request, KNOWN) is None:
         named = guard.host_of(host)
         assert named in KNOWN or guard.is_address(named)

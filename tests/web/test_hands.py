@@ -1,4 +1,4 @@
-"""What a paired device asks for while another request takes its time: an enable that moves an arm to its drive pose."""
+"""Requests of a paired device while another one takes its time: an enable that moves an arm to its drive pose."""
 
 from __future__ import annotations
 

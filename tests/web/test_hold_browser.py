@@ -99,7 +99,7 @@ def renderers(browser: Browser) -> list[psutil.Process]:
 
 
 def everything(browser: Browser) -> list[psutil.Process]:
-    """As of a device that is asleep."""
+    """Stop everything of the browser, as of a device that is asleep."""
     own = psutil.Process(browser.process.pid)
     return [own, *own.children(recursive=True)]
 

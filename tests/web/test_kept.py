@@ -1,4 +1,4 @@
-"""What the page keeps: who was revoked stays so, on a full disk too, and the command says what is wrong."""
+"""Files that the page keeps: a revoked device stays so, on a full disk too, and the command says what is wrong."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def tiny(tmp_path: Path) -> Iterator[Path]:
 
 
 def fill(place: Path) -> None:
-    """Until nothing fits any more."""
+    """Write until nothing fits any more."""
     with (place / "fill").open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(b"x" * 512)

@@ -29,7 +29,7 @@ WORDS = ["STOPPED", "WHEELS MAY TURN", "NO CONTACT", "CONNECTING", "STOP WRITTEN
 LONGEST = 20
 """Characters of a word that is kept whole; a path may be broken."""
 LEAST_SHARE = 0.15
-"""Of the screen's height, that STOP takes at least."""
+"""The part of the screen's height that STOP takes at least."""
 
 SEEN = """
 (() => {
@@ -114,7 +114,7 @@ def shows(tab: Tab, text: int, word: str, *, failed: bool, forced: bool = False)
 
 
 def wrong(tab: Tab, script: str) -> list[str]:
-    """What a script finds wrong with what is on the screen, once it is laid out."""
+    """Faults that a script finds with what is on the screen, once it is laid out."""
     tab.run("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
     found: list[str] = tab.run(script)
     return found

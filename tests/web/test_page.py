@@ -110,7 +110,7 @@ def test_it_is_small(web: Web) -> None:
 def test_what_the_guard_refuses(
     trial: Trial, web: Web, method: str, path: str, headers: dict[str, str], status: int
 ) -> None:
-    """And nothing of it comes to the service."""
+    """No refused request comes to the service."""
     before = trial.robot.state.epoch
     assert web.ask(method, path, headers=headers)[0] == status
     assert trial.robot.state.epoch == before
@@ -135,7 +135,7 @@ def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
 
 
 def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> None:
-    """It is no part of the stop path, and of no driving either."""
+    """The page is no part of the stop path, nor of any driving."""
     with Web(trial.name) as other:
         trial.enable()
         trial.drive(0.3)

@@ -176,7 +176,7 @@ def click_stop(trial: Trial, tab: Tab, detail: int) -> None:
 
 
 def test_a_readers_click_stops_and_disables_and_is_told_how_to_hold(trial: Trial, tab: Tab) -> None:
-    """As an assistive program presses a button: a click without a finger, whatever number it bears."""
+    """An assistive program presses a button so: a click without a finger, whatever number it bears."""
     tab.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
     tab.run("document.getElementById('reset').click()")
     tab.until("document.getElementById('answer').textContent.includes('with Enter')")

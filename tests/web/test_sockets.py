@@ -60,7 +60,7 @@ def test_a_stop_is_answered_by_the_way_that_it_came(trial: Trial, web: Web) -> N
 
 
 def test_stops_do_not_wait_for_each_other(trial: Trial, web: Web) -> None:
-    """While the board is away each is answered after 0.3 s: all of them are, and the last was asked for at once."""
+    """Each is answered after 0.3 s while the board is away: all of them are, and the last was asked for at once."""
     with Trial(f"sockets-gone-{os.getpid()}") as lost, Web(lost.name) as page, Viewer(page, path=STOPS) as stopping:
         lost.board.unplug()
         wait_for("the loss", lambda: "is gone" in lost.service.said())
@@ -126,7 +126,7 @@ def test_a_hold_that_is_let_go_does_nothing(latched: Trial, web: Web, anna: dict
 
 @pytest.mark.parametrize("verb", ["reset", "enable", "limit"])
 def test_no_page_can_ask_by_itself(latched: Trial, web: Web, anna: dict[str, str], verb: str) -> None:
-    """Neither by a request, nor by saying at once all that it says during a hold, nor by saying nothing in between."""
+    """No request does it, nor saying at once all that a hold says, nor saying nothing in between."""
     if verb != "limit":
         assert web.ask("POST", f"/api/{verb}", {}, {"X-Failstop": "1", **anna})[0] in (404, 405)
     with Viewer(web, anna) as viewer:
@@ -205,7 +205,7 @@ def test_nonsense_fills_no_journal(trial: Trial, anna: dict[str, str], tmp_path:
 
 
 def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> None:
-    """Whoever asks hears at once what there is, however many ask."""
+    """Each that asks hears at once what there is, however many ask."""
     wait_for("a card", lambda: web.get("/api/incidents")["incidents"], 30)
     identity = web.get("/api/incidents")["incidents"][0]["id"]
     since_s = time.monotonic()

@@ -43,7 +43,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def front(web: Web) -> Iterator[Front]:
-    """What the browser talks to."""
+    """The server that the browser talks to."""
     with Front(web.port, holds=(TAKEN,)) as running:
         yield running
 
@@ -181,7 +181,7 @@ def test_what_follows_the_address_does_the_page_no_harm(browser: Browser, web: W
 
 
 def test_while_the_board_is_away_the_page_says_what_is_known(browser: Browser) -> None:
-    """It is latched, and not at the board: the power switch is what is left."""
+    """The stop is latched, and not at the board: the power switch is what is left."""
     with Trial(f"stop-gone-{os.getpid()}") as lost, Web(lost.name) as page:
         tab = browser.tab(page.url)
         tab.until(SEEN)
@@ -196,7 +196,7 @@ def test_while_the_board_is_away_the_page_says_what_is_known(browser: Browser) -
 
 @pytest.fixture
 def proxy(tmp_path: Path) -> Iterator[Front]:
-    """One that ends TLS."""
+    """A proxy that ends TLS."""
     with Front(tls=Kept(str(tmp_path / "proxy")).tls(["localhost"])) as running:
         yield running
 

@@ -16,7 +16,7 @@ from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
 from failstop.incidents.left import left, refusal
 from failstop.supervisor.events import PREFIX, fitted
-from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.kinds import EVENT_KINDS
 
 EXAMPLES = """\
 failstop events                        # all that the service still remembers
@@ -89,7 +89,7 @@ def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
 
 def kinds(text: str) -> frozenset[str]:
     """`stop,died` as a set. Raises FailstopError for a kind that there is none of."""
-    found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in KINDS]
+    found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in EVENT_KINDS]
     if unknown := sorted(found.difference(known)):
         raise FailstopError(f"no kind of event is called {', '.join(unknown)}; there are {', '.join(known)}")
     return found

@@ -79,7 +79,7 @@ def main(arguments: Namespace) -> int:
     if arguments.services:
         return _every_service(reason, who)
     start_s = time.monotonic()
-    port = Port(arguments)
+    port = Target(arguments)
     if arguments.end_service:
         misused = not _end_service()
         after_s = port.stop(END_SERVICE_S - (time.monotonic() - start_s))
@@ -98,7 +98,7 @@ def main(arguments: Namespace) -> int:
     return int(port.doubtful())
 
 
-def _late(wanted: str, reason: str, who: str, port: Port) -> bool:
+def _late(wanted: str, reason: str, who: str, port: Target) -> bool:
     """True when a service that listens only now, since it was just starting, has stopped."""
     if wanted in port.asked or not instances.listens(wanted):
         return False
@@ -124,7 +124,7 @@ def _every_service(reason: str, who: str) -> int:
     return int(not all(done for done, _ in answers))
 
 
-def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
+def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
     """Ask the services that have the port that is named, whatever they are called; where none is named, the one of this
     name. True when a stop is out."""
     device = port.wanted()
@@ -156,7 +156,7 @@ def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
     return False
 
 
-class Port:
+class Target:
     """Where to write and for how long to try: what an option says, else the last run's own port, else the file, which
     is read when it is needed, else the default. Of the file nothing else is looked at: a mistake elsewhere must not
     keep the wheels turning."""

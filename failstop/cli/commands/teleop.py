@@ -11,13 +11,13 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.api import verdict, words
-from failstop.api.client import Run
+from failstop.api.client import SeenRun
 from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.snapshot import ArmState, State
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Decoder, Hold, Velocity
+from failstop.cli.screen.keys import AXES, COMMAND_S, CTRL_D, SPACE, Hold, KeyDecoder, Velocity
 from failstop.cli.screen.summary import row
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
@@ -63,7 +63,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Drive; the wheels stop at the end, and motion that this enabled is disabled. The exit code is 0 after q, else
     128 and the signal's number."""
-    Run(arguments.name).check("source", arguments.source)
+    SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
@@ -80,7 +80,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _drive(terminal: Terminal, pilot: Pilot) -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     turned_s, held_up = time.monotonic(), False
     for typed, due_s in terminal.turns(TURN_S):
         keys, state = decoder.feed(typed), pilot.robot.state

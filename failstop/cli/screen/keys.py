@@ -25,7 +25,7 @@ _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=
 Velocity = tuple[float, float, float]
 
 
-class Decoder:
+class KeyDecoder:
     """Bytes in, keys out: a character in lower case, or the name of an arrow. Half a sequence waits for the rest,
     however long: the end of an arrow key's is a letter, and that alone would be a key that moves something else. So the
     escape key is told with the key after it."""
@@ -65,7 +65,7 @@ COMMAND_S = 0.3
 ENDS_S = 0.35
 """After the last repeat: by then the service's own timeout has stopped the wheels; for a source with a longer one, a
 zero is sent."""
-STILL = (0.0, 0.0, 0.0)
+NO_VELOCITY = (0.0, 0.0, 0.0)
 MOST_AT_ONCE = 5
 """More motion keys in one read than a terminal sends between two looks: they were held up on the way, and are old."""
 
@@ -93,4 +93,4 @@ class Hold:
     def let_go(self) -> Velocity | None:
         """Forget the held key; what to send for it."""
         was_active, self.active = self.active, False
-        return STILL if was_active else None
+        return NO_VELOCITY if was_active else None

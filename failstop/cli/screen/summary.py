@@ -11,7 +11,7 @@ from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
-from failstop.supervisor.kinds import KINDS
+from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
 
 LABEL = 10
@@ -20,9 +20,9 @@ LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}
-PROCESSES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
-LEVELS = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
-KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
+STATE_STYLES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
+LEVEL_STYLES = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
+KIND_COLUMNS = max(len(kind.name) for kind in EVENT_KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
@@ -135,7 +135,7 @@ def processes(state: State) -> list[Line]:
         beat = f" {process.age_s * 1e3:.0f} ms" if process.pid and process.age_s < 10 else " -"
         late = process.state == "running" and process.age_s > verdict.LATE_BEAT_S
         row: Line = [(name, PLAIN), (f" {process.pid or '-'}", PLAIN)]
-        row += [(process.state, PROCESSES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
+        row += [(process.state, STATE_STYLES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
         row.append((f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN))
         granted = ["realtime"] * process.realtime + ["locked"] * process.memory_locked
         rights = " ".join(granted) or "none" if process.pid else "-"
@@ -162,7 +162,7 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
 
 def event(told: Event, now_s: float) -> Line:
     """One event for people: when, its kind, what was said."""
-    role = LEVELS.get(told.level, PLAIN)
+    role = LEVEL_STYLES.get(told.level, PLAIN)
     when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
     return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]
 

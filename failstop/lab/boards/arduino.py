@@ -20,7 +20,7 @@ from collections.abc import Iterator
 
 from failstop.board.arduino.codec import PERIODS
 from failstop.board.wire import Stop, Write
-from failstop.lab.boards.line import Model
+from failstop.lab.boards.line import ReceiverModel
 
 BYTE_NS = 175_000
 """At the AVR's real rate for 57600, 16 MHz / 280."""
@@ -180,7 +180,7 @@ def _live() -> Arduino:
     return board
 
 
-MODEL = Model(
+MODEL = ReceiverModel(
     live=_live,
     any_state=_longest_answers,
     every_state=_receivers,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-Value = object
+Json = object
 DEEPEST = 10
 _SPACES = b" \t\r\n"
 _KEY = re.compile(rb"[0-9A-Z_`a-z]+")
@@ -54,7 +54,7 @@ class _Text:
         return text
 
 
-def loads(line: bytes) -> Value:
+def loads(line: bytes) -> Json:
     """The value of a line. Raises NotJson."""
     text = _Text(line)
     value = _value(text, DEEPEST)
@@ -64,7 +64,7 @@ def loads(line: bytes) -> Value:
     return value
 
 
-def _value(text: _Text, depth: int) -> Value:
+def _value(text: _Text, depth: int) -> Json:
     text.skip_spaces()
     if text.peek() in b"[{" and not depth:
         raise NotJson
@@ -80,11 +80,11 @@ def _value(text: _Text, depth: int) -> Value:
                 raise NotJson
             text.at += len(word)
             return value
-    return number(text.match(_IN_NUMBER))
+    return number_text(text.match(_IN_NUMBER))
 
 
-def _object(text: _Text, depth: int) -> dict[bytes, Value]:
-    found: dict[bytes, Value] = {}
+def _object(text: _Text, depth: int) -> dict[bytes, Json]:
+    found: dict[bytes, Json] = {}
     text.skip_spaces()
     if text.take(b"}"):
         return found
@@ -105,8 +105,8 @@ def _object(text: _Text, depth: int) -> dict[bytes, Value]:
         text.skip_spaces()
 
 
-def _array(text: _Text, depth: int) -> list[Value]:
-    found: list[Value] = []
+def _array(text: _Text, depth: int) -> list[Json]:
+    found: list[Json] = []
     text.skip_spaces()
     if text.take(b"]"):
         return found
@@ -138,7 +138,7 @@ def _quoted(text: _Text) -> bytes:
     return bytes(found)
 
 
-def number(text: bytes) -> int | float:
+def number_text(text: bytes) -> int | float:
     """A number's text. Raises NotJson."""
     if not _NUMBER.fullmatch(text):
         raise NotJson

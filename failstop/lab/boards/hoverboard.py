@@ -17,10 +17,10 @@ from struct import Struct
 
 from failstop.board.hoverboard import codec, feedback
 from failstop.board.wire import Stop, Write
-from failstop.lab.boards.line import Model
+from failstop.lab.boards.line import ReceiverModel
 
 BUFFER = 64
-FRAME = 8
+FRAME_LENGTH = 8
 CENTIVOLTS = 3650
 TIMEOUT_LOOPS = 160
 BYTE_NS = 10 * 1_000_000_000 // 115_200
@@ -104,9 +104,9 @@ class Hoverboard:
         """The interrupt handler's look at what came since the last one."""
         came = (self.at - self.looked_at) % BUFFER
         begin, self.looked_at = self.looked_at, self.at
-        if came != FRAME:
+        if came != FRAME_LENGTH:
             return
-        frame = bytes(self.ring[(begin + index) % BUFFER] for index in range(FRAME))
+        frame = bytes(self.ring[(begin + index) % BUFFER] for index in range(FRAME_LENGTH))
         start, steer, speed, check = _COMMAND.unpack(frame)
         if start == codec.START and check == start ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
             self.steer, self.speed = steer, speed
@@ -145,7 +145,7 @@ def _live() -> Hoverboard:
 
 
 _MS = 1_000_000
-MODEL = Model(
+MODEL = ReceiverModel(
     live=_live,
     any_state=_any_state,
     every_state=_every_state,

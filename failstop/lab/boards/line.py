@@ -36,7 +36,7 @@ class Receiver(Protocol):
 
 
 @dataclass(frozen=True)
-class Model:
+class ReceiverModel:
     """Everything that a test needs of one kind's receiver to prove its stop."""
 
     any_state: Callable[[random.Random], Receiver]
@@ -55,9 +55,9 @@ class Model:
     """Whether its stop holds behind an adapter that stalls, and then sends everything at once."""
 
 
-def model_of(kind: str) -> Model:
+def model_of(kind: str) -> ReceiverModel:
     """The model of one of the board room's KINDS."""
-    model: Model = __import__(f"failstop.lab.boards.{kind}", fromlist=["MODEL"]).MODEL
+    model: ReceiverModel = __import__(f"failstop.lab.boards.{kind}", fromlist=["MODEL"]).MODEL
     return model
 
 

@@ -12,7 +12,7 @@ from struct import Struct
 from failstop.board.framing import MOTOR
 from failstop.board.kinds import wire_of
 from failstop.lab.boards.line import model_of
-from failstop.lab.sim.model import NEVER, BoardModel, Frame, Speeds
+from failstop.lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
 
 STEP_NS = 1_000_000
 """How often time passes for it; its own times are exact all the same."""
@@ -42,7 +42,7 @@ class LiveModel(BoardModel):
         """When a byte has come through, which, and when it was read."""
         self._read_ns = start_ns
         """When the last byte that has come through was read."""
-        self._battery_ns = NEVER
+        self._battery_ns = NEVER_NS
         self._commands = self._said = 0
 
     def receive(self, chunk: bytes, t_ns: int) -> None:

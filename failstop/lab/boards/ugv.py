@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from failstop.board.ugv import codec
 from failstop.board.wire import Stop, Write
 from failstop.lab.boards import arduino_json
-from failstop.lab.boards.line import Model
+from failstop.lab.boards.line import ReceiverModel
 
 LOOP_NS = 1_000_000
 """How often its main loop comes round; its real time is not known."""
@@ -163,7 +163,7 @@ def _float(value: object) -> float:
     """As ArduinoJson converts: a text by the number in it, anything else is 0."""
     if isinstance(value, bytes):
         try:
-            return float(arduino_json.number(value))
+            return float(arduino_json.number_text(value))
         except arduino_json.NotJson:
             return 0.0
     return float(value) if isinstance(value, (int, float)) else 0.0
@@ -189,7 +189,7 @@ def _live() -> Ugv:
     return board
 
 
-MODEL = Model(
+MODEL = ReceiverModel(
     live=_live,
     any_state=_any_state,
     every_state=_every_state,

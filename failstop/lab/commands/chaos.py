@@ -28,7 +28,7 @@ failstop chaos --count 100 --seed 7 --json chaos.json
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 
-SECONDS = 60.0
+CAMPAIGN_S = 60.0
 STORIES = 5
 SEEDS = 1_000_000
 
@@ -37,7 +37,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop chaos`."""
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--seconds", type=float, metavar="S", help=f"how long (default: {SECONDS:g} s)")
+    length.add_argument("--seconds", type=float, metavar="S", help=f"how long (default: {CAMPAIGN_S:g} s)")
     length.add_argument("--count", type=int, metavar="N", help="this many faults instead")
     length.add_argument("--each", type=int, metavar="N", help="every row this many times instead, in order")
     add("--seed", type=int, metavar="K", help="of the random choices; a campaign says its own")
@@ -68,7 +68,7 @@ def main(arguments: Namespace) -> int:
         if arguments.list:
             on_stand.list_paths(arguments.only)
             return 0
-        return on_stand.run(arguments, _seed(arguments), SECONDS)
+        return on_stand.run(arguments, _seed(arguments), CAMPAIGN_S)
     rows = _rows(arguments.only)
     if arguments.list:
         for fault in rows:
@@ -158,5 +158,5 @@ def _outcomes(
         )
     if arguments.count is not None:
         return campaign.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first)
-    until_s = tally.begun_s + (arguments.seconds or SECONDS)
+    until_s = tally.begun_s + (arguments.seconds or CAMPAIGN_S)
     return campaign.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LATE_MS = 50.0
 """A stop later than this fails the demo: generous, for slow and busy machines; `make bench` has the real bars."""
 
-TRIES = 3
+STRIKES = 3
 """Of a kill that found the wheels at rest."""
 STEP_COLUMNS = 28
 MEANING = (
@@ -144,7 +144,7 @@ def _show_drive(trial: Trial) -> None:
 
 def _kill(trial: Trial, process: str) -> Row:
     """On a machine that is busy with other things a stop may come before the kill: then once more."""
-    for _ in range(TRIES):
+    for _ in range(STRIKES):
         _step(f"kill -9 {process}")
         row = _killed(trial, process)
         if row.stopped.was_moving:

@@ -18,7 +18,7 @@ from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
 from failstop.lab.prove.session import check_free, interruptible, session
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import VELOCITIES, Path
+from failstop.lab.prove.table import TURNINGS, Path
 
 WARNING = """\
 THIS TURNS THE WHEELS and kills the programs that stop them, at random, on {device}. Ctrl-C stops the wheels; the POWER
@@ -43,7 +43,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
         stand = Stand(device, config.read(path), folder)
         width = max(len(path.name) for path in chosen)
         draws = _draws(arguments, chosen, seed, default_s)
-        evidence = session(draws, VELOCITIES, stand, say=report.say, tool="chaos", keep_all=False, width=width)
+        evidence = session(draws, TURNINGS, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)
     print("\n" + "\n".join([*campaign.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:

@@ -19,7 +19,7 @@ from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import REACH_RAD
-from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_VELOCITY, Path, Velocity
+from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
 
 EXAMPLES = """\
@@ -32,7 +32,7 @@ WORD = "spin"
 PROVE_FOLDER = "prove"
 RUN_S = 3.5
 KNOWN = (*BY_PATH, *BY_ARM_PATH)
-ARM = """\
+ARM_WARNING = """\
   5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad. Nobody and nothing is in its reach.
 
 """
@@ -53,7 +53,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--sim", action="store_true", help="on a simulated board of its own, without questions")
     add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
     add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
-    add("--at", metavar="V,...", help=f"these velocities alone: {', '.join(BY_VELOCITY)}")
+    add("--at", metavar="V,...", help=f"these velocities alone: {', '.join(BY_TURNING)}")
     add("--pad", action="store_true", help="ask a person to press a button of the gamepad")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
@@ -65,10 +65,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
     only, at = _words(arguments)
-    say = (lambda _: None) if arguments.json else report.say
+    say = (lambda _: None) if arguments.json else report.print_now
 
     def taken(device: str, user: dict[str, object], board: SimBoard | None) -> Evidence:
-        ask = report.say if arguments.pad else None
+        ask = report.print_now if arguments.pad else None
         stand = Stand(device, user, folder, board)
         has_arm = bool(stand.settings.servos())
         plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
@@ -101,7 +101,7 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     chosen = []
     for given, known, what in (
         (arguments.only, KNOWN, "stop path"),
-        (arguments.at, tuple(BY_VELOCITY), "velocity"),
+        (arguments.at, tuple(BY_TURNING), "velocity"),
     ):
         names = tuple(given.split(",")) if given else ()
         for name in names:
@@ -111,9 +111,9 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return chosen[0], chosen[1]
 
 
-def _ask_consent(device: str, plan: list[tuple[Path, Velocity]], *, has_arm: bool) -> None:
+def _ask_consent(device: str, plan: list[tuple[Path, Turning]], *, has_arm: bool) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
-    arm = ARM.format(reach=REACH_RAD) if has_arm else ""
+    arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
     print(f"{device}:", file=sys.stderr)
     minutes = max(1.0, len(plan) * RUN_S / 60)
     sys.stderr.write(SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, word=WORD, arm=arm))
@@ -126,7 +126,7 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
     if arguments.json:
         print(json.dumps(evidence.as_dict()))
     else:
-        verdict = style.paint(evidence.verdict, report.ROLES[evidence.verdict])
+        verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
         print("\n" + "\n".join(lines))
     if evidence.simulated and not arguments.out:

@@ -143,13 +143,13 @@ class ArmTrial(Trial):
 
 
 NOT_TURNING = "no joint was turning at the fault"
-TRIES = 3
+STRIKES = 3
 
 
 def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     """One fault, judged by the servos; the trial is settled again afterwards, with a new run where it ended. One that
-    came while nothing turned, since the machine did not run the client, is tried again, TRIES times in all."""
-    for _ in range(TRIES):
+    came while nothing turned, since the machine did not run the client, is tried again, STRIKES times in all."""
+    for _ in range(STRIKES):
         rested = _strike(trial, fault)
         if NOT_TURNING not in rested.wrong:
             break
@@ -157,7 +157,7 @@ def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
 
 
 def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:
-    if fault.what == table.SERVO:
+    if fault.what == table.SERVO_FAULT:
         return _refuse(trial, fault)
     assert fault.bar_ms is not None
     client = trial.pose() if fault.what == table.POSING else trial.follow()
@@ -209,7 +209,7 @@ def _begin(trial: ArmTrial, fault: ArmFault, client: int, pids: dict[str, int]) 
         os.kill(pids[fault.process], signal.SIGKILL if fault.what == table.KILL else signal.SIGSTOP)
     elif fault.what in (table.CLIENT_KILL, table.CLIENT_HANG):
         os.kill(client, signal.SIGKILL if fault.what == table.CLIENT_KILL else signal.SIGSTOP)
-    elif fault.what in (table.REQUEST, table.POSING):
+    elif fault.what in (table.STOP_REQUEST, table.POSING):
         trial.robot.estop("the arm's fault row")
     elif fault.what == table.SECOND:
         trial.robot.arm.follow({"base": 0.1})

@@ -7,12 +7,12 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.servos import LONGEST_MOVE_MS
-from failstop.lab.faults.fault import ENABLE, LATE_MS, NEW_RUN, RESET, Wanted, told
+from failstop.lab.faults.fault import BY_ENABLE, BY_NEW_RUN, BY_RESET, LATE_MS, Wanted, told
 from failstop.lab.faults.processes import DEADLINES_MS, DEATH_OF, HANG_OF
-from failstop.messages.layout import GATE, PROCESSES, SUPERVISOR
+from failstop.messages.layout import GATE, PROCESS_NAMES, SUPERVISOR
 from failstop.policy import causes
 
-KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST, UNPLUG, SECOND, POSING, SERVO = (
+KILL, HANG, CLIENT_KILL, CLIENT_HANG, STOP_REQUEST, UNPLUG, SECOND, POSING, SERVO_FAULT = (
     "kill",
     "hang",
     "client-kill",
@@ -43,7 +43,7 @@ class ArmFault:
     process: str = ""
     latched: tuple[Wanted, ...] = ()
     """The cause that stays latched is one of these; empty: nothing does."""
-    cleared: str = ENABLE
+    cleared: str = BY_ENABLE
     bar_ms: float | None = BY_ITSELF_MS
     """To the last joint at rest; None: motion is not enabled."""
     servo: tuple[tuple[str, float], ...] = ()
@@ -65,7 +65,7 @@ class ArmFault:
 
 
 def _kill(process: str) -> ArmFault:
-    latched, cleared = ((), NEW_RUN) if process == SUPERVISOR else (((causes.DIED, process),), RESET)
+    latched, cleared = ((), BY_NEW_RUN) if process == SUPERVISOR else (((causes.DIED, process),), BY_RESET)
     cause = f"SIGKILL of the {process} while the arm moves"
     return ArmFault(
         f"arm-kill-{process}", cause, DEATH_OF[process], KILL, process, latched, cleared, BY_ITSELF_MS + STOP_MS
@@ -78,38 +78,48 @@ def _hang(process: str) -> ArmFault:
     if process == GATE:
         first, deadline_ms = "each servo, at its move's end; the supervisor, through the port owner", DEADLINES_MS[GATE]
     latched: tuple[Wanted, ...] = ((causes.HANGS, process), (causes.STARVED, process))
-    latched, cleared = ((), NEW_RUN) if process == SUPERVISOR else (latched, RESET)
+    latched, cleared = ((), BY_NEW_RUN) if process == SUPERVISOR else (latched, BY_RESET)
     cause = f"SIGSTOP of the {process} while the arm moves"
     return ArmFault(f"arm-hang-{process}", cause, first, HANG, process, latched, cleared, BY_ITSELF_MS + deadline_ms)
 
 
 def _servo(name: str, cause: str, refused: str, **values: float) -> ArmFault:
     first = "gate: motion is not enabled"
-    return ArmFault(f"arm-servo-{name}", cause, first, SERVO, bar_ms=None, servo=tuple(values.items()), refused=refused)
+    return ArmFault(
+        f"arm-servo-{name}", cause, first, SERVO_FAULT, bar_ms=None, servo=tuple(values.items()), refused=refused
+    )
 
 
 ELSEWHERE = " (servo 3) is "
-REQUESTED: tuple[Wanted, ...] = ((causes.REQUESTED,),)
+STOP_REQUESTED: tuple[Wanted, ...] = ((causes.REQUESTED,),)
 LOST: tuple[Wanted, ...] = ((causes.DEVICE_LOST,),)
-SECONDS: tuple[Wanted, ...] = ((causes.TWO_MOVE_THE_ARM,),)
+SECOND_CLIENT: tuple[Wanted, ...] = ((causes.TWO_MOVE_THE_ARM,),)
 CLAIM = "gate (its client has gone)"
 TIME = "gate (no goal for 0.5 s)"
 ROWS = (
-    *map(_kill, PROCESSES),
-    *map(_hang, PROCESSES),
+    *map(_kill, PROCESS_NAMES),
+    *map(_hang, PROCESS_NAMES),
     ArmFault("arm-client-killed", "SIGKILL of who moves it", CLAIM, CLIENT_KILL, bar_ms=BY_ITSELF_MS + STOP_MS),
     ArmFault("arm-client-hung", "SIGSTOP of who moves it", TIME, CLIENT_HANG, bar_ms=BY_ITSELF_MS + GOAL_MS),
-    ArmFault("arm-second-client", "a second client moves it", "gate", SECOND, "", SECONDS, RESET),
-    ArmFault("arm-stop-request", "a stop request while it moves", "port owner", REQUEST, "", REQUESTED, RESET),
+    ArmFault("arm-second-client", "a second client moves it", "gate", SECOND, "", SECOND_CLIENT, BY_RESET),
     ArmFault(
-        "arm-stop-posing", "a stop request on its way to the drive pose", "port owner", POSING, "", REQUESTED, RESET
+        "arm-stop-request", "a stop request while it moves", "port owner", STOP_REQUEST, "", STOP_REQUESTED, BY_RESET
     ),
-    ArmFault("arm-usb-drop", "unplugged while it moves", "each servo, at its move's end", UNPLUG, "", LOST, RESET),
+    ArmFault(
+        "arm-stop-posing",
+        "a stop request on its way to the drive pose",
+        "port owner",
+        POSING,
+        "",
+        STOP_REQUESTED,
+        BY_RESET,
+    ),
+    ArmFault("arm-usb-drop", "unplugged while it moves", "each servo, at its move's end", UNPLUG, "", LOST, BY_RESET),
     _servo("silent", "a servo does not answer, motion is to be enabled", ": no answer from servo 3", silent=True),
     _servo("blocked", "a joint is blocked, motion is to be enabled", ELSEWHERE, blocked=True),
     _servo("unloaded", "a servo has let go, motion is to be enabled", ELSEWHERE, unloaded=True),
     _servo("hot", "a servo is at 90 degrees, motion is to be enabled", ELSEWHERE, temperature_c=90),
 )
-BY_NAME = {row.name: row for row in ROWS}
-SWINGING = (KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST)
+ARM_FAULT_BY_NAME = {row.name: row for row in ROWS}
+SWINGING = (KILL, HANG, CLIENT_KILL, CLIENT_HANG, STOP_REQUEST)
 """Faults that can be injected on a stand, to an arm that a program moves."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from failstop.api.errors import FailstopError, Refused
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm_table import ArmFault
-from failstop.lab.faults.fault import CRASH, HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
+from failstop.lab.faults.fault import BY_ITSELF, BY_RESET, CRASH, HANG, KILL, SPIN, Fault, fits, told
 from failstop.lab.faults.injectors import injector
 from failstop.lab.faults.judge import verdict
 from failstop.lab.faults.scene import Scene
@@ -27,7 +27,7 @@ BEFORE_S = (0.02, 0.12)
 AFTER_RESET_S = 0.03
 SEEN_S = 3.0
 SETUPS = 3
-ENDS = {"service-stopped": 0, "names-removed": 1}
+EXIT_CODES = {"service-stopped": 0, "names-removed": 1}
 """The exit code of a service that ends by itself, by the row's injector."""
 STORY_BEFORE = 5
 STORY_AFTER = 20
@@ -109,11 +109,11 @@ class _Injection:
             self._meanwhile()
         finally:
             scene.driver.each = lambda: None
-            if fault.cleared == ITSELF:
+            if fault.cleared == BY_ITSELF:
                 self._judge(fault_ns)
             self.injector.heal(scene)
         self._recover()
-        if fault.cleared != ITSELF:
+        if fault.cleared != BY_ITSELF:
             self._judge(fault_ns)
 
     def _see(self) -> None:
@@ -159,9 +159,9 @@ class _Injection:
         elif reason := scene.driver.robot.state.estop:
             self.outcome.wrong.append(f"latched: {reason}")
         self._check(f"the service to say {fault.logged or 'what is latched'!r}", self._logged)
-        if fault.cleared == RESET:
+        if fault.cleared == BY_RESET:
             self._check("the reset", self._reset)
-        if fault.cleared == ITSELF:
+        if fault.cleared == BY_ITSELF:
             self._check("the wheels to turn again by themselves", scene.trial.moving)
         else:
             scene.driver.run(AFTER_RESET_S)
@@ -170,9 +170,9 @@ class _Injection:
 
     def _end_run(self) -> None:
         service = self.scene.trial.service
-        if self.fault.injector in ENDS and service.process:
+        if self.fault.injector in EXIT_CODES and service.process:
             code = service.process.wait(SEEN_S)
-            if code != ENDS[self.fault.injector]:
+            if code != EXIT_CODES[self.fault.injector]:
                 self.outcome.wrong.append(f"the service ended with exit code {code}")
         self.scene.restart()
 

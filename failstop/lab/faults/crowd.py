@@ -14,7 +14,7 @@ from failstop.api.client import Client, send_stop
 from failstop.lab.trial import COMMAND_EVERY_S
 from failstop.policy.settings import FIRST_SOURCE
 
-NOBODY = 65534
+NOBODY_UID = 65534
 _DESCRIPTORS = 4096
 
 
@@ -123,8 +123,8 @@ class Nobody(Helper):
     def _serve(self) -> None:
         if os.getuid() == 0:
             os.setgroups([])
-            os.setresgid(NOBODY, NOBODY, NOBODY)
-            os.setresuid(NOBODY, NOBODY, NOBODY)
+            os.setresgid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
+            os.setresuid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
         while os.read(self._asked, 1):
             now_ns = time.monotonic_ns()
             send_stop(self._name, self._reason)

@@ -7,10 +7,10 @@ from typing import Any
 
 from failstop.policy.causes import Cause
 
-RESET = "reset, then enable"
-ENABLE = "enable"
-ITSELF = "by itself"
-NEW_RUN = "a new start by systemd, then enable"
+BY_RESET = "reset, then enable"
+BY_ENABLE = "enable"
+BY_ITSELF = "by itself"
+BY_NEW_RUN = "a new start by systemd, then enable"
 
 KILL = "kill"
 HANG = "hang"
@@ -19,19 +19,32 @@ SPIN = "spin"
 CRASH = "crash"
 """Injections into a process: SIGKILL, SIGSTOP, SIGCONT, an endless loop put into its code, SIGSEGV."""
 
-DEATH = "a process dies"
-HANGS = "a process hangs"
+PROCESS_DIES = "a process dies"
+PROCESS_HANGS = "a process hangs"
 SEVERAL = "several processes at once"
-SERVICE = "the service is stopped"
-CLIENT = "the client that drives fails"
-REQUEST = "somebody asks for a stop"
+SERVICE_STOPPED = "the service is stopped"
+CLIENT_FAILS = "the client that drives fails"
+ASKED_TO_STOP = "somebody asks for a stop"
 SENSOR = "the obstacle sensor or an interlock fails"
 USB = "the USB connection drops"
-BOARD = "the board does not take, hear or obey"
+BOARD_FAILS = "the board does not take, hear or obey"
 MACHINE = "the machine is out of something, or takes it away"
 MEMORY = "a client damages shared memory"
 TIME = "the machine freezes or sleeps, its clock is stepped"
-EVENTS = (DEATH, HANGS, SEVERAL, SERVICE, CLIENT, REQUEST, SENSOR, USB, BOARD, MACHINE, MEMORY, TIME)
+FAULT_CLASSES = (
+    PROCESS_DIES,
+    PROCESS_HANGS,
+    SEVERAL,
+    SERVICE_STOPPED,
+    CLIENT_FAILS,
+    ASKED_TO_STOP,
+    SENSOR,
+    USB,
+    BOARD_FAILS,
+    MACHINE,
+    MEMORY,
+    TIME,
+)
 
 LATE_MS = 100.0
 """Added to one and a half bars for the limit that a test asserts: machines that tests run on are shared and busy."""
@@ -59,7 +72,7 @@ class Fault:
 
     name: str
     event: str
-    """One of EVENTS."""
+    """One of FAULT_CLASSES."""
     cause: str
     """The fault, in words."""
     first: str
@@ -67,7 +80,7 @@ class Fault:
     latched: tuple[Wanted, ...]
     """The cause that stays latched is one of these; empty: nothing does."""
     cleared: str
-    """RESET, ENABLE, ITSELF or NEW_RUN."""
+    """BY_RESET, BY_ENABLE, BY_ITSELF or BY_NEW_RUN."""
     logged: str
     """Words of the service besides those on the latched stop; empty: none."""
     bar_ms: float | None
@@ -97,7 +110,7 @@ class Fault:
     @property
     def survives(self) -> bool:
         """Whether the service lives on; else systemd, here the campaign, restarts it."""
-        return self.cleared != NEW_RUN
+        return self.cleared != BY_NEW_RUN
 
     def struck(self, *actions: str) -> tuple[str, ...]:
         """The processes that one of these things is done to."""

@@ -8,7 +8,7 @@ from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.scene import Scene
 
 TROUBLE_S = 0.2
-ASKED = "asked meanwhile"
+ASKED_MEANWHILE = "asked meanwhile"
 
 
 class Injector:
@@ -55,5 +55,5 @@ class AskedMeanwhile(Injector):
         scene.was_moving = scene.trial.moving()
         scene.board.events()
         now_ns = time.monotonic_ns()
-        scene.ask(ASKED)
+        scene.ask(ASKED_MEANWHILE)
         return now_ns

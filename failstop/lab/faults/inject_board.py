@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from failstop.board.codec import STOP
 from failstop.lab.faults.fault import Fault
-from failstop.lab.faults.inject import ASKED, AskedMeanwhile, Injector
+from failstop.lab.faults.inject import ASKED_MEANWHILE, AskedMeanwhile, Injector
 from failstop.lab.faults.scene import Scene
 from failstop.lab.trial import TrialError
 from failstop.messages.layout import SUPERVISOR
@@ -258,7 +258,7 @@ class Refuses(Injector):
     def strike(self, scene: Scene) -> int:
         scene.board.refuse_stop(True)
         now_ns = time.monotonic_ns()
-        scene.ask(ASKED)
+        scene.ask(ASKED_MEANWHILE)
         return now_ns
 
     def heal(self, scene: Scene) -> None:

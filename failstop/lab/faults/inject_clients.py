@@ -26,7 +26,7 @@ CLAIM_SEEN_S = 0.06
 DRAINED_S = 0.1
 KEY_STOPS = 1
 PRESSED = 0x01
-BUTTON = 0x0100
+BUTTON_BIT = 0x0100
 MODE = 0x2000
 PRESS = (MODE, *(0,) * 20)
 """A press and its release, frame by frame."""
@@ -273,7 +273,7 @@ class PadButton(Injector):
 
     def strike(self, scene: Scene) -> int:
         now_ns = time.monotonic_ns()
-        scene.board.pad(BUTTON)
+        scene.board.pad(BUTTON_BIT)
         return now_ns
 
     def heal(self, scene: Scene) -> None:

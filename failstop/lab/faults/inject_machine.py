@@ -27,7 +27,7 @@ SLEEP_VARIABLE = "FAILSTOP_SUSPEND"
 DISK_S = 4.0
 """The battery is reported once a second, and logged as often."""
 UNWRITTEN = "can't be written"
-WRITTEN = "is written again"
+WRITTEN_AGAIN = "is written again"
 
 
 class NoProcessor(AskedMeanwhile):
@@ -146,7 +146,7 @@ class NoDisk(_NoMore):
         mark = scene.trial.service.written()
         super().heal(scene)
         # It tells of the same trouble again only when there has been a line without it.
-        _wait_for_a_line(scene, WRITTEN, mark)
+        _wait_for_a_line(scene, WRITTEN_AGAIN, mark)
 
 
 def _wait_for_a_line(scene: Scene, text: str, mark: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.lab.faults.fault import ITSELF, Fault
+from failstop.lab.faults.fault import BY_ITSELF, Fault
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Stopped, judge
 
@@ -23,7 +23,7 @@ def verdict(fault: Fault, events: list[Event], fault_ns: int, was_moving: bool) 
         if stopped.stop_ns > fault.limit_ms * 1e6:
             wrong.append(f"stopped after {stopped.stop_ns / 1e6:.1f} ms, the limit is {fault.limit_ms:.0f} ms")
         if stopped.motion_after:
-            until = "the fault's end" if fault.cleared == ITSELF else "any enable"
+            until = "the fault's end" if fault.cleared == BY_ITSELF else "any enable"
             wrong.append(f"{stopped.motion_after} motion frames after the stop and before {until}")
     if wild := sum(len(event.wild) for event in events):
         wrong.append(f"{wild} writes outside the board's motor table")

@@ -5,22 +5,22 @@ from __future__ import annotations
 import itertools
 
 from failstop.lab.faults.fault import (
+    BY_NEW_RUN,
+    BY_RESET,
     CONTINUE,
     CRASH,
-    DEATH,
     HANG,
-    HANGS,
     KILL,
-    NEW_RUN,
-    RESET,
+    PROCESS_DIES,
+    PROCESS_HANGS,
     SEVERAL,
     SPIN,
     Fault,
     Wanted,
 )
-from failstop.messages.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
+from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
-from failstop.policy.processes import BY_NAME
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 from failstop.procs.stopper.main import HANG_NS
 
@@ -30,7 +30,7 @@ NO_ANSWER_MS = 10.0
 SLACK_MS = 5.0
 LEASE_MS = float(BY_KEY["gate.lease_s"].default) * 1000 + SLACK_MS
 STOPPER_MS = HANG_NS / 1e6 + SLACK_MS
-DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in BY_NAME.items()}
+DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in PROCESS_BY_NAME.items()}
 TOOL_MS = 200.0
 """The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
 
@@ -101,7 +101,7 @@ def _row(
         cause=cause,
         first=first,
         latched=() if again else wanted,
-        cleared=NEW_RUN if again else RESET,
+        cleared=BY_NEW_RUN if again else BY_RESET,
         logged=NEW_RUN_SAYS if again else "",
         bar_ms=bar_ms,
         injector="processes",
@@ -119,21 +119,23 @@ def _words(processes: tuple[str, ...]) -> str:
 
 def _death(process: str, action: str, number: str, weight: int) -> Fault:
     cause = f"{number} of the {process}"
-    return _row(f"{action}-{process}", DEATH, cause, DEATH_OF[process], AT_ONCE_MS, ((action, process),), weight=weight)
+    return _row(
+        f"{action}-{process}", PROCESS_DIES, cause, DEATH_OF[process], AT_ONCE_MS, ((action, process),), weight=weight
+    )
 
 
 def _hang(process: str, action: str, cause: str) -> Fault:
     first, bar_ms = (HANG_OF if action == HANG else LOOPS_IN)[process]
     steps = ((action, process),)
     fenced_s = DEADLINES_MS.get(process, bar_ms) / 1000
-    return _row(f"{action}-{process}", HANGS, f"{cause} the {process}", first, bar_ms, steps, fenced_s=fenced_s)
+    return _row(f"{action}-{process}", PROCESS_HANGS, f"{cause} the {process}", first, bar_ms, steps, fenced_s=fenced_s)
 
 
 def _continued(process: str, when: str) -> Fault:
     first, bar_ms = HANG_OF[process]
     cause = f"SIGSTOP of the {process}, SIGCONT {when}"
     steps = ((HANG, process), (CONTINUE, process))
-    return _row(f"hang-{process}-continued", HANGS, cause, first, bar_ms, steps)
+    return _row(f"hang-{process}-continued", PROCESS_HANGS, cause, first, bar_ms, steps)
 
 
 def _kill_many(processes: tuple[str, ...]) -> Fault:
@@ -169,13 +171,13 @@ def _hang_both(one: str, other: str) -> Fault:
 
 
 ROWS = (
-    *(_death(process, KILL, "SIGKILL", 16) for process in PROCESSES),
-    *(_death(process, CRASH, "SIGSEGV", 2) for process in PROCESSES),
-    *(_hang(process, HANG, "SIGSTOP of") for process in PROCESSES),
-    *(_hang(process, SPIN, "an endless loop in") for process in PROCESSES),
+    *(_death(process, KILL, "SIGKILL", 16) for process in PROCESS_NAMES),
+    *(_death(process, CRASH, "SIGSEGV", 2) for process in PROCESS_NAMES),
+    *(_hang(process, HANG, "SIGSTOP of") for process in PROCESS_NAMES),
+    *(_hang(process, SPIN, "an endless loop in") for process in PROCESS_NAMES),
     _continued(GATE, "before it is fenced"),
     _continued(SUPERVISOR, "before systemd's watchdog"),
-    *(_kill_many(some) for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESSES, count)),
-    *(_kill_and_hang(killed, hung) for killed, hung in itertools.permutations(PROCESSES, 2)),
+    *(_kill_many(some) for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESS_NAMES, count)),
+    *(_kill_and_hang(killed, hung) for killed, hung in itertools.permutations(PROCESS_NAMES, 2)),
     *(_hang_both(*pair) for pair in HANG_OF_BOTH),
 )

@@ -11,7 +11,7 @@ from failstop.doctor.machine import facts
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
-from failstop.lab.faults.fault import EVENTS, Fault, told
+from failstop.lab.faults.fault import FAULT_CLASSES, Fault, told
 from failstop.lab.faults.table import BEYOND, TABLE
 from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
 
@@ -23,7 +23,7 @@ LEASES = (
     "and of a port owner that hangs ([safety.md](../safety.md)).",
 )
 
-EVERY: dict[str, Fault | ArmFault] = {**table.BY_NAME, **arm_table.BY_NAME}
+EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAULT_BY_NAME}
 """The rows of both tables."""
 
 
@@ -177,7 +177,7 @@ def markdown(result: dict[str, Any]) -> str:
         "",
         *LEASES,
     ]
-    for event in EVENTS:
+    for event in FAULT_CLASSES:
         rows = [fault for fault in TABLE if fault.event == event]
         lines += ["", f"## {event[0].upper()}{event[1:]}", ""]
         lines.append("| row | cause | first to stop | latched | cleared | said | n | p50 | p99 | max | bar |")

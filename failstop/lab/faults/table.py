@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
-    BOARD,
-    CLIENT,
+    ASKED_TO_STOP,
+    BOARD_FAILS,
+    BY_ENABLE,
+    BY_ITSELF,
+    BY_NEW_RUN,
+    BY_RESET,
+    CLIENT_FAILS,
     CONTINUE,
-    ENABLE,
     HANG,
-    ITSELF,
     MACHINE,
     MEMORY,
-    NEW_RUN,
-    REQUEST,
-    RESET,
     SENSOR,
-    SERVICE,
+    SERVICE_STOPPED,
     SEVERAL,
     TIME,
     USB,
@@ -48,9 +48,9 @@ from failstop.policy.causes import (
 from failstop.policy.causes import HANGS as HANGS_CAUSE
 
 BACK = "the device's return"
-ASKED = "a stop request meanwhile"
+STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
-DRIVER_DIED = "which had driven, has died"
+DRIVER_HAS_DIED = "which had driven, has died"
 
 
 def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
@@ -61,11 +61,11 @@ def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *
         cause=cause,
         first="port owner, when asked",
         latched=((PIPED, "asked meanwhile"),),
-        cleared=RESET,
+        cleared=BY_RESET,
         logged=logged,
         bar_ms=bar_ms,
         injector=injector,
-        counted_from=ASKED,
+        counted_from=STOP_ASKED_MEANWHILE,
         weight=1,
     )
 
@@ -77,17 +77,17 @@ WOKEN = (
         (
             (SUPERVISOR_SUSPENDED,), (HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER),
             (DIED, PORT_OWNER),
-        ), RESET, "",
+        ), BY_RESET, "",
         processes.STOPPER_MS, "processes",
         steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
     ),
 )  # fmt: skip
 
-CLIENTS = (
+CLIENT_ROWS = (
     *(
         Fault(
-            name, CLIENT, f"{how} that drives, another commands at once", "gate (its lifeline)",
-            (), ENABLE, DRIVER_DIED, bar_ms, name, weight=weight,
+            name, CLIENT_FAILS, f"{how} that drives, another commands at once", "gate (its lifeline)",
+            (), BY_ENABLE, DRIVER_HAS_DIED, bar_ms, name, weight=weight,
         )
         for name, how, bar_ms, weight in (
             ("client-killed", "SIGKILL of the program", 5.0, 4),
@@ -97,126 +97,133 @@ CLIENTS = (
         )
     ),
     Fault(
-        "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
-        (), ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
+        "client-hung", CLIENT_FAILS, "SIGSTOP of the client that drives", "gate (command timeout)",
+        (), BY_ITSELF, "", 320.0, "client-hung", counted_from="its last command",
+        aftermath_s=0.45, weight=1,
     ),
     Fault(
-        "pad-silent", CLIENT, "the gamepad that drives falls silent", "gate (command timeout)",
-        (), ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
+        "pad-silent", CLIENT_FAILS, "the gamepad that drives falls silent", "gate (command timeout)",
+        (), BY_ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
     ),
     Fault(
-        "client-nan", CLIENT, "a command that is not a number", "gate",
-        ((NOT_FINITE,),), RESET, "", 5.0, "client-nan",
+        "client-nan", CLIENT_FAILS, "a command that is not a number", "gate",
+        ((NOT_FINITE,),), BY_RESET, "", 5.0, "client-nan",
     ),
     Fault(
-        "client-second", CLIENT, "a second publisher of one source", "gate",
-        ((TWO_PUBLISHERS, "cmd_vel"),), RESET, "", 5.0, "client-second",
+        "client-second", CLIENT_FAILS, "a second publisher of one source", "gate",
+        ((TWO_PUBLISHERS, "cmd_vel"),), BY_RESET, "", 5.0, "client-second",
     ),
     Fault(
-        "client-gamepad", CLIENT, "a client commands zero as the gamepad", "nobody",
-        (), ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
+        "client-gamepad", CLIENT_FAILS, "a client commands zero as the gamepad", "nobody",
+        (), BY_ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
         aftermath_s=0.4, weight=1,
     ),
     Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
-        (), ENABLE, DRIVER_DIED, 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), BY_ENABLE, DRIVER_HAS_DIED, 50.0, "slot-scribbled", counted_from="its last command",
+        aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
-        (), ENABLE, DRIVER_DIED, 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), BY_ENABLE, DRIVER_HAS_DIED, 50.0, "slot-truncated", counted_from="its last command",
+        aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
-        (), ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
+        (), BY_ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
     ),
 )  # fmt: skip
 
 REQUESTS = (
     Fault(
-        "service-stopped", SERVICE, "SIGTERM to the service", "supervisor, through the port owner",
-        (), NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
+        "service-stopped", SERVICE_STOPPED, "SIGTERM to the service", "supervisor, through the port owner",
+        (), BY_NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
     ),
     Fault(
-        "stop-request", REQUEST, "a stop request by an unprivileged user", "port owner",
-        ((PIPED, "nobody says so"),), RESET, "", 2.0, "stop-request",
+        "stop-request", ASKED_TO_STOP, "a stop request by an unprivileged user", "port owner",
+        ((PIPED, "nobody says so"),), BY_RESET, "", 2.0, "stop-request",
     ),
     Fault(
-        "stop-request-posing", REQUEST, "a stop request in the words of a cause of the service's own", "port owner",
-        ((PIPED, str(DIED(GATE))),), RESET, "", 2.0, "stop-request-posing",
+        "stop-request-posing", ASKED_TO_STOP, "a stop request in the words of a cause of the service's own",
+        "port owner", ((PIPED, str(DIED(GATE))),), BY_RESET, "", 2.0, "stop-request-posing",
     ),
     Fault(
-        "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
-        ((PIPED,),), RESET, "", 2.0, "stop-pipe-garbage",
+        "stop-pipe-garbage", ASKED_TO_STOP, "garbage in the stop FIFO", "port owner",
+        ((PIPED,),), BY_RESET, "", 2.0, "stop-pipe-garbage",
     ),
     Fault(
-        "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
-        ((PIPED,),), RESET, "", 2.0, "stop-pipe-flood",
+        "stop-pipe-flood", ASKED_TO_STOP, "the stop FIFO is kept full", "port owner",
+        ((PIPED,),), BY_RESET, "", 2.0, "stop-pipe-flood",
     ),
     Fault(
-        "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",
-        ((BUTTON, 0x0100),), RESET, "", 5.0, "pad-button",
+        "pad-button", ASKED_TO_STOP, "a button of the gamepad, one frame", "port owner, asked by telemetry",
+        ((BUTTON, 0x0100),), BY_RESET, "", 5.0, "pad-button",
     ),
     Fault(
-        "board-key", REQUEST, "the board's stop key", "port owner, asked by telemetry",
-        ((KEY, 1),), RESET, "", 5.0, "board-key",
+        "board-key", ASKED_TO_STOP, "the board's stop key", "port owner, asked by telemetry",
+        ((KEY, 1),), BY_RESET, "", 5.0, "board-key",
     ),
     Fault(
         "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
-        (), ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery", aftermath_s=0.65, weight=1,
+        (), BY_ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery",
+        aftermath_s=0.65, weight=1,
     ),
     Fault(
         "interlock-lost", SENSOR, "an interlock is no longer asserted", "gate",
-        (), ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
+        (), BY_ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
         aftermath_s=0.65, weight=1,
     ),
 )  # fmt: skip
 
-PORT = (
+PORT_ROWS = (
     Fault(
         "usb-drop", USB, "unplugged; back under the same name", "supervisor, the moment it is back",
-        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop", counted_from=BACK,
+        ((DEVICE_LOST,),), BY_RESET, "", 20.0, "usb-drop", counted_from=BACK,
     ),
     Fault(
         "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "supervisor, the moment it is back",
-        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-mid-frame", counted_from=BACK,
+        ((DEVICE_LOST,),), BY_RESET, "", 20.0, "usb-drop-mid-frame", counted_from=BACK,
     ),
     Fault(
         "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "supervisor, the moment it is back",
-        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-renamed", counted_from=BACK,
+        ((DEVICE_LOST,),), BY_RESET, "", 20.0, "usb-drop-renamed", counted_from=BACK,
     ),
     Fault(
         "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "supervisor, once it may open",
-        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-permission",
+        ((DEVICE_LOST,),), BY_RESET, "", 20.0, "usb-drop-permission",
         counted_from="the permission", weight=1,
     ),
     Fault(
         "usb-drop-unwatched", USB, "unplugged, the supervisor stopped (SIGSTOP) meanwhile; back under the same name",
-        "systemd: its watchdog, then the stop tool (ExecStopPost)", (), NEW_RUN, processes.NEW_RUN_SAYS,
+        "systemd: its watchdog, then the stop tool (ExecStopPost)", (), BY_NEW_RUN, processes.NEW_RUN_SAYS,
         1000 * WATCHDOG_S + processes.TOOL_MS, "usb-drop-unwatched", counted_from=BACK, stop_tool=True, weight=1,
     ),
     Fault(
-        "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
-        ((STUCK,),), RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
+        "board-not-draining", BOARD_FAILS, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
+        ((STUCK,),), BY_RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
         weight=1,
     ),
     Fault(
-        "board-deaf", BOARD, "the board hears nothing while its telemetry goes on", "nobody; its 5 Hz zeros, later",
-        ((DEAF,),), RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
+        "board-deaf", BOARD_FAILS, "the board hears nothing while its telemetry goes on",
+        "nobody; its 5 Hz zeros, later",
+        ((DEAF,),), BY_RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
         aftermath_s=0.3, weight=1,
     ),
     Fault(
-        "board-unproven", BOARD, "the board has never answered a ping", "nobody",
-        (), ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
+        "board-unproven", BOARD_FAILS, "the board has never answered a ping", "nobody",
+        (), BY_ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
     ),
     Fault(
-        "board-garbles-up", BOARD, "1 % of the bytes from the board are garbled", "nobody",
-        (), ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
+        "board-garbles-up", BOARD_FAILS, "1 % of the bytes from the board are garbled", "nobody",
+        (), BY_ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
     ),
-    _asked("board-garbles-down", BOARD, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250),
-    _asked("board-floods", BOARD, "the board sends without pause", "board-floods"),
+    _asked(
+        "board-garbles-down", BOARD_FAILS, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250
+    ),
+    _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods"),
     Fault(
-        "board-refuses", BOARD, "the board executes the stop, and the wheels turn on", "port owner, in vain",
-        ((PIPED, "asked meanwhile"),), RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED,
+        "board-refuses", BOARD_FAILS, "the board executes the stop, and the wheels turn on", "port owner, in vain",
+        ((PIPED, "asked meanwhile"),), BY_RESET, "CRITICAL", 5.0, "board-refuses", counted_from=STOP_ASKED_MEANWHILE,
         aftermath_s=2.0, weight=1,
     ),
 )  # fmt: skip
@@ -226,32 +233,32 @@ SURROUNDINGS = (
     _asked("no-descriptors", MACHINE, "no process may open another file", "no-descriptors"),
     Fault(
         "no-descriptors-kill", MACHINE, "no process may open another file; SIGKILL of the gate", "port owner",
-        ((DIED, GATE),), RESET, "", 10.0, "no-descriptors-kill", weight=1,
+        ((DIED, GATE),), BY_RESET, "", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
     _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
-        "port owner; the supervisor looks once a second", (), NEW_RUN, str(REMOVED("")).lstrip(),
+        "port owner; the supervisor looks once a second", (), BY_NEW_RUN, str(REMOVED("")).lstrip(),
         1020.0, "names-removed", aftermath_s=1.2, weight=1,
     ),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,), (SUPERVISOR_SUSPENDED,)), RESET, "", 65.0,
+        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,), (SUPERVISOR_SUSPENDED,)), BY_RESET, "", 65.0,
         "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",
-        ((SUSPENDED,),), RESET, "", 65.0, "suspended", counted_from="waking", weight=1,
+        ((SUSPENDED,),), BY_RESET, "", 65.0, "suspended", counted_from="waking", weight=1,
     ),
     Fault(
         "clock-stepped", TIME, "the wall clock is stepped by an hour, both ways", "nobody",
-        (), ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
+        (), BY_ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
     ),
 )  # fmt: skip
 
-TABLE = (*processes.ROWS, *WOKEN, *CLIENTS, *REQUESTS, *PORT, *SURROUNDINGS)
-BY_NAME = {fault.name: fault for fault in TABLE}
+TABLE = (*processes.ROWS, *WOKEN, *CLIENT_ROWS, *REQUESTS, *PORT_ROWS, *SURROUNDINGS)
+FAULT_BY_NAME = {fault.name: fault for fault in TABLE}
 
 BEYOND = (
     (

@@ -10,7 +10,8 @@ from typing import Any
 
 from failstop.lab.machine import users
 from failstop.lab.machine.files import Directory, Node, Open
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 
 NS = 1_000_000_000
 
@@ -50,7 +51,7 @@ class Calls:
             here = self.step(process, here, part, path)
         if not isinstance(here, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
-        users.check(process, here, users.PASS, path)
+        users.check_rights(process, here, users.MAY_PASS, path)
         return here, parts[-1] if parts else "."
 
     def node(self, process: Process, path: Any, dir_fd: int | None = None, *, follow: bool = True) -> Node:
@@ -64,13 +65,13 @@ class Calls:
         """The node of this name in a directory, or, where it's a link, the node that it leads to. Raises OSError."""
         if not isinstance(here, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
-        users.check(process, here, users.PASS, path)
+        users.check_rights(process, here, users.MAY_PASS, path)
         if part in (".", ".."):
             return here if part == "." else here.above
         found = here.found().get(part)
         if found is None:
             raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
-        if follow and isinstance(found, users.Link):
+        if follow and isinstance(found, users.SymbolicLink):
             above, name = self.walk(process, found.target, start=here)
             return self.step(process, above, name, path)
         return found

@@ -1,37 +1,33 @@
-"""Kernel: processes, their threads, the clock, deaths and signals of a simulated machine.
+"""Kernel: the clock, the schedule, deaths and signals of a simulated machine.
 
-A thread is a greenlet. It runs until a call of the simulated system blocks. Nothing here reads the real clock, so that
-two runs of one seed are equal to the byte. Time passes in two ways: each call takes step_ns, and when every thread
-waits, the clock jumps to the next timer. A test may take part inline: its calls are those of a process of the machine,
-and while one of them blocks, the machine runs.
-
-A finalizer (`__del__`, a callback of `weakref.finalize`, a generator's `finally`) may run at any moment, and after its
-machine has ended. The collector's make no calls (Machine.finalizer), and a call that comes too late is a Death.
+One thread of a process runs at a time, until a call of the simulated system blocks. Nothing here reads the real clock,
+so that two runs of one seed are equal to the byte. Time passes in two ways: each call takes step_ns, and when every
+thread waits, the clock jumps to the next timer. A test may take part inline: its calls are those of a process of the
+machine, and while one of them blocks, the machine runs.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import gc
 import heapq
-import os
 import weakref
-from _thread import get_ident
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from greenlet import GreenletExit, getcurrent, greenlet
+from greenlet import getcurrent
 
-from failstop.lab.machine.files import Directory, Open
+from failstop.lab.machine import collector
+from failstop.lab.machine.files import Directory
+from failstop.lab.machine.process import Death, Process, Thread
 
 STEP_NS = 2_000
 """Of a call of the system."""
-START_NS = 40_000_000
-LOOK_NS = 50
+SPAWN_NS = 40_000_000
+CLOCK_READ_NS = 50
 """Of a look at the clock."""
-LATE_NS = 400_000
+TAKEDOWN_NS = 400_000
 """From a death to its late news: the kernel takes the memory down first (docs/dev/architecture.md, Choices)."""
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
 IGNORED = (SIGCHLD, SIGCONT)
@@ -39,146 +35,23 @@ IGNORED = (SIGCHLD, SIGCONT)
 LAND_NS = 100_000
 """From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
-SCHED_FIFO = 1
 FOREVER_NS = 1 << 61
 
 
-class Replaced(BaseException):
-    """A process becomes another program, with these arguments."""
-
-    def __init__(self, argv: list[str]) -> None:
-        super().__init__()
-        self.argv = argv
-
-
-class Death(GreenletExit, GeneratorExit):  # type: ignore[misc]  # greenlet has no types
-    """A call of a process that has died: it changes nothing any more. A greenlet and a generator end by it without a
-    report."""
-
-
-class Thread:
-    """A thread of a process. It is `waiting` while a call of it blocks."""
-
-    __slots__ = (
-        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "token", "waiting", "woken"),
-    )
-
-    def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
-        """`hub`: the greenlet of a thread that runs inline."""
-        self.process = process
-        self.body = body
-        self.number = number
-        self.greenlet = hub or greenlet(self._run, process.machine.hub)
-        self.ready = False
-        """Of a thread that runs inline: its turn has come."""
-        self.robust: list[Any] = []
-        """Futexes that the kernel marks at its death."""
-        self.scheduling = (SCHED_FIFO, 10)
-        """Policy and priority: every process of a service has real-time rights here."""
-        self.token = 0
-        """Counts its waits, so that a timer of an earlier one wakes nobody."""
-        self.waiting = False
-        self.woken = False
-
-    def _run(self) -> None:
-        self.process.machine.finish(self, self.body)
-
-
-class Process:
-    """A process: its descriptors, threads, environment and signal handlers."""
-
-    def __init__(self, machine: Machine, pid: int, parent: Process | None, name: str, environ: dict[str, str]) -> None:
-        self.machine = machine
-        self.pid = pid
-        self.parent = parent
-        self.group: int = parent.group if parent else pid
-        """Its process group: what is sent to that comes to all in it."""
-        self.name = name
-        self.environ = environ
-        machine.processes[pid] = self
-        self.files: dict[int, Open] = {}
-        self.inheritable: set[int] = set()
-        self.threads: list[Thread] = []
-        self.handlers: dict[int, Any] = {}
-        self.pending: deque[int] = deque()
-        self.in_write: Callable[[], None] | None = None
-        """Puts the bytes on the wire that it is handing to the kernel: a death waits for it."""
-        self.dead = False
-        self.code: int | None = None
-        """Exit code, or the negative signal; None: it lives, or its end is not yet complete."""
-        self.reaped = False
-        self.dies_with_parent = False
-        self.held_since_ns = self.held_until_ns = 0
-        """Runs nothing before that: stopped, or not run by the machine."""
-        self.resumed_ns = 0
-        """When it was let go on last."""
-        self.starved = False
-        """It is the machine that does not run it."""
-        self.continued = False
-        """A SIGCONT has come, and nobody has asked for it yet."""
-        self.parked: list[Thread] = []
-        self.watchers: list[Open] = []
-        """Pidfds."""
-        self.uid: int = parent.uid if parent else 0
-        self.gid: int = parent.gid if parent else 0
-        self.umask: int = parent.umask if parent else 0o22
-        self.sys_path: list[str] = []
-        self.argv: list[str] = []
-        self.most_files = 1 << 20
-        """A descriptor is below this (RLIMIT_NOFILE)."""
-        self._random = pid
-
-    def descriptor(self, opened: Open, lowest: int = 3) -> int:
-        """The lowest free number, for an open file."""
-        fd = lowest
-        while fd in self.files:
-            fd += 1
-        if fd >= self.most_files:
-            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
-        self.files[fd] = opened
-        opened.references += 1
-        return fd
-
-    def random_bytes(self, most: int) -> bytes:
-        """Of the machine's seed and this process's number."""
-        self._random = (self._random * 6364136223846793005 + self.machine.seed + 1442695040888963407) % (1 << 64)
-        return (self._random.to_bytes(8, "little") * (most // 8 + 1))[:most]
-
-    def close(self, fd: int) -> None:
-        """Give a descriptor back."""
-        opened = self.files.pop(fd)
-        self.inheritable.discard(fd)
-        opened.release(self, fd)
-
-
-living: weakref.WeakSet[Machine] = weakref.WeakSet()
+running_machines: weakref.WeakSet[Machine] = weakref.WeakSet()
 """The machines that have not ended."""
-_collector = 0
-"""The thread of Python's in which the garbage collector runs; 0: it does not."""
-
-
-def _collect(phase: str, _: Mapping[str, int]) -> None:
-    global _collector
-    _collector = get_ident() if phase == "start" else 0
-
-
-def _collecting() -> bool:
-    return _collector != 0 and _collector == get_ident()
-
-
-gc.callbacks.append(_collect)
 
 
 class Machine:
     """The machine. `at_seam` is asked before each call of the system, with the thread and the call's name; what it
     raises is what the call raises. Its threads keep it in memory until end()."""
 
-    def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = LOOK_NS) -> None:
+    def __init__(self, seed: int = 0, step_ns: int = STEP_NS, look_ns: int = CLOCK_READ_NS) -> None:
         """`step_ns`, `look_ns`: the time that a call of the system and a look at the clock take, in ns. With 0 time
         passes by the timers alone, a loop that only looks at the clock never ends, and a program starts at once."""
         self.now_ns = 1_000_000_000_000
         self.step_ns, self.look_ns = step_ns, look_ns
-        self.start_ns = START_NS if step_ns else 0
+        self.start_ns = SPAWN_NS if step_ns else 0
         """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
         self.unix_ns = 1_700_000_000_000_000_000
@@ -204,11 +77,11 @@ class Machine:
         self._order = 0
         self._next_pid = FIRST_PID
         self._threads = 0
-        living.add(self)
+        running_machines.add(self)
 
     def end(self) -> None:
         """End every thread, and forget all that is on the machine: each later call of a process is a Death."""
-        living.discard(self)
+        running_machines.discard(self)
         processes, self.processes = self.processes, {}
         self.current = self.inline = self.at_seam = None
         self.told = lambda kind, process, what: None
@@ -227,7 +100,7 @@ class Machine:
         """A finalizer as this machine runs it: not for the collector, which comes in the middle of any process."""
 
         def run(*arguments: Any, **named: Any) -> None:
-            if not _collecting():
+            if not collector.at_work():
                 with contextlib.suppress(Death):
                     body(*arguments, **named)
 
@@ -334,7 +207,7 @@ class Machine:
         """The thread that makes a call. Raises Death where none of a living process does."""
         thread = self.current
         try:
-            if thread and not thread.process.dead and not _collecting() and getcurrent() is thread.greenlet:
+            if thread and not thread.process.dead and not collector.at_work() and getcurrent() is thread.greenlet:
                 return thread
         except RuntimeError:  # of a greenlet that is being collected itself
             pass
@@ -418,7 +291,7 @@ class Machine:
         self.told("died", process, code)
         for thread in process.threads:
             self.mark(thread)
-        self.at(self.now_ns + LATE_NS, lambda: self._taken_down(process, code))
+        self.at(self.now_ns + TAKEDOWN_NS, lambda: self._taken_down(process, code))
         if self.current is not None and self.current.process is process:
             self.hub.switch()
             raise Death

@@ -8,7 +8,8 @@ import stat
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from failstop.lab.machine.files import ERR, HUP, IN, OUT, Epoll, Node, Open
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.files import ERR, HUP, IN, OUT, Node, Open
 
 if TYPE_CHECKING:
     from failstop.lab.machine.kernel import Machine

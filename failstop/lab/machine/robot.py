@@ -11,10 +11,12 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Epoll, Node, Null, Open, Regular
-from failstop.lab.machine.kernel import Machine, Process, Replaced
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.files import Node, Null, Open, Regular
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Replaced
 from failstop.lab.sim.model import BoardModel, Frame
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
@@ -24,7 +26,7 @@ COMMAND_EVERY_S = 0.02
 ENVIRON = {"HOME": "/root"}
 
 
-class Board:
+class BoardPort:
     """The board's model behind a port of the machine."""
 
     def __init__(self, machine: Machine, imu_hz: float) -> None:
@@ -83,7 +85,7 @@ class Robot:
         self.machine = Machine(seed)
         self.loader = Loader(self.machine, patches)
         self.time: Any = self.loader.system["time"]
-        self.board = Board(self.machine, imu_hz)
+        self.board = BoardPort(self.machine, imu_hz)
         self.stderr = Null()
         self._numbers = 0
         self._make_files(settings or {})

@@ -9,7 +9,7 @@ from typing import Any
 
 from failstop.lab.machine.calls import Calls, Module
 from failstop.lab.machine.files import Regular
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 from failstop.procs import rights
 from failstop.procs.starved import LONGEST_NS
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -22,7 +22,7 @@ WAITERS = 1 << 31
 NUMBER = OWNER_DIED - 1
 
 
-class Word:
+class FutexWord:
     """A futex's word of a file, as the kernel sees it: every process that maps it waits at the same place."""
 
     def __init__(self, node: Regular, offset: int) -> None:
@@ -60,16 +60,16 @@ def make_futex(calls: Calls) -> ModuleType:
             node = calls.opened(calls.process("mmap", fd), fd).node
             assert isinstance(node, Regular)
             words = node.__dict__.setdefault("words", {})
-            self._words: dict[int, Word] = words
+            self._words: dict[int, FutexWord] = words
             self._node, self._offset = node, offset
             self._mine = self._word(0)
 
         def detach(self) -> None:
             calls.process("dup")
 
-        def _word(self, line: int) -> Word:
+        def _word(self, line: int) -> FutexWord:
             at = self._offset + line * LINE_BYTES
-            return self._words.setdefault(at, Word(self._node, at))
+            return self._words.setdefault(at, FutexWord(self._node, at))
 
         def hold(self, lines: int = 1) -> object:
             calls.process("set_robust_list")

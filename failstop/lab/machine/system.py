@@ -21,7 +21,7 @@ from failstop.lab.machine.system_threads import threads
 from failstop.lab.machine.system_waiting import Select, Time
 
 
-class Stream:
+class StandardStream:
     """Standard output or error of the process that writes, which is no terminal."""
 
     encoding = "utf-8"
@@ -46,7 +46,7 @@ class Sys(Module):
     def __init__(self, calls: Calls, system: Os) -> None:
         plain = {name: getattr(sys, name) for name in ("version_info", "flags", "byteorder", "platform")}
         super().__init__("sys", calls, executable="/usr/bin/python3", **plain)
-        self.stdout, self.stderr = Stream(system, 1), Stream(system, 2)
+        self.stdout, self.stderr = StandardStream(system, 1), StandardStream(system, 2)
 
     @property
     def path(self) -> list[str]:

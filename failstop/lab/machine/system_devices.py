@@ -13,8 +13,8 @@ from typing import Any
 from failstop.lab.machine import users
 from failstop.lab.machine.calls import Calls, Module, constants
 from failstop.lab.machine.files import IN, Directory, Fifo, Open, Regular, Socket
-from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process
 
 WHOLE = -1
 """The place of a lock on a whole file (flock)."""

@@ -11,7 +11,8 @@ from typing import Any
 from failstop.lab.machine import users
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Counter, Directory, Fifo, Node, Open, Pidfd, Regular
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.system_processes import Processes
 
 PLAIN = (
@@ -56,7 +57,7 @@ class Environ(dict):  # type: ignore[type-arg]
         return self._own().items()
 
 
-class Status:
+class StatResult:
     """The answer of stat()."""
 
     __slots__ = (
@@ -89,10 +90,10 @@ class Paths(Module):
         above, name = self._calls.walk(process, path, dir_fd)
         node = self._found(process, above, name, flags, path)
         if node is None:
-            users.check(process, above, users.WRITE, path)
+            users.check_rights(process, above, users.MAY_WRITE, path)
             above.put(name, node := users.made(process, Regular(mode & 0o777)))
         else:
-            users.check(process, node, users.wanted(flags), path)
+            users.check_rights(process, node, users.wanted(flags), path)
         if flags & os.O_DIRECTORY and not isinstance(node, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
         if isinstance(node, Directory) and flags & 3:
@@ -122,17 +123,17 @@ class Paths(Module):
             if flags & os.O_CREAT and flags & os.O_EXCL:
                 raise FileExistsError(errno.EEXIST, "File exists", path)
             found = self._calls.step(process, above, name, path, follow=not flags & os.O_NOFOLLOW)
-            if isinstance(found, users.Link) and not flags & os.O_PATH:
+            if isinstance(found, users.SymbolicLink) and not flags & os.O_PATH:
                 raise OSError(errno.ELOOP, "Too many levels of symbolic links", path)
             return found
         if not flags & os.O_CREAT:
             raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
         return None
 
-    def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> Status:
-        return Status(self._calls.node(self._calls.process("stat", path), path, dir_fd, follow=follow_symlinks))
+    def stat(self, path: Any, *, dir_fd: int | None = None, follow_symlinks: bool = True) -> StatResult:
+        return StatResult(self._calls.node(self._calls.process("stat", path), path, dir_fd, follow=follow_symlinks))
 
-    def lstat(self, path: Any, *, dir_fd: int | None = None) -> Status:
+    def lstat(self, path: Any, *, dir_fd: int | None = None) -> StatResult:
         return self.stat(path, dir_fd=dir_fd, follow_symlinks=False)
 
     def access(self, path: str, mode: int) -> bool:
@@ -149,7 +150,7 @@ class Paths(Module):
         node = self._calls.node(process, path)
         if not isinstance(node, Directory):
             raise NotADirectoryError(errno.ENOTDIR, "Not a directory", path)
-        users.check(process, node, users.READ, path)
+        users.check_rights(process, node, users.MAY_READ, path)
         return list(node.found())
 
     def _put(self, call: str, path: str, node: Node, dir_fd: int | None) -> None:
@@ -157,7 +158,7 @@ class Paths(Module):
         above, name = self._calls.walk(process, path, dir_fd)
         if name in above.names:
             raise FileExistsError(errno.EEXIST, "File exists", path)
-        users.check(process, above, users.WRITE, path)
+        users.check_rights(process, above, users.MAY_WRITE, path)
         above.put(name, users.made(process, node))
         if isinstance(node, Directory):
             node.above = above
@@ -169,7 +170,7 @@ class Paths(Module):
         self._put("mkfifo", path, Fifo(mode & 0o777), dir_fd)
 
     def symlink(self, target: str, path: str) -> None:
-        self._put("symlink", path, users.Link(os.fspath(target)), None)
+        self._put("symlink", path, users.SymbolicLink(os.fspath(target)), None)
 
     def makedirs(self, path: str, mode: int = 0o777, exist_ok: bool = False) -> None:
         self._calls.process("mkdir", path)
@@ -291,8 +292,8 @@ class Descriptors(Module):
     def fsync(self, fd: int) -> None:
         self._calls.begin("fsync", fd)
 
-    def fstat(self, fd: int) -> Status:
-        return Status(self._calls.begin("fstat", fd).node)
+    def fstat(self, fd: int) -> StatResult:
+        return StatResult(self._calls.begin("fstat", fd).node)
 
     def dup(self, fd: int) -> int:
         process = self._calls.process("dup", fd)
@@ -349,7 +350,7 @@ def make_path(calls: Calls) -> Module:
         "lexists": lambda where: looked_at(where, follow=False),
         "isdir": lambda where: looked_at(where, Directory),
         "isfile": lambda where: looked_at(where, Regular),
-        "islink": lambda where: looked_at(where, users.Link, follow=False),
+        "islink": lambda where: looked_at(where, users.SymbolicLink, follow=False),
         "abspath": posixpath.normpath,
         "realpath": posixpath.normpath,
         "expanduser": lambda where: where.replace("~", "/root", 1),

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from typing import Any, NoReturn
 
 from failstop.lab.machine.calls import Module
-from failstop.lab.machine.kernel import Process, Replaced, Thread
+from failstop.lab.machine.process import Process, Replaced, Thread
 
-CHILD = "child.py"
+CHILD_SCRIPT = "child.py"
 """The script that becomes whichever process its first word names."""
 
 
@@ -43,7 +43,7 @@ class Processes(Module):
         words = argv[argv.index(script) :]
         name = posixpath.basename(script)
         program = self._machine.programs.get(name)
-        called = words[1] if name == CHILD else name
+        called = words[1] if name == CHILD_SCRIPT else name
 
         def run(child: Process) -> int:
             return program(child, words) if program else 0

@@ -10,7 +10,7 @@ from typing import Any
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
 from failstop.lab.machine.files import Pidfd
-from failstop.lab.machine.kernel import Thread
+from failstop.lab.machine.process import Thread
 
 
 class Lock:

@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from failstop.lab.machine.calls import NS, Calls, Module, constants
-from failstop.lab.machine.files import ERR, HUP, IN, OUT, Epoll, Open
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.files import ERR, HUP, IN, OUT, Open
 
 
 def _number(fd: Any) -> int:

@@ -7,9 +7,10 @@ import os
 from typing import TypeVar
 
 from failstop.lab.machine.files import Directory, Node
-from failstop.lab.machine.kernel import Machine, Process
+from failstop.lab.machine.kernel import Machine
+from failstop.lab.machine.process import Process
 
-READ, WRITE, PASS = 4, 2, 1
+MAY_READ, MAY_WRITE, MAY_PASS = 4, 2, 1
 STICKY = 0o1000
 Made = TypeVar("Made", bound=Node)
 
@@ -21,7 +22,7 @@ def made(process: Process, node: Made) -> Made:
     return node
 
 
-def check(process: Process, node: Node, wanted: int, path: object = None) -> None:
+def check_rights(process: Process, node: Node, wanted: int, path: object = None) -> None:
     """Raises PermissionError where this process may not."""
     shift = 6 if node.uid == process.uid else 3 if node.gid == process.gid else 0
     if process.uid and wanted & ~(node.mode >> shift):
@@ -30,7 +31,7 @@ def check(process: Process, node: Node, wanted: int, path: object = None) -> Non
 
 def check_drop(process: Process, above: Directory, node: Node, path: object = None) -> None:
     """May this process take the name of that node away? Raises PermissionError."""
-    check(process, above, WRITE, path)
+    check_rights(process, above, MAY_WRITE, path)
     if above.mode & STICKY and process.uid not in (0, node.uid, above.uid):
         raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), path)
 
@@ -45,10 +46,10 @@ def wanted(flags: int) -> int:
     """The rights that an open with these flags takes."""
     if flags & os.O_PATH:
         return 0
-    return {os.O_RDONLY: READ, os.O_WRONLY: WRITE, os.O_RDWR: READ | WRITE}[flags & 3]
+    return {os.O_RDONLY: MAY_READ, os.O_WRONLY: MAY_WRITE, os.O_RDWR: MAY_READ | MAY_WRITE}[flags & 3]
 
 
-class Link(Node):
+class SymbolicLink(Node):
     """A symbolic link."""
 
     kind = 0o120000

@@ -9,10 +9,10 @@ from failstop.lab.pages import made
 
 parser = argparse.ArgumentParser(prog="python -m failstop.lab.pages", description=__doc__)
 parser.add_argument("--check", action="store_true", help="write nothing, and end with 1 where one differs")
-check = parser.parse_args().check
+only_check = parser.parse_args().check
 found = made.differing()
 for name, text in found.items():
-    if not check:
+    if not only_check:
         (made.ROOT / name).write_text(text, "utf-8")
-    sys.stdout.write(f"{name} {'differs: make docs' if check else 'is renewed'}\n")
-sys.exit(check and bool(found))
+    sys.stdout.write(f"{name} {'differs: make docs' if only_check else 'is renewed'}\n")
+sys.exit(only_check and bool(found))

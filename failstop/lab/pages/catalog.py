@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from failstop.lab.pages.catalog_texts import TEXTS
-from failstop.supervisor.kinds import KINDS, EventKind
+from failstop.supervisor.kinds import EVENT_KINDS, EventKind
 
-HEAD = """\
+PAGE_HEAD = """\
 # What `journalctl -x` says below an entry of failstop.
 # Made from supervisor/kinds.py and failstop/lab/pages/catalog_texts.py, by `make docs`: do not edit.
 # Install as /usr/lib/systemd/catalog/failstop.catalog, then run `journalctl --update-catalog`.
@@ -20,13 +20,13 @@ def entry(kind: EventKind) -> str:
 
 def text() -> str:
     """The whole file."""
-    return "\n".join([HEAD, *map(entry, KINDS)])
+    return "\n".join([PAGE_HEAD, *map(entry, EVENT_KINDS)])
 
 
 def table() -> str:
     """The kinds as a Markdown table."""
     rows = ["| kind | level | its fields (`FAILSTOP_...`) | MESSAGE_ID |", "|---|---|---|---|"]
-    for kind in KINDS:
+    for kind in EVENT_KINDS:
         fields = ", ".join(f"`{field.upper()}`" for field in kind.fields)
         rows.append(f"| `{kind.name}` | {kind.level} | {fields} | `{kind.message_id}` |")
     return "\n".join(rows)

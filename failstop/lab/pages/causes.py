@@ -5,7 +5,7 @@ from __future__ import annotations
 from failstop.policy import causes
 from failstop.policy.causes import Kind
 
-HEAD = """\
+PAGE_HEAD = """\
 # Causes
 
 Generated from the table in failstop/policy/causes.py (`make docs`).
@@ -16,7 +16,7 @@ Every cause latches: the wheels stay stopped until somebody resets and enables. 
 ends the service, or is told after its end. Words in capitals stand for what differs from case to case: ROLE is what
 the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
 """
-NOBODY = "whoever reads the shared memory"
+ANY_READER = "whoever reads the shared memory"
 """The teller of a cause that no process notices."""
 
 
@@ -32,7 +32,7 @@ class _Word(str):
 def page() -> str:
     """The whole page."""
     lines = [
-        HEAD,
+        PAGE_HEAD,
         "| text | name | what happened | what to do first | noticed by | cleared by |",
         "|---|---|---|---|---|---|",
         *map(_row, causes.BY_NUMBER.values()),
@@ -43,6 +43,6 @@ def page() -> str:
 def _row(kind: Kind) -> str:
     words = {name: _Word(name.upper() if of is str else "N") for name, of in kind.parameters}
     words |= {name: _Word(name.upper()) for name in ("role", "names")}
-    noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or NOBODY
+    noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or ANY_READER
     text, what = (template.format_map(words) for template in (kind.template, kind.what))
     return f"| `{text}` | `{kind.name}` | {what} | {kind.remedy} | {noticed_by} | {kind.cleared_by} |"

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from failstop.cli import main as cli
 from failstop.lab.pages import completion, man
 
-HEAD = """# Commands
+PAGE_HEAD = """# Commands
 
 Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same.
 `demo`, `sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
@@ -20,7 +20,7 @@ SECOND = "The same as "
 
 def page() -> str:
     """The page."""
-    parts = [HEAD]
+    parts = [PAGE_HEAD]
     for title, names in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
         parts += [part for name in names for below in completion.walk(cli.load(name)[0]) for part in command(below)]
@@ -43,7 +43,7 @@ def command(parser: argparse.ArgumentParser) -> Iterator[str]:
     for action in completion.arguments(parser):
         value = completion.value(action)
         names = ", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",))
-        rows.append((names, completion.explained(parser, action)))
+        rows.append((names, completion.help_of(parser, action)))
     yield from _table("argument", rows)
     if examples := completion.examples(parser):
         yield "\n".join(["```sh", *examples, "```\n"])

@@ -91,7 +91,7 @@ def what(parser: ArgumentParser) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def explained(parser: ArgumentParser, action: argparse.Action) -> str:
+def help_of(parser: ArgumentParser, action: argparse.Action) -> str:
     """The help on an argument; empty: there is none."""
     return " ".join(parser._get_formatter()._expand_help(action).split()) if action.help else ""
 

@@ -96,7 +96,7 @@ def command(parser: argparse.ArgumentParser) -> list[str]:
     if parser._subparsers is None:
         lines += [".PP", _synopsis(parser.prog, arguments)]
     for action in arguments:
-        lines += [".TP", _head(action), _escaped(completion.explained(parser, action)) or "\\&"]
+        lines += [".TP", _head(action), _escaped(completion.help_of(parser, action)) or "\\&"]
     if examples := completion.examples(parser):
         lines += [".PP", "Examples:", ".PP", ".RS", ".nf", *map(_escaped, examples), ".fi", ".RE"]
     return lines

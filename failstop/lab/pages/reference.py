@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 API = Path(__file__).resolve().parents[2] / "api"
-HEAD = """# Python: reference
+PAGE_HEAD = """# Python: reference
 
 Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
 beside it comes from `failstop` itself: `from failstop import Robot`.
@@ -24,14 +24,14 @@ SECTIONS = (
     ("Errors", "errors", ()),
 )
 """Title, module, and the classes that are shown of it; none named: all."""
-SHARED = {"Calls": "robot", "Session": "session"}
+PAGE_OF = {"Calls": "robot", "Session": "session"}
 """Classes that are shown with the first one that is made of them."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
 
 
 def page() -> str:
     """The page."""
-    parts = [HEAD]
+    parts = [PAGE_HEAD]
     for title, module, names in SECTIONS:
         found = _classes(module)
         order = names or (*FIRST[module], *(name for name in found if name not in FIRST[module]))
@@ -46,7 +46,7 @@ def _classes(module: str) -> dict[str, ast.ClassDef]:
 
 
 def _class(node: ast.ClassDef, module: str) -> Iterator[str]:
-    bases = [name for base in node.bases if (name := ast.unparse(base)) not in ("NamedTuple", "Exception", *SHARED)]
+    bases = [name for base in node.bases if (name := ast.unparse(base)) not in ("NamedTuple", "Exception", *PAGE_OF)]
     yield f"### {node.name}{f' ({bases[0]})' if bases else ''}\n"
     yield f"{_flat(ast.get_docstring(node) or '')}\n"
     rows = [*_fields(node), *sorted(_all_members(node, node.name, module), key=lambda row: row[0][0].islower())]
@@ -81,7 +81,7 @@ def _all_members(node: ast.ClassDef, name: str, module: str) -> Iterator[tuple[s
     """Its own, then those of what it is made of. The constructor is the one that has a capital."""
     yield from _members(node, name, vars(importlib.import_module(f"failstop.api.{module}")))
     for base in map(ast.unparse, node.bases):
-        if (home := SHARED.get(base)) and name != "AsyncRobot":
+        if (home := PAGE_OF.get(base)) and name != "AsyncRobot":
             yield from _all_members(_classes(home)[base], name, home)
 
 

@@ -69,5 +69,5 @@ def text() -> str:
     return "\n".join(lines)
 
 
-def _words(setting: contract.Setting) -> str:
+def _words(setting: contract.Parameter) -> str:
     return f"{setting.text}: {', '.join(setting.allowed)}" if setting.allowed else setting.text

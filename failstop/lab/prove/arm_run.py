@@ -21,7 +21,7 @@ from failstop.lab.prove import swing
 from failstop.lab.prove.run import WHOLE_S, Result, judge_latch, judge_written
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import Swing
-from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.prove.table import Path, Turning
 from failstop.lab.trial import TrialError
 from failstop.messages.layout import SUPERVISOR
 
@@ -39,7 +39,7 @@ class ArmRun:
     """From the middle of the swing to a whole service with nothing latched."""
 
     def __init__(
-        self, stand: Stand, path: Path, velocity: Velocity, request: Callable[[str, str], None] = send_stop
+        self, stand: Stand, path: Path, velocity: Turning, request: Callable[[str, str], None] = send_stop
     ) -> None:
         """`request`: what asks the service of this name for a stop."""
         assert path.arm
@@ -96,7 +96,7 @@ class ArmRun:
         pids = stand.look_up_pids()
         number = signal.SIGKILL if fault.what in (table.KILL, table.CLIENT_KILL) else signal.SIGSTOP
         self._cause_ns = time.monotonic_ns()
-        if fault.what == table.REQUEST:
+        if fault.what == table.STOP_REQUEST:
             self._request(stand.name, "prove")
         else:
             os.kill(pids[fault.process] if fault.process else program.pid, number)

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from failstop.lab.faults import ptrace, table
 from failstop.lab.faults.fault import SPIN, Fault
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.table import BY_PATH, PAD, PATHS, VELOCITIES, Path, Velocity, of_fault
+from failstop.lab.prove.table import BY_PATH, PAD_STOP, PATHS, TURNINGS, Path, Turning, of_fault
 
-Draw = tuple[Path, Velocity, random.Random]
+Draw = tuple[Path, Turning, random.Random]
 WIDTH = 46
 
 
@@ -26,7 +26,7 @@ def _fit(row: Fault) -> bool:
 
 def paths() -> dict[str, Path]:
     """Everything that can be done on a stand without a person, by name."""
-    found = [path for path in PATHS if path.kind != PAD]
+    found = [path for path in PATHS if path.kind != PAD_STOP]
     found += [of_fault(row) for row in table.TABLE if _fit(row)]
     return {path.name: path for path in found}
 
@@ -34,7 +34,7 @@ def paths() -> dict[str, Path]:
 def draw(chosen: list[Path], index: int, seed: int) -> Draw:
     """The run of this index of a campaign: the same for the same seed and paths."""
     chance = random.Random(f"{seed} {index}")
-    return chance.choice(chosen), chance.choice(VELOCITIES), chance
+    return chance.choice(chosen), chance.choice(TURNINGS), chance
 
 
 def draws(chosen: list[Path], seed: int, until: Callable[[int], bool], first: int = 0) -> Iterator[Draw]:

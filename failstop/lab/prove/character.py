@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from failstop.api.errors import FailstopError
 from failstop.lab.prove import shake
 from failstop.lab.prove.run import MOST_S, NS, STEADY_S, Character, speed_up_s
-from failstop.lab.prove.shake import Noise, Sample, Verdict
+from failstop.lab.prove.shake import GyroSample, Noise, Verdict
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import Velocity
+from failstop.lab.prove.table import Turning
 
 STILL_S = 3.0
 SPIN_S = 2.0
@@ -25,7 +25,7 @@ class Runaway(FailstopError):
     """The wheels do not stop."""
 
 
-def characterize(stand: Stand, velocities: Iterable[Velocity], *, quick: bool) -> Character:
+def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) -> Character:
     """Measure. Raises Unfit, Runaway, TrialError, FailstopError."""
     configured = stand.settings["still.std_radps"]
     share = 0.6 if quick else 1.0
@@ -52,13 +52,13 @@ def characterize(stand: Stand, velocities: Iterable[Velocity], *, quick: bool) -
     return Character(still, spinning, limit, configured)
 
 
-def _collect(stand: Stand, seconds: float) -> list[Sample]:
+def _collect(stand: Stand, seconds: float) -> list[GyroSample]:
     stand.watch.forget()
     stand.run(seconds)
     return list(stand.watch.samples)
 
 
-def _noise(samples: list[Sample], when: str) -> Noise:
+def _noise(samples: list[GyroSample], when: str) -> Noise:
     found = shake.noise(samples)
     if found is None:
         span_s = (samples[-1][0] - samples[0][0]) / NS if samples else 0.0

@@ -12,7 +12,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 
 EVERY_S = 0.01
-LATE_NS = 50_000_000
+WOKEN_LATE_NS = 50_000_000
 """Woken later than this, a process was held up: a quiet machine wakes it within a millisecond, and one that is busy and
 has a core to spare within ten."""
 WAITED_SHARE = 0.2
@@ -70,11 +70,11 @@ class Held:
 
     def woken(self, due_ns: int, now_ns: int) -> None:
         """The thread runs again."""
-        if now_ns - due_ns >= LATE_NS:
+        if now_ns - due_ns >= WOKEN_LATE_NS:
             self._late.append((now_ns, now_ns - due_ns))
 
     def longest_ns(self, since_ns: int) -> int:
-        """How late it was woken at worst since then; 0: never by LATE_NS."""
+        """How late it was woken at worst since then; 0: never by WOKEN_LATE_NS."""
         return max((late_ns for woken_ns, late_ns in self._late if woken_ns >= since_ns), default=0)
 
     def starved(self, since: Mark, cause: Cause | None = None) -> str:

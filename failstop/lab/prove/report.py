@@ -23,7 +23,7 @@ CAN_NOT = (
     "ground take longer to stop. A software stop needs a board that obeys; the power switch needs nobody."
 )
 INTERRUPTED = "interrupted"
-ROLES = {"PASS": style.OK, "FAIL": style.FAIL, "INVALID": style.WARN, "SKIP": style.WARN}
+VERDICT_STYLES = {"PASS": style.OK, "FAIL": style.FAIL, "INVALID": style.WARN, "SKIP": style.WARN}
 NAME = 20
 """Columns for the name of a path; some rows of the fault table are longer."""
 
@@ -88,7 +88,7 @@ class Evidence:
         }
 
 
-def say(text: str) -> None:
+def print_now(text: str) -> None:
     """As it comes, into a pipe too."""
     print(text, flush=True)
 
@@ -144,7 +144,7 @@ def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = 
     name = f"{result.path.name:<{width}}"
     return (
         f"{name} {result.velocity.words:<10} {written:>18} {acknowledged:>18} {rest:>16} {board:>10}"
-        f"  {paint(result.verdict, ROLES[result.verdict])}{why}{note}"
+        f"  {paint(result.verdict, VERDICT_STYLES[result.verdict])}{why}{note}"
     )
 
 
@@ -189,7 +189,7 @@ def head_lines(evidence: Evidence) -> list[str]:
 
 def last_lines(evidence: Evidence) -> list[str]:
     """The sum."""
-    count = {word: sum(result.verdict == word for result in evidence.results) for word in ROLES}
+    count = {word: sum(result.verdict == word for result in evidence.results) for word in VERDICT_STYLES}
     invalid = f", {count['INVALID']} invalid" if count["INVALID"] else ""
     lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped{invalid}"]
     if evidence.ended:

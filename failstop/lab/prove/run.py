@@ -13,10 +13,10 @@ from failstop.api.snapshot import State
 from failstop.lab.faults.fault import Wanted, fits, told
 from failstop.lab.faults.steps import Steps
 from failstop.lab.prove import held, shake, table
-from failstop.lab.prove.shake import Noise, Sample, Verdict
+from failstop.lab.prove.shake import GyroSample, Noise, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask, Skipped, strike
-from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.prove.table import Path, Turning
 from failstop.lab.prove.watch import Watch
 from failstop.lab.trial import TrialError
 from failstop.messages.layout import SUPERVISOR
@@ -32,7 +32,7 @@ STAYS_S = 0.4
 """Rest must last for so long after it was seen."""
 BACK_S = 2.0
 WHOLE_S = 10.0
-SILENCES = (*held.BUSY, causes.HANGS, causes.MUTE)
+SILENCE_CAUSES = (*held.BUSY, causes.HANGS, causes.MUTE)
 """Causes that a process has which was not run, whatever kept it."""
 
 
@@ -52,7 +52,7 @@ class Result:
     """The outcome of one run. Times count from the cause; None: it was not seen."""
 
     path: Path
-    velocity: Velocity
+    velocity: Turning
     simulated: bool
     written_ms: float | None = None
     written_by: str = ""
@@ -78,7 +78,7 @@ class Result:
     """The sign that the machine did not run everybody in time meanwhile; empty: there is none."""
     arm: dict[str, Any] | None = None
     """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
-    samples: list[Sample] = dataclasses.field(default_factory=list)
+    samples: list[GyroSample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
 
     @property
@@ -95,7 +95,7 @@ class Result:
         self.doubts.append(what)
 
 
-class Run:
+class PathRun:
     """From enable to a whole service with nothing enabled."""
 
     def __init__(
@@ -103,7 +103,7 @@ class Run:
         stand: Stand,
         character: Character,
         path: Path,
-        velocity: Velocity,
+        velocity: Turning,
         ask: Ask | None,
         chance: random.Random,
     ) -> None:
@@ -124,7 +124,7 @@ class Run:
     def take(self) -> Result:
         """Do it. What can't be done, and what must not happen, is in the result."""
         result = self.result
-        if self.path.kind == table.PAD and not self.ask and not self.stand.board:
+        if self.path.kind == table.PAD_STOP and not self.ask and not self.stand.board:
             result.skipped = "nobody to press a button (--pad asks for it)"
             return result
         begun = self.stand.held.mark()
@@ -201,7 +201,7 @@ class Run:
         if self.stand.gone():
             self.stand.watch.take_port()
 
-    def _after(self) -> list[Sample]:
+    def _after(self) -> list[GyroSample]:
         return [sample for sample in self.stand.watch.samples if sample[0] >= self.cause_ns]
 
     def _acknowledged(self) -> int | None:
@@ -221,7 +221,7 @@ class Run:
         if not path.ends and path.process != SUPERVISOR:
             self._judge_latch()
 
-    def _judge_rest(self, before: list[Sample]) -> None:
+    def _judge_rest(self, before: list[GyroSample]) -> None:
         result, character = self.result, self.character
         after = self._after()
         if not self._verdict.still(self.stand.watch.samples):
@@ -303,7 +303,7 @@ class Run:
                 self.result.wrong.append(f"the service ended with exit code {code}")
 
 
-def speed_up_s(stand: Stand, velocity: Velocity) -> float:
+def speed_up_s(stand: Stand, velocity: Turning) -> float:
     """The ramp's time."""
     forward, _, turn = velocity.command
     settings = stand.settings
@@ -327,7 +327,7 @@ def judge_latch(result: Result, state: State, wanted: tuple[Wanted, ...]) -> Non
     if fits(state.cause, wanted) if wanted else state.cause is None:
         return
     wrong = f"latched: {state.estop}" + (f", not {told(wanted)}" if wanted else "")
-    if state.cause and state.cause.kind in SILENCES:
+    if state.cause and state.cause.kind in SILENCE_CAUSES:
         result.doubt(wrong)
         result.starved = str(state.cause) if state.cause.kind in held.BUSY else result.starved
     else:

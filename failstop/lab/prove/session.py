@@ -21,10 +21,10 @@ from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.character import Runaway, characterize
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Character, Result, Run
+from failstop.lab.prove.run import Character, PathRun, Result
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask
-from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.prove.table import Path, Turning
 from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
 from failstop.supervisor.status import LEASE
@@ -32,13 +32,13 @@ from failstop.supervisor.status import LEASE
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 
-Runs = Iterable[tuple[Path, Velocity, random.Random]]
+Runs = Iterable[tuple[Path, Turning, random.Random]]
 """The plan, and the part of it that is left to chance."""
 
 
 def session(
     runs: Runs,
-    velocities: Sequence[Velocity],
+    velocities: Sequence[Turning],
     stand: Stand,
     *,
     quick: bool = False,
@@ -92,15 +92,15 @@ def session(
 
 
 def _take(
-    stand: Stand, character: Character | None, path: Path, velocity: Velocity, ask: Ask | None, chance: random.Random
+    stand: Stand, character: Character | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
     if path.arm:
         return ArmRun(stand, path, velocity).take()
     assert character
-    return Run(stand, character, path, velocity, ask, chance).take()
+    return PathRun(stand, character, path, velocity, ask, chance).take()
 
 
-def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) -> Character:
+def _characterize(stand: Stand, velocities: Sequence[Turning], *, quick: bool) -> Character:
     try:
         return characterize(stand, velocities, quick=quick)
     except Runaway as error:

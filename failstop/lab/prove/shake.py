@@ -12,16 +12,14 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
-from failstop.policy.proofs import WINDOW_NS
+from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 from failstop.procs.telemetry.still import StillJudge
 
-Sample = tuple[int, float, float]
+GyroSample = tuple[int, float, float]
 """(t_ns, gyro x, gyro y), in rad/s."""
 
 STEP_NS = 50_000_000
 """Windows begin this far apart."""
-LEAST_SAMPLES = 20
-"""In a window; an IMU of less than 40 Hz says too little."""
 BLIND_NS = 100_000_000
 """A silence of the IMU that is longer hides when the wheels came to rest."""
 NS = 1e9
@@ -46,7 +44,7 @@ def _std(values: Sequence[float]) -> tuple[float, float]:
     return mean, math.sqrt(math.fsum((value - mean) ** 2 for value in values) / max(1, len(values) - 1))
 
 
-def windows(samples: Sequence[Sample]) -> list[float]:
+def windows(samples: Sequence[GyroSample]) -> list[float]:
     """The louder axis' standard deviation in each window, rad/s."""
     found = []
     times = [sample[0] for sample in samples]
@@ -59,7 +57,7 @@ def windows(samples: Sequence[Sample]) -> list[float]:
     return found
 
 
-def noise(samples: Sequence[Sample]) -> Noise | None:
+def noise(samples: Sequence[GyroSample]) -> Noise | None:
     """Of a stretch of one kind; None when it is too short, or the IMU too slow or dead."""
     levels = windows(samples)
     if not levels or not max(levels):
@@ -79,7 +77,7 @@ def limit(still: Noise, spinning: Sequence[Noise], configured: float) -> float |
     return math.sqrt(still.most * quietest) if still.most < quietest else None
 
 
-def rest_ns(samples: Sequence[Sample], still: Noise, spinning: Noise) -> int | None:
+def rest_ns(samples: Sequence[GyroSample], still: Noise, spinning: Noise) -> int | None:
     """The first sample of the rest, by the likeliest split; None: there is none, they shake to the end."""
     total = best = 0.0
     split = 0
@@ -109,7 +107,7 @@ class Verdict:
         self._begin_ns = begin_ns
         self._taken = 0
 
-    def still(self, samples: Sequence[Sample]) -> bool:
+    def still(self, samples: Sequence[GyroSample]) -> bool:
         """Whether its last word is that the wheels stand still."""
         for t_ns, x, y in samples[self._taken :]:
             if t_ns >= self._begin_ns:
@@ -118,20 +116,20 @@ class Verdict:
         return self._judge.still_ns > 0
 
 
-def turning(samples: Sequence[Sample], std_radps: float) -> bool:
+def turning(samples: Sequence[GyroSample], std_radps: float) -> bool:
     """Whether the wheels turned all the while, as far as windows can tell."""
     levels = windows(samples)
     return bool(levels) and min(levels) >= std_radps
 
 
-def blind_ns(samples: Sequence[Sample], begin_ns: int, end_ns: int) -> int:
+def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
     """How long the IMU was silent just before `end_ns`; 0 when it was not."""
     times = [t_ns for t_ns, _, _ in samples if t_ns < end_ns]
     silent_ns = end_ns - max([begin_ns, *times[-1:]])
     return silent_ns if silent_ns > BLIND_NS else 0
 
 
-def longest_silence_ns(samples: Sequence[Sample], begin_ns: int, end_ns: int) -> int:
+def longest_silence_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
     """Of the IMU within this time; 0 when no two samples were far apart."""
     times = [t_ns for t_ns, _, _ in samples if begin_ns - BLIND_NS <= t_ns <= end_ns]
     return max((gap_ns for one, two in pairwise(times) if (gap_ns := two - one) > BLIND_NS), default=0)

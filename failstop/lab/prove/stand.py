@@ -19,7 +19,7 @@ from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
 from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.held import Held
-from failstop.lab.prove.table import VELOCITIES
+from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
@@ -63,7 +63,7 @@ class StandService(Service):
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:
     """The user's settings, with limits that let the velocities of the table pass. Raises SettingError."""
-    fastest = [max(abs(velocity.command[axis]) for velocity in VELOCITIES) for axis in (0, 2)]
+    fastest = [max(abs(velocity.command[axis]) for velocity in TURNINGS) for axis in (0, 2)]
     limits: dict[str, object] = {}
     have = Settings({**user})
     for key, needed in zip(("limits.vx_mps", "limits.wz_radps"), fastest, strict=True):

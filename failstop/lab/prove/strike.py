@@ -32,12 +32,12 @@ def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
     if path.kind == table.SCAN:
         driver.senses = False
         return driver.sensed_ns
-    if path.kind == table.PAD:
+    if path.kind == table.PAD_STOP:
         return _press(stand, ask)
     now_ns = time.monotonic_ns()
-    if path.kind == table.REQUEST:
+    if path.kind == table.STOP_REQUEST:
         send_stop(stand.name, "prove")
-    elif path.kind == table.DISABLE:
+    elif path.kind == table.DISABLING:
         driver.robot.disable()
     elif stand.service.process:
         stand.service.process.terminate()

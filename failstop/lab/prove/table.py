@@ -7,13 +7,13 @@ import dataclasses
 from failstop.lab.faults import arm_table, processes
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
-from failstop.lab.faults.table import BY_NAME
-from failstop.messages.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
+from failstop.lab.faults.table import FAULT_BY_NAME
+from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
 
 
 @dataclasses.dataclass(frozen=True)
-class Velocity:
+class Turning:
     """One way to turn the wheels."""
 
     name: str
@@ -33,26 +33,26 @@ class Velocity:
         return f"{forward:g} m/s" if forward else f"{turn:g} rad/s"
 
 
-VELOCITIES = (
-    Velocity("0.2", (0.2, 0.0, 0.0), 0.40),
-    Velocity("0.35", (0.35, 0.0, 0.0), 0.50),
-    Velocity("turn", (0.0, 0.0, 1.0), 0.25),
+TURNINGS = (
+    Turning("0.2", (0.2, 0.0, 0.0), 0.40),
+    Turning("0.35", (0.35, 0.0, 0.0), 0.50),
+    Turning("turn", (0.0, 0.0, 1.0), 0.25),
 )
 
-SWINGING = Velocity("arm", (0.0, 0.0, 0.0), 0.0, "arm swings")
+SWINGING = Turning("arm", (0.0, 0.0, 0.0), 0.0, "arm swings")
 """Instead of a velocity, for the arm's paths: the wheels stand."""
 
 TIMEOUT = "timeout"
-REQUEST = "request"
-DISABLE = "disable"
+STOP_REQUEST = "request"
+DISABLING = "disable"
 SCAN = "scan"
-PAD = "pad"
+PAD_STOP = "pad"
 KILL = "kill"
 HANG = "hang"
 END = "end"
 FAULT = "fault"
 """Any other row of the fault table about processes."""
-ARM = "arm"
+ARM_ROW = "arm"
 """A row of the arm's faults."""
 DISABLE_MS = STOP_MS = 5.0
 LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
@@ -61,15 +61,15 @@ LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
 KILLED_S = (0.55, 0.55, 0.55)
 MEASURED_S: dict[str, tuple[float, float, float]] = {
     TIMEOUT: (0.55, 0.75, 0.50),
-    REQUEST: (0.40, 0.50, 0.25),
-    DISABLE: (0.35, 0.75, 0.30),
+    STOP_REQUEST: (0.40, 0.50, 0.25),
+    DISABLING: (0.35, 0.75, 0.30),
     SCAN: (0.75, 0.95, 0.70),
     KILL: KILLED_S,
     END: (0.50, 0.50, 0.50),
 }
-"""Cause to rest, in the order of VELOCITIES: what the driver before took on the robot, the bar to beat."""
+"""Cause to rest, in the order of TURNINGS: what the driver before took on the robot, the bar to beat."""
 
-RESOLUTION_S = 0.1
+REST_RESOLUTION_S = 0.1
 """Of the moment of rest: 110 samples a second, of which five to ten are needed to tell rest from turning."""
 ARM_RESOLUTION_S = 0.03
 """Of the moment at which a joint stood, by where it is read to be: 5 pulses at 0.8 rad/s."""
@@ -114,13 +114,13 @@ class Path:
         """The written stop may take this long."""
         return self.reaction_ms + SLACK_MS[simulated]
 
-    def rest_bar_s(self, velocity: Velocity) -> float:
+    def rest_bar_s(self, velocity: Turning) -> float:
         """From the cause to wheels, or a joint, at rest."""
         if self.arm:
             return (self.reaction_ms - STOP_MS + arm_table.BY_ITSELF_MS) / 1000 + ARM_RESOLUTION_S
         if measured := MEASURED_S.get(self.kind):
-            return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
-        return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
+            return measured[TURNINGS.index(velocity)] + REST_RESOLUTION_S
+        return self.reaction_ms / 1000 + velocity.coast_s + REST_RESOLUTION_S
 
 
 def of_fault(row: Fault) -> Path:
@@ -131,13 +131,13 @@ def of_fault(row: Fault) -> Path:
 
 
 def _bar(row: str) -> float:
-    bar_ms = BY_NAME[row].bar_ms
+    bar_ms = FAULT_BY_NAME[row].bar_ms
     assert bar_ms is not None
     return bar_ms
 
 
 def _struck(kind: str, process: str) -> Path:
-    row = BY_NAME[f"{kind}-{process}"]
+    row = FAULT_BY_NAME[f"{kind}-{process}"]
     words = f"{process} killed (SIGKILL)" if kind == KILL else f"{process} hangs (SIGSTOP)"
     ends = kind == KILL and process == SUPERVISOR
     latched = row.latched if row.survives else ()
@@ -147,11 +147,11 @@ def _struck(kind: str, process: str) -> Path:
 
 PATHS = (
     Path(TIMEOUT, TIMEOUT, "the commands end", _bar("client-hung"), by_gate=True),
-    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
-    Path(DISABLE, DISABLE, "motion is disabled", DISABLE_MS),
+    Path("stop-request", STOP_REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
+    Path(DISABLING, DISABLING, "motion is disabled", DISABLE_MS),
     Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
-    Path(PAD, PAD, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),
-    *(_struck(KILL, process) for process in PROCESSES),
+    Path(PAD_STOP, PAD_STOP, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),
+    *(_struck(KILL, process) for process in PROCESS_NAMES),
     *(_struck(HANG, process) for process in (PORT_OWNER, GATE, TELEMETRY, STOPPER, SUPERVISOR)),
     Path("service-stop", END, "the service is stopped (SIGTERM)", _bar("service-stopped"), ends=True),
 )
@@ -160,18 +160,18 @@ PATHS = (
 def _moving(row: ArmFault) -> Path:
     """The path of a row of the arm's faults: who stops is asked for what its wheels' row asks for."""
     assert row.bar_ms is not None
-    latched = BY_PATH["stop-request"].latched if row.what == arm_table.REQUEST else row.latched
+    latched = BY_PATH["stop-request"].latched if row.what == arm_table.STOP_REQUEST else row.latched
     reaction_ms = row.bar_ms - arm_table.BY_ITSELF_MS + STOP_MS
     leased = row.what == arm_table.HANG and row.process in (SUPERVISOR, PORT_OWNER)
-    return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row, by_lease=leased)
+    return Path(row.name, ARM_ROW, row.cause, reaction_ms, row.process, latched, arm=row, by_lease=leased)
 
 
-QUICK = (TIMEOUT, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
+QUICK_PATHS = (TIMEOUT, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
 """Each at one velocity in turn, and the service's end."""
-QUICK_NAMES = (*QUICK, "service-stop")
+QUICK_NAMES = (*QUICK_PATHS, "service-stop")
 
 BY_PATH = {path.name: path for path in PATHS}
-BY_VELOCITY = {velocity.name: velocity for velocity in VELOCITIES}
+BY_TURNING = {velocity.name: velocity for velocity in TURNINGS}
 ARM_PATHS = tuple(_moving(row) for row in arm_table.ROWS if row.what in arm_table.SWINGING)
 """Taken once each on a robot with an arm, while one of its joints swings."""
 ARM_QUICK = ("arm-kill-gate", "arm-client-killed", "arm-stop-request")
@@ -180,10 +180,10 @@ BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 
 def plan(
     *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False
-) -> list[tuple[Path, Velocity]]:
+) -> list[tuple[Path, Turning]]:
     """Runs in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
     `has_arm`: the arm's too, but for a plan of velocities."""
-    velocities = [velocity for velocity in VELOCITIES if not at or velocity.name in at]
+    velocities = [velocity for velocity in TURNINGS if not at or velocity.name in at]
     names = only or (QUICK_NAMES if quick else tuple(BY_PATH))
     paths = [path for path in PATHS if path.name in names]
     moving = only or (() if at else ARM_QUICK if quick else tuple(BY_ARM_PATH))

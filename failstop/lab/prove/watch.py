@@ -16,7 +16,7 @@ from failstop.board.interface import IMU, PAD, PONG, SERVO
 from failstop.board.port import PortError, open_port
 from failstop.board.rrc.board import BOARD
 from failstop.doctor.stop_path import Tap
-from failstop.lab.prove.shake import Sample
+from failstop.lab.prove.shake import GyroSample
 from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm.cell import RingReader
@@ -26,7 +26,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.board.interface import Value
 
-WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)
+PORT_WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)
 ASK_EVERY_NS = 100_000_000
 
 
@@ -58,7 +58,7 @@ class Watch:
         self._tap: Tap | None = None
         self._asked: dict[int, int] = {}
         self._ask_ns = 0
-        self.samples: list[Sample] = []
+        self.samples: list[GyroSample] = []
         self.answers: list[tuple[int, int]] = []
         """(when the ping was written, when its answer was read)."""
         self.written: list[tuple[int, str]] = []
@@ -75,12 +75,12 @@ class Watch:
     def attach(self, name: str) -> None:
         """Follow the run of this name. Raises FailstopError."""
         self.let_go()
-        views = {which: attach(name, which) for which in (*WRITERS, layout.GATE)}
+        views = {which: attach(name, which) for which in (*PORT_WRITERS, layout.GATE)}
         owner = views[layout.PORT_OWNER]
         self._received = owner.ring_reader("received")
         self._frames = views[layout.GATE].ring_reader("frames")
         self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
-        self._writers = {which: views[which].word("written_ns") for which in WRITERS}
+        self._writers = {which: views[which].word("written_ns") for which in PORT_WRITERS}
         self._last = {which: word.get() for which, word in self._writers.items()}
         self._hearing.reset()
 

@@ -26,8 +26,8 @@ from failstop.lab.sim.options import BATTERY_MV, IMU_HZ
 from failstop.lab.sim.servos import Leg
 
 START_S = 20.0
-END_S = 5.0
-ANSWER_S = 5.0
+SIM_END_S = 5.0
+SIM_ANSWER_S = 5.0
 
 
 class SimBoardError(Exception):
@@ -125,7 +125,7 @@ class SimBoard:
         if process is not None:
             process.terminate()
             try:
-                process.wait(END_S)
+                process.wait(SIM_END_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -328,7 +328,7 @@ class SimBoard:
     def _ask(self, operation: str, *, wait_s: float = 0.0, **fields: Any) -> dict[str, Any]:
         try:
             connection = self._connection()
-            connection.settimeout(max(wait_s, 0.0) + ANSWER_S)
+            connection.settimeout(max(wait_s, 0.0) + SIM_ANSWER_S)
             connection.send(json.dumps({"op": operation, **fields}).encode())
             message = connection.recv(MESSAGE_SIZE)
         except OSError as error:
@@ -352,7 +352,7 @@ class SimBoard:
         thread = threading.get_ident()
         connection = self._connections.get(thread)
         if connection is None:
-            connection = self._connections[thread] = connect(self._control, ANSWER_S)
+            connection = self._connections[thread] = connect(self._control, SIM_ANSWER_S)
         return connection
 
     def _hang_up(self) -> None:

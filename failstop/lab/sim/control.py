@@ -17,7 +17,7 @@ from typing import Any
 
 from failstop.lab.sim.pty_port import SimError
 
-Answer = dict[str, Any]
+ControlMessage = dict[str, Any]
 SUFFIX = ".ctl"
 MESSAGE_SIZE = 1 << 18
 # The longest path that fits a socket address, less the final zero.
@@ -73,8 +73,8 @@ class ControlServer:
         self,
         epoll: select.epoll,
         path: str,
-        handle: Callable[[Answer], Answer | Wait],
-        events: Callable[[int], Answer],
+        handle: Callable[[ControlMessage], ControlMessage | Wait],
+        events: Callable[[int], ControlMessage],
     ) -> None:
         self.path = path
         self._epoll = epoll
@@ -149,7 +149,7 @@ class ControlServer:
         else:
             self._send(descriptor, answer)
 
-    def _send(self, descriptor: int, answer: Answer) -> None:
+    def _send(self, descriptor: int, answer: ControlMessage) -> None:
         try:
             self._connections[descriptor].send(json.dumps(answer).encode())
         except OSError:

@@ -19,6 +19,7 @@ from collections import deque
 from dataclasses import dataclass
 from random import Random
 
+from failstop.board.codec import PWM_SERVOS
 from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO
 from failstop.lab.sim import upward
 from failstop.lab.sim.imu import Imu
@@ -38,8 +39,7 @@ FRAMES_KEPT = 100_000
 CATCH_UP_NS = 100_000_000
 # The firmware averages the battery voltage: a step takes about 3 s to show fully.
 BATTERY_READINGS = 3
-PWM_SERVOS = 4
-NEVER = 1 << 63
+NEVER_NS = 1 << 63
 
 
 class Executed:
@@ -121,12 +121,12 @@ class BoardModel:
         self._outbox: deque[tuple[int, bytes]] = deque()
         self._down_free_ns = start_ns
         self._up_free_ns = start_ns
-        self._imu_period_ns = round(1e9 / imu_hz) if imu_hz else NEVER
+        self._imu_period_ns = round(1e9 / imu_hz) if imu_hz else NEVER_NS
         self._imu_ns = start_ns + self._imu_period_ns
         self._battery_readings = deque([battery_mv] * BATTERY_READINGS, maxlen=BATTERY_READINGS)
         self._battery_ns = start_ns + BATTERY_PERIOD_NS
         self._pad_frame = b""
-        self._pad_ns = NEVER
+        self._pad_ns = NEVER_NS
         self._pulses = [1500] * PWM_SERVOS
         self._deviations = [0] * PWM_SERVOS
         self.servos = Servos(start_ns, seed)
@@ -217,16 +217,16 @@ class BoardModel:
     def pad(self, frame: bytes, t_ns: int, *, hold: bool) -> None:
         """Send one gamepad frame; with `hold`, that frame at 20 Hz until the next call or pad_silent()."""
         self._pad_frame = frame
-        self._pad_ns = t_ns + PAD_PERIOD_NS if hold else NEVER
+        self._pad_ns = t_ns + PAD_PERIOD_NS if hold else NEVER_NS
         self._send(frame, t_ns)
 
     def pad_silent(self) -> None:
         """The pad is unplugged: plain silence."""
-        self._pad_ns = NEVER
+        self._pad_ns = NEVER_NS
 
     def key(self, key_id: int, event: int, t_ns: int) -> None:
         """Send one key frame."""
-        self._send(upward.key(key_id, event), t_ns)
+        self._send(upward.key_frame(key_id, event), t_ns)
 
     def _send(self, frame: bytes, ready_ns: int) -> None:
         self._up_free_ns = max(self._up_free_ns, ready_ns) + BYTE_NS * len(frame)
@@ -242,7 +242,7 @@ class BoardModel:
         t_ns = self._imu_ns
         self._imu_ns = self._next(t_ns, self._imu_period_ns, now_ns)
         if self.imu_on:
-            frame = upward.imu(*self.imu.sample(self.wheels, t_ns))
+            frame = upward.imu_frame(*self.imu.sample(self.wheels, t_ns))
             self.imu_sent += 1
             # The rate is that of complete frames.
             self._send(frame, t_ns - BYTE_NS * len(frame))

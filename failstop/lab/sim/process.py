@@ -22,7 +22,7 @@ from typing import Any
 from failstop.board.kinds import KINDS
 from failstop.lab.boards.live import LiveModel
 from failstop.lab.sim import upward
-from failstop.lab.sim.control import SUFFIX, Answer, ControlServer, Wait
+from failstop.lab.sim.control import SUFFIX, ControlMessage, ControlServer, Wait
 from failstop.lab.sim.model import BoardModel, Frame
 from failstop.lab.sim.options import Options
 from failstop.lab.sim.pty_port import PtyPort, SimError, check_link
@@ -51,7 +51,7 @@ class Simulator:
         self._ending = False
         self._told = 0
         self._model = _model(options, self.start_ns)
-        self._requests: dict[str, Callable[[Answer], Answer | Wait]] = {
+        self._requests: dict[str, Callable[[ControlMessage], ControlMessage | Wait]] = {
             "info": self._info,
             "events": self._wait,
             "wheels": self._wheels,
@@ -176,7 +176,7 @@ class Simulator:
 
     # Requests.
 
-    def _handle(self, request: Answer) -> Answer | Wait:
+    def _handle(self, request: ControlMessage) -> ControlMessage | Wait:
         operation = str(request.get("op"))
         # So that the answer is about now, and a change holds for what is sent after it. Trying to read makes the
         # kernel pass on what was written before, which the control socket overtakes otherwise.
@@ -189,7 +189,7 @@ class Simulator:
             self._recorder.fault(time.monotonic_ns(), request)
         return {}
 
-    def _info(self, _request: Answer) -> Answer:
+    def _info(self, _request: ControlMessage) -> ControlMessage:
         port = self._port
         return {
             "pid": os.getpid(),
@@ -206,10 +206,10 @@ class Simulator:
             **port.info(),
         }
 
-    def _wheels(self, _request: Answer) -> Answer:
+    def _wheels(self, _request: ControlMessage) -> ControlMessage:
         return {"speeds_rps": self._model.wheels, "executed": self._model.executed_total}
 
-    def _joints(self, request: Answer) -> Answer:
+    def _joints(self, request: ControlMessage) -> ControlMessage:
         servos, now_ns = self._model.servos, time.monotonic_ns()
         begin = int(request.get("since", len(servos.track)))
         legs = servos.track[begin : begin + EVENTS_PER_ANSWER]
@@ -221,7 +221,7 @@ class Simulator:
             "legs": [(leg.servo, leg.begin_ns, leg.begin, leg.end_ns, leg.end) for leg in legs],
         }
 
-    def _wait(self, request: Answer) -> Answer | Wait:
+    def _wait(self, request: ControlMessage) -> ControlMessage | Wait:
         since = int(request["since"])
         timeout_s = float(request.get("timeout_s", 0.0))
         if timeout_s > 0.0:
@@ -232,7 +232,7 @@ class Simulator:
         # Frames that have arrived and are still on the wire belong to the answer.
         return Wait(since, settled_ns, None) if settled_ns is not None else self._events(since)
 
-    def _events(self, since: int) -> Answer:
+    def _events(self, since: int) -> ControlMessage:
         frames = self._model.executed(since, EVENTS_PER_ANSWER)
         return {
             "first_kept": self._model.first_kept,
@@ -240,11 +240,11 @@ class Simulator:
             "events": [(f.index, f.arrival_ns, f.executed_ns, f.func, f.data.hex(), f.speeds, f.wild) for f in frames],
         }
 
-    def _change(self, operation: str, request: Answer) -> None:
+    def _change(self, operation: str, request: ControlMessage) -> None:
         if not (self._change_port(operation, request) or self._change_board(operation, request)):
             raise SimError(f"no such request: {operation}")
 
-    def _change_port(self, operation: str, request: Answer) -> bool:
+    def _change_port(self, operation: str, request: ControlMessage) -> bool:
         port = self._port
         if operation == "unplug":
             port.unplug()
@@ -263,7 +263,7 @@ class Simulator:
             return False
         return True
 
-    def _change_board(self, operation: str, request: Answer) -> bool:
+    def _change_board(self, operation: str, request: ControlMessage) -> bool:
         model = self._model
         now_ns = time.monotonic_ns()
         if operation == "deaf":
@@ -285,7 +285,7 @@ class Simulator:
             model.key(_integer(request, "id", 255), _integer(request, "event", 255), now_ns)
         elif operation == "pad":
             axes = [int(request.get(axis, 0)) for axis in ("lx", "ly", "rx", "ry")]
-            frame = upward.gamepad(_integer(request, "buttons", 0xFFFF), int(request.get("hat", 0)), *axes)
+            frame = upward.gamepad_frame(_integer(request, "buttons", 0xFFFF), int(request.get("hat", 0)), *axes)
             model.pad(frame, now_ns, hold=bool(request.get("hold", False)))
         elif operation == "servo":
             values = {name: value for name, value in request.items() if name not in ("op", "servo")}
@@ -309,14 +309,14 @@ def _model(options: Options, start_ns: int) -> BoardModel:
     )
 
 
-def _flag(request: Answer, name: str) -> bool:
+def _flag(request: ControlMessage, name: str) -> bool:
     value = request[name]
     if not isinstance(value, bool):
         raise TypeError(f"{name} is {value!r}, must be true or false")
     return value
 
 
-def _integer(request: Answer, name: str, highest: int) -> int:
+def _integer(request: ControlMessage, name: str, highest: int) -> int:
     value = request[name]
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= highest:
         raise ValueError(f"{name} is {value!r}, must be an integer from 0 to {highest}")

@@ -16,7 +16,7 @@ import termios
 import time
 import tty
 
-from failstop.lab.sim.model import NEVER
+from failstop.lab.sim.model import NEVER_NS
 
 _READ_SIZE = 65536
 # Reads in one go, so that a host that never stops writing cannot keep the board from doing anything else.
@@ -58,7 +58,7 @@ class PtyPort:
         # More may be waiting than the last take() read.
         self.more = False
         self.lost_up_bytes = 0
-        self.next_ns = NEVER
+        self.next_ns = NEVER_NS
         self._epoll = epoll
         self._mode = mode
         self._cooked = cooked

@@ -14,11 +14,11 @@ from failstop.board import servos as wire
 from failstop.board.framing import BUS_SERVO
 from failstop.lab.sim import upward
 
-ARM = (1, 2, 3, 4, 5, 10)
+ARM_SERVO_IDS = (1, 2, 3, 4, 5, 10)
 HOT_C = 85
 """From here on a servo lets go by itself."""
 LOW_MV = 4500
-ANSWER_NS = 1_200_000
+SERVO_REPLY_NS = 1_200_000
 NOISE = 2
 """Pulses by which an answer may be off."""
 PULSES_PER_S = 1400.0
@@ -70,7 +70,7 @@ class Servo:
 class Servos:
     """All that are connected; `track` is what they did, the oldest first. At power-on no torque is on."""
 
-    def __init__(self, start_ns: int, seed: int, ids: tuple[int, ...] = ARM) -> None:
+    def __init__(self, start_ns: int, seed: int, ids: tuple[int, ...] = ARM_SERVO_IDS) -> None:
         self._noise = Random(seed + 2).randint
         self._stale = False
         """An answer that came late lies in the firmware's buffer, and is taken for that of the next question."""
@@ -82,7 +82,7 @@ class Servos:
         if data and data[0] in wire.READS:
             servo = self.by_id.get(data[1]) if len(data) > 1 else None
             quick = self._stale or (servo and not servo.silent and not servo.late)
-            return ANSWER_NS if quick else wire.SILENT_NS
+            return SERVO_REPLY_NS if quick else wire.SILENT_NS
         return wire.bus_ns(BUS_SERVO, data)
 
     def execute(self, data: bytes, t_ns: int) -> bytes:

@@ -17,7 +17,7 @@ SETTLED_S = 0.15
 """A speed that held for so long is told; it is repeated every 0.2 s."""
 BURST_GAP_S = 0.12
 """Stop frames that follow so soon belong to one stop: its burst is repeated after 20 and 100 ms."""
-BURST = 3
+BURST_LEAST = 3
 """So many are more than the gate's own zero frames, which come every 0.2 s."""
 COUNT_EVERY_S = 10.0
 STANDING: Speeds = (0.0, 0.0, 0.0, 0.0)
@@ -73,7 +73,7 @@ class Teller:
         if (now_ns - self._stop_ns) / 1e9 > BURST_GAP_S:
             self._stops = 0
         self._stops, self._stop_ns = self._stops + 1, now_ns
-        if self._stops == BURST:
+        if self._stops == BURST_LEAST:
             self._line(now_ns, "stop burst")
         self._count("stop frame")
 

@@ -18,17 +18,17 @@ def battery(millivolts: int) -> bytes:
     return seal(SYS, _BATTERY.pack(0x04, millivolts))
 
 
-def key(key_id: int, event: int) -> bytes:
+def key_frame(key_id: int, event: int) -> bytes:
     """KEY_FUNC: a key's id and one of decoder.KEY_EVENTS."""
     return seal(KEY_FUNC, bytes((key_id, event)))
 
 
-def imu(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> bytes:
+def imu_frame(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> bytes:
     """IMU_FUNC: acceleration in g, gyro in deg/s. Anything a float32 holds goes, NaN too."""
     return seal(IMU_FUNC, _IMU.pack(ax, ay, az, gx, gy, gz))
 
 
-def gamepad(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:
+def gamepad_frame(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:
     """GAMEPAD: buttons as in decoder.BUTTONS, hat, axes -128 to 127."""
     return seal(GAMEPAD, _GAMEPAD.pack(buttons, hat, lx, ly, rx, ry))
 

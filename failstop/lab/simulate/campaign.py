@@ -18,8 +18,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.places import BEFORE, Places
@@ -33,7 +33,7 @@ SHARES = 4
 
 
 @dataclass
-class Run:
+class JudgedRun:
     """One judged run: what was wrong, what happened, and where the fault came, if there was one."""
 
     scenario: str
@@ -63,10 +63,10 @@ class Result:
 
     runs: int = 0
     calls: int = 0
-    wrong: list[Run] = field(default_factory=list)
+    wrong: list[JudgedRun] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
 
-    def add(self, run: Run) -> None:
+    def add(self, run: JudgedRun) -> None:
         """One more run."""
         self.runs += 1
         self.marks.update(run.marks)
@@ -107,7 +107,7 @@ class Explorer:
         self._count = 0
         self._to: int | None = None
         """In a fork: where its run is reported."""
-        self.run = Run(plan.scenario)
+        self.run = JudgedRun(plan.scenario)
         self.result = Result()
 
     def explore(self) -> Result:
@@ -142,7 +142,7 @@ class Explorer:
         self.stage.machine.end()
         return self.result
 
-    def _judged(self) -> Run:
+    def _judged(self) -> JudgedRun:
         run, witness = self.run, self.stage.witness
         run.violations, run.causes, run.story = witness.violations, witness.causes, witness.story
         run.marks = dict(self.stage.marks.counts)
@@ -176,7 +176,7 @@ class Explorer:
                 return
             os.close(writer)
             try:
-                self._collect(child, reader, Run(plan.scenario, fault, self._count, where))
+                self._collect(child, reader, JudgedRun(plan.scenario, fault, self._count, where))
             except BaseException:  # Ctrl-C, a test's time limit: it passes through programs that make calls on its way
                 self.stage.machine.at_seam = None
                 raise
@@ -192,17 +192,17 @@ class Explorer:
 
     def _begin(self, fault: str, where: str) -> None:
         self.stage.machine.at_seam = None
-        self.run = Run(self._plan.scenario, fault, self._count, where)
+        self.run = JudgedRun(self._plan.scenario, fault, self._count, where)
         self.stage.witness.tell(f"FAULT: {fault}, at {where}")
 
-    def _collect(self, child: int, reader: int, run: Run) -> None:
+    def _collect(self, child: int, reader: int, run: JudgedRun) -> None:
         data = b""
         while piece := os.read(reader, 1 << 16):
             data += piece
         os.close(reader)
         _, status = os.waitpid(child, 0)
         if data:
-            run = Run(**json.loads(data))
+            run = JudgedRun(**json.loads(data))
         else:
             run.violations = [f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"]
         self.result.add(run)
@@ -210,7 +210,7 @@ class Explorer:
             self.stage.machine.at_seam = None
 
 
-def _send(to: int, run: Run) -> None:
+def _send(to: int, run: JudgedRun) -> None:
     """The end of a fork."""
     if not run.violations:
         run.story = []
@@ -225,7 +225,7 @@ def explore(plan: Plan) -> Result:
     return Explorer(plan).explore()
 
 
-def one(plan: Plan) -> Run:
+def one(plan: Plan) -> JudgedRun:
     """The run of a plan with `only`."""
     explorer = Explorer(plan)
     explorer.explore()

@@ -11,16 +11,16 @@ from failstop.lab.machine.loading import Patches
 from failstop.lab.simulate.campaign import Plan, explore
 from failstop.lab.simulate.seeds import seeds, used_s
 
-ADMISSION = "failstop.procs.port_owner.admission"
-PORT_OWNER = "failstop.procs.port_owner.main"
-WIRE = "failstop.procs.port_owner.wire"
-STOPPER = "failstop.procs.stopper.main"
-SUPERVISOR = "failstop.supervisor.main"
-STATUS = "failstop.supervisor.status"
-HANDOVER = "failstop.supervisor.port_handover"
-TABLE = "failstop.supervisor.process_table"
-PEER = "failstop.procs.peer"
-STOP_PORT = "failstop.board.stop_port"
+ADMISSION_MODULE = "failstop.procs.port_owner.admission"
+PORT_OWNER_MODULE = "failstop.procs.port_owner.main"
+WIRE_MODULE = "failstop.procs.port_owner.wire"
+STOPPER_MODULE = "failstop.procs.stopper.main"
+SUPERVISOR_MODULE = "failstop.supervisor.main"
+STATUS_MODULE = "failstop.supervisor.status"
+HANDOVER_MODULE = "failstop.supervisor.port_handover"
+TABLE_MODULE = "failstop.supervisor.process_table"
+PEER_MODULE = "failstop.procs.peer"
+STOP_PORT_MODULE = "failstop.board.stop_port"
 
 NOT_EXPRESSED = {
     "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
@@ -39,7 +39,7 @@ where each store is seen by all at once."""
 
 
 @dataclass(frozen=True)
-class Control:
+class Mutant:
     """`row`: of docs/dev/model.md, or what is not in the model; `scenario`: what finds it; `fault`: the one that does,
     where trying every other first takes minutes."""
 
@@ -50,60 +50,60 @@ class Control:
 
 
 CONTROLS = (
-    Control(
+    Mutant(
         "no epoch in frames",
         "reset_races_stop",
-        ((ADMISSION, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
+        ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
     ),
-    Control(
+    Mutant(
         "own stop does not refuse motion",
         "supervisor_dies",
-        ((ADMISSION, "frame_epoch == epoch and epoch > self.stopped_in", "frame_epoch == epoch"),),
+        ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "frame_epoch == epoch"),),
     ),
-    Control(
+    Mutant(
         "motion behind an early stop",
         "gate_dies",
         (
             (
-                WIRE,
+                WIRE_MODULE,
                 "if self.lost or self.unsent or self._early or (self._holds()",
                 "if self.lost or self.unsent or (self._holds()",
             ),
         ),
     ),
-    Control(
+    Mutant(
         "one stop frame for a burst",
         "drive_and_stop",
         (
-            (STOP_PORT, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
-            (STOP_PORT, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
+            (STOP_PORT_MODULE, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
+            (STOP_PORT_MODULE, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
         ),
         "short write, while somebody asks for a stop",
     ),
-    Control(
+    Mutant(
         "nobody fences",
         "port_owner_hangs",
         (
-            (SUPERVISOR, "os.kill(child.pid, signal.SIGKILL)", "pass"),
-            (STOPPER, "            life.kill()\n", ""),
+            (SUPERVISOR_MODULE, "os.kill(child.pid, signal.SIGKILL)", "pass"),
+            (STOPPER_MODULE, "            life.kill()\n", ""),
         ),
     ),
-    Control(
+    Mutant(
         "the stopper does not fence",
         "stopper_alone_runs",
-        ((STOPPER, "            life.kill()\n", ""),),
+        ((STOPPER_MODULE, "            life.kill()\n", ""),),
     ),
-    Control(
+    Mutant(
         "the stopper does not notice a silence",
         "port_owner_and_supervisor_hang",
-        ((STOPPER, "HANG_NS = 250_000_000", "HANG_NS = 250_000_000_000"),),
+        ((STOPPER_MODULE, "HANG_NS = 250_000_000", "HANG_NS = 250_000_000_000"),),
     ),
-    Control(
+    Mutant(
         "fencing writes before it kills",
         "port_owner_hangs_shortly",
         (
             (
-                SUPERVISOR,
+                SUPERVISOR_MODULE,
                 "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n"
                 "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n",
                 "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n"
@@ -111,64 +111,76 @@ CONTROLS = (
             ),
         ),
     ),
-    Control(
+    Mutant(
         "ready before the port owner's answer",
         "port_owner_held_in_its_write",
-        ((STATUS, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
+        ((STATUS_MODULE, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
     ),
-    Control(
+    Mutant(
         "an early stop beside the loop's write",
         "gate_dies",
         (
             (
-                STOP_PORT,
+                STOP_PORT_MODULE,
                 "        with self._writing:\n            if self.fd >= 0:\n                self._write_early()",
                 "        if self.fd >= 0:\n            self._write_early()",
             ),
         ),
     ),
-    Control(
+    Mutant(
         "stays down, and no second burst",
         "port_owner_hangs_and_stays_down",
         (
-            (SUPERVISOR, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
-            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
-            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
-            (PEER, "        if self.named() == pid:\n            self._stop()\n", ""),
+            (SUPERVISOR_MODULE, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
+            (
+                TABLE_MODULE,
+                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
+                "stop = None",
+            ),
+            (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (PEER_MODULE, "        if self.named() == pid:\n            self._stop()\n", ""),
         ),
     ),
-    Control(
+    Mutant(
         "stays down, and no burst at the return",
         "port_owner_stays_down",
         (
-            (HANDOVER, "written = StopPort(fd, self._board).burst()", "written = True"),
-            (STOPPER, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
-            (STOPPER, "            else:\n                self._write()\n\n", "\n"),
+            (HANDOVER_MODULE, "written = StopPort(fd, self._board).burst()", "written = True"),
+            (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (STOPPER_MODULE, "            else:\n                self._write()\n\n", "\n"),
         ),
     ),
-    Control(
+    Mutant(
         "nobody answers the port owner's death",
         "port_owner_dies",
         (
-            (SUPERVISOR, "written = self._port.burst()\n        self._tried", "written = False\n        self._tried"),
-            (TABLE, "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None", "stop = None"),
+            (
+                SUPERVISOR_MODULE,
+                "written = self._port.burst()\n        self._tried",
+                "written = False\n        self._tried",
+            ),
+            (
+                TABLE_MODULE,
+                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
+                "stop = None",
+            ),
         ),
     ),
-    Control(
+    Mutant(
         "no lease of the gate",
         "gate_hangs",
         (
             (
-                ADMISSION,
+                ADMISSION_MODULE,
                 "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
                 "in ((layout.SUPERVISOR, supervisor_ns),):",
             ),
         ),
     ),
-    Control(
+    Mutant(
         "a sleep of the machine goes unnoticed",
         "machine_sleeps",
-        ((PORT_OWNER, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
+        ((PORT_OWNER_MODULE, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
     ),
 )
 

@@ -11,14 +11,14 @@ from types import FrameType
 from typing import Any
 
 from failstop.lab.machine.files import Fifo, Open, Regular
-from failstop.lab.machine.kernel import Process, Thread
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.stage import Stage
-from failstop.lab.simulate.witness import SERVICE, WRITERS
+from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES
 
 Fault = tuple[str, Callable[[], None]]
-HELD_NS = 300 * MS
+LONG_HOLD_NS = 300 * MS
 LINES = 2
 """By so many lines of the call stack two calls are told apart."""
 ASLEEP_S = 20.0
@@ -49,13 +49,15 @@ def line_of(call: str, about: tuple[Any, ...]) -> str:
     return " < ".join(lines) + (f" ({len(about[1])} bytes)" if call == "write" else "")
 
 
-def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = HELD_NS) -> Iterator[Fault]:
+def faults(
+    stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held_ns: int = LONG_HOLD_NS
+) -> Iterator[Fault]:
     """The faults that may happen at this call, with their names."""
     process = thread.process
-    told = "" if held_ns == HELD_NS else f" for {held_ns // MS} ms"
+    told = "" if held_ns == LONG_HOLD_NS else f" for {held_ns // MS} ms"
     yield "dies", lambda: stage.machine.die(process, -9)
     yield f"held{told}", lambda: _held(stage, process, held_ns)
-    if process.name not in SERVICE:
+    if process.name not in SERVICE_PROCESSES:
         return
     yield f"starved{told}", lambda: _held(stage, process, held_ns, starved=True)
     yield "machine sleeps", lambda: stage.sleep_machine(ASLEEP_S)
@@ -67,9 +69,9 @@ def faults(stage: Stage, thread: Thread, call: str, about: tuple[Any, ...], held
         yield "short write, while somebody asks for a stop", lambda: _shortened(stage, process, asked=True)
         yield "dies in mid-write", lambda: _cut(stage, process, opened, about[1])
         yield f"held{told} in the write", lambda: _held_in_write(stage, process, opened, about[1], held_ns)
-    if process.name in WRITERS:
+    if process.name in PORT_WRITERS:
         yield "somebody asks for a stop", lambda: ask_beside(stage)
-        for name in SERVICE:
+        for name in SERVICE_PROCESSES:
             other = stage.robot.named(name)
             if other and other is not process:
                 yield f"{name} dies beside", lambda other=other: _beside(stage, other)  # type: ignore[misc]

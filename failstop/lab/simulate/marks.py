@@ -99,7 +99,7 @@ def missing(counts: Mapping[str, int]) -> list[str]:
     """The marks that were not reached."""
     loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
-    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").BY_NAME]
+    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME]
     wanted += [f"admission {name}" for name in ADMISSION]
     wanted += [
         f"state {state} {event}"

@@ -12,27 +12,27 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import Process, Thread
+from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import Fault, faults, line_of
 from failstop.lab.simulate.places import Where
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
-from failstop.lab.simulate.witness import SERVICE, WRITERS
+from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES
 
 OFTEN = (1.0, 1.0, 0.6, 0.4, 0.2)
 """How often there is a first event, a second, ... One alone is what the single faults are for."""
 WEIGHTS = {"port_owner": 8, "supervisor": 4, "gate": 3, "stopper": 2, "player.py": 2, "telemetry": 1}
 """How often the first event is at a call of each."""
-KINDS = ("pauses", "held", "starved", "dies", "beside", "asked", "blocked", "sleeps", "refused")
+ODD_EVENTS = ("pauses", "held", "starved", "dies", "beside", "asked", "blocked", "sleeps", "refused")
 ON = 0.6
 """How often a kind is on in a run."""
 BEHIND = 3_000
 """At most so many calls after the event before."""
 LATER_NS = 400 * MS
-NEAR = 0.6
+NEAR_CHANCE = 0.6
 """How often the next event is counted in calls, not in time."""
 
 HANG_UP = "hang-up"
@@ -86,7 +86,7 @@ class Odd:
         self._fixed = {(event.process, event.number): event for event in fixed or ()}
         self._free = fixed is None
         self._hangs = any(event.label == HANG_UP for event in fixed or ())
-        self._on = [kind for kind in KINDS if tape.dice(f"kind {kind}").random() < ON]
+        self._on = [kind for kind in ODD_EVENTS if tape.dice(f"kind {kind}").random() < ON]
         self.events: list[Event] = []
         self._next = 0
         self._due, self._due_ns, self._who = 0, 0, ""
@@ -98,10 +98,10 @@ class Odd:
         """How much later each process is woken by the loss of the port."""
         if not self._free and not self._hangs:
             return lambda epoll: 0
-        late = self._tape.draw(HANG_UP, 1 + len(WRITERS), 0.5)
+        late = self._tape.draw(HANG_UP, 1 + len(PORT_WRITERS), 0.5)
         dice = self._tape.dice(f"{HANG_UP} by")
         ns = spread(dice, 100_000, 100 * MS)
-        name = WRITERS[late - 1] if late else ""
+        name = PORT_WRITERS[late - 1] if late else ""
 
         def of(epoll: Epoll) -> int:
             process = self._stage.robot.named(name) if name else None
@@ -124,12 +124,12 @@ class Odd:
         self._label, self._who, self._due_ns = label, "", 0
         if where is not None:
             self._due = chosen(where, dice)
-        elif dice.random() < NEAR:
+        elif dice.random() < NEAR_CHANCE:
             self._due = self._count.all + spread(dice, 1, BEHIND)
         else:
             self._due = 0
             self._due_ns = self._stage.machine.now_ns + spread(dice, 10_000, LATER_NS)
-            self._who = dice.choice(("", *SERVICE))
+            self._who = dice.choice(("", *SERVICE_PROCESSES))
 
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         process = thread.process
@@ -173,7 +173,7 @@ class Odd:
         yield "pauses", (f"a thread pauses for {short_ns / MS:g} ms", lambda: _pause(stage, process, short_ns))
         for name, inject in faults(stage, thread, call, about, long_ns):
             yield _kind(name), (name, inject)
-        if process.name not in SERVICE:
+        if process.name not in SERVICE_PROCESSES:
             return
         port = stage.robot.board.port
         if port and port.drains:

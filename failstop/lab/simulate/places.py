@@ -10,8 +10,8 @@ from typing import Any
 
 from failstop.board.framing import MOTOR
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.kernel import Thread
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.faults import line_of
 from failstop.lab.simulate.stage import Stage
 

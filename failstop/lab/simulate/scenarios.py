@@ -15,7 +15,7 @@ SLOW_MPS = 0.01
 LOOKS = 60
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 KEYS = ("servo", "tuck", "drive")
-ARM: dict[str, object] = {
+ARM_SETTINGS: dict[str, object] = {
     f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(KEYS, row, strict=True)
 }
 
@@ -288,4 +288,4 @@ def _arm_to_drive_pose(stage: Stage) -> None:
     robot.arm.hold()
 
 
-scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM)
+scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM_SETTINGS)

@@ -10,9 +10,10 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.machine.files import Epoll
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM, Process
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
@@ -23,7 +24,7 @@ FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
 SPEED_MPS = 0.1
 RPS_PER_MPS = 3.98
-LONGEST_NS = 10_000 * MS
+SCENARIO_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
 LIVE_NS = 2_000 * MS
 ARM_NS = 8_000 * MS
@@ -259,7 +260,7 @@ class Stage:
             self.begin()
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
-        if not self.machine.run(lambda: player.dead, LONGEST_NS):
+        if not self.machine.run(lambda: player.dead, SCENARIO_NS):
             self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from failstop.board.framing import MOTOR
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.kernel import Process
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.sim.model import BYTE_NS, Frame
 
-SERVICE = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
-WRITERS = ("supervisor", "port_owner", "stopper")
+SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
+PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
 """From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of those
 who write it."""
@@ -24,7 +24,13 @@ RESUMED_NS = 3 * MS
 """A port owner that was held up past its last look has written its one frame within so long of going on."""
 ASKED_NS = 4 * MS
 BACK_NS = 30 * MS
-HANG_NS = {"gate": 85 * MS, "supervisor": 85 * MS, "port_owner": 130 * MS, "stopper": 280 * MS, "telemetry": 530 * MS}
+HANG_BAR_NS = {
+    "gate": 85 * MS,
+    "supervisor": 85 * MS,
+    "port_owner": 130 * MS,
+    "stopper": 280 * MS,
+    "telemetry": 530 * MS,
+}
 """From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
 STOPPER_NS = 290 * MS
 """While supervisor and port owner are both silent, the stopper is the one that notices."""
@@ -139,16 +145,16 @@ class Witness:
             return False
         if self._machine.now_ns < max(self.hears_ns, self._late_ns):
             return False
-        return any(_has(each, port) for each in living if each.name in WRITERS)
+        return any(_has(each, port) for each in living if each.name in PORT_WRITERS)
 
     def _unnoticed(self) -> bool:
         held = [each for each in self._machine.processes.values() if each.held_until_ns and not each.dead]
         names = {each.name for each in held}
         if names >= {"supervisor", "port_owner"}:
             # The stopper has an eye on the port owner alone, and that is enough.
-            bars = {**HANG_NS, "port_owner": STOPPER_NS, "supervisor": 0}
+            bars = {**HANG_BAR_NS, "port_owner": STOPPER_NS, "supervisor": 0}
         else:
-            bars = HANG_NS
+            bars = HANG_BAR_NS
         return any(self._machine.now_ns < each.held_since_ns + bars.get(each.name, 0) for each in held)
 
     def _frame(self, frame: Frame) -> None:
@@ -191,21 +197,21 @@ class Witness:
             self.wrong(f"a thread of {process.name} ends with {type(what).__name__}: {what}")
         elif kind == "died":
             self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
-            if process.name in SERVICE and not self.orderly:
+            if process.name in SERVICE_PROCESSES and not self.orderly:
                 self.must_stop(f"{process.name} is dead", DEATH_NS)
-        elif process.name in SERVICE:
+        elif process.name in SERVICE_PROCESSES:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
         """A process is not run for so long. Wheels that stand need no stop for it."""
-        if ns > HANG_NS.get(process.name, ns) and any(self._robot.board.model.wheels):
-            self.must_stop(f"{process.name} is silent", HANG_NS[process.name])
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._robot.board.model.wheels):
+            self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
 
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for so long."""
-        if process.name in WRITERS:
+        if process.name in PORT_WRITERS:
             self._late_ns = max(self._late_ns, self._machine.now_ns + ns)
 
     def asked(self) -> None:

@@ -14,7 +14,7 @@ from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.reader import QUIET_NS, Reader
+from failstop.procs.gate.arm.reader import QUIET_NS, ServoReader
 from failstop.procs.gate.arm.stream import Space, Stream
 
 TYPE_CHECKING = False
@@ -45,7 +45,7 @@ class ArmCore:
         self._pose_speed = settings["arm.pose_speed"]
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
-        self._reader = Reader(self.joints, now_ns)
+        self._reader = ServoReader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
         self._stream = Stream(settings, board, self._space)
         self._journey: Journey | None = None

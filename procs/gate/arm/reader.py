@@ -10,12 +10,12 @@ from __future__ import annotations
 from failstop.board.servos import LONGEST_MOVE_MS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
 from failstop.policy.joints import MOST_MISSES, Joint
 
-LATE_NS = 3_000_000
+FRAME_JITTER_NS = 3_000_000
 """By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the
 frame before it is dropped there, and would count as a question without an answer."""
-QUIET_NS = LONGEST_MOVE_MS * 1_000_000 + 4 * LATE_NS
+QUIET_NS = LONGEST_MOVE_MS * 1_000_000 + 4 * FRAME_JITTER_NS
 """After the last move: the port owner lets no question pass before every servo stands."""
-APART_NS = SILENT_NS + LATE_NS
+APART_NS = SILENT_NS + FRAME_JITTER_NS
 """Between two questions: the port owner lets none pass while an earlier one may still hold the receiver."""
 WAIT_NS = 40_000_000
 """An answer takes some milliseconds through board, port owner and telemetry; later than this none comes."""
@@ -26,7 +26,7 @@ AGREE = 5
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
-class Reader:
+class ServoReader:
     """The question that is out, and the next one."""
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:

@@ -16,7 +16,7 @@ from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.clients import Slot, seen
+from failstop.procs.gate.clients import Slot, newest_number
 from failstop.procs.gate.core import WHEELS_ENABLED
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
@@ -57,7 +57,7 @@ class Arm:
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
-        self._pad_seq = seen(self._pad)
+        self._pad_seq = newest_number(self._pad)
         self._pad_joint = ""
         self._by_servo = {joint.servo: joint for joint in self.core.joints}
         self._waiter: Waiter | None = None

@@ -12,7 +12,7 @@ import struct
 from collections import deque
 from typing import Any, NamedTuple
 
-from failstop.lab.sim.model import NEVER
+from failstop.lab.sim.model import NEVER_NS
 from failstop.lab.sim.usb import descriptors
 
 BAUD = 1_000_000
@@ -184,7 +184,7 @@ class Acm:
     @property
     def next_ns(self) -> int:
         """When advance() is next due."""
-        return self._due_ns() if self._out and not self.held else NEVER
+        return self._due_ns() if self._out and not self.held else NEVER_NS
 
     def _due_ns(self) -> int:
         return self._wire_free_ns + (len(self._out[0].data) - CHIP_OUT) * BYTE_NS

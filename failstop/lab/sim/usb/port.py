@@ -8,7 +8,7 @@ import socket
 import time
 from typing import Any
 
-from failstop.lab.sim.model import NEVER
+from failstop.lab.sim.model import NEVER_NS
 from failstop.lab.sim.pty_port import SimError
 from failstop.lab.sim.usb import vhci
 from failstop.lab.sim.usb.acm import Acm
@@ -34,9 +34,9 @@ class UsbPort:
         self._connection: socket.socket | None = None
         self._transport: UsbIp | UsbRedir | None = None
         self._controllers_port = -1
-        self._retry_ns = NEVER
+        self._retry_ns = NEVER_NS
         if place == VHCI:
-            vhci.check()
+            vhci.check_controller()
 
     @property
     def node(self) -> str:
@@ -167,7 +167,7 @@ class UsbPort:
         """The host has gone; a usbredir host may come again."""
         self._drop()
         self.device.power_on()
-        self._retry_ns = NEVER if self._place == VHCI else time.monotonic_ns() + _RETRY_NS
+        self._retry_ns = NEVER_NS if self._place == VHCI else time.monotonic_ns() + _RETRY_NS
 
     def _pass_on(self) -> None:
         if self._connection is None or self._transport is None or not self._transport.output:
@@ -178,12 +178,12 @@ class UsbPort:
             self._connection.sendall(data)
 
     def _connect(self) -> None:
-        self._retry_ns = NEVER
+        self._retry_ns = NEVER_NS
         if self._place == VHCI:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
             with theirs:
                 try:
-                    self._controllers_port = vhci.attach(theirs)
+                    self._controllers_port = vhci.plug_in(theirs)
                 except SimError:
                     ours.close()
                     self._plugged = False

@@ -32,7 +32,7 @@ def bus_id(status: str, port: int) -> str:
     return "" if found == "0-0" else found
 
 
-def check() -> None:
+def check_controller() -> None:
     """Raise SimError, with the remedy, unless there is a controller that may be used."""
     if not os.path.isdir(CONTROLLER):
         raise SimError(f"no virtual USB controller (vhci_hcd) here: {_REMEDY}")
@@ -40,9 +40,9 @@ def check() -> None:
         raise SimError("the virtual USB controller (vhci_hcd) is root's: run this as root")
 
 
-def attach(theirs: socket.socket) -> int:
+def plug_in(theirs: socket.socket) -> int:
     """Plug a device in whose URBs come by this socket; returns the controller's port. Raises SimError."""
-    check()
+    check_controller()
     port = free_port(_status())
     if port is None:
         raise SimError("the virtual USB controller (vhci_hcd) has no free port: end another simulated board")

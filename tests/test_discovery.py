@@ -1,0 +1,35 @@
+"""Serial devices for error messages: the board's first."""
+
+from __future__ import annotations
+
+import os
+import stat
+from types import SimpleNamespace
+
+import pytest
+from serial.tools import list_ports
+
+from failstop import discovery
+
+
+def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = [
+        SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None),
+        SimpleNamespace(device="/dev/ttyUSB0", description="USB Serial", vid=0x1A86, pid=0x7523),
+        SimpleNamespace(device="/dev/ttyACM1", description="Board B", vid=0x1A86, pid=0x55D4),
+        SimpleNamespace(device="/dev/ttyACM0", description="Board A", vid=0x1A86, pid=0x55D4),
+    ]
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    assert [path for path, _ in discovery.candidates()] == [
+        "/dev/ttyACM0",
+        "/dev/ttyACM1",
+        "/dev/ttyUSB0",
+        "/dev/ttyS0",
+    ]
+    assert dict(discovery.candidates())["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
+    assert "the board's" in dict(discovery.candidates())["/dev/ttyACM0"]
+
+
+def test_candidates_really_lists() -> None:
+    for path, description in discovery.candidates():
+        assert stat.S_ISCHR(os.stat(path).st_mode), description
