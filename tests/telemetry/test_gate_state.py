@@ -57,25 +57,20 @@ def test_a_latch_is_any_reason(gate: GateState, published: Published) -> None:
     assert not gate.commanded
 
 
-def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Published) -> None:
-    published.put(100 * MS)
+@pytest.mark.parametrize("velocity", [[0.1, 0.0, -0.5], [0, 0, 0]])
+def test_a_gate_silent_for_250_ms_moves_and_enables_nothing(
+    gate: GateState, published: Published, velocity: list[float]
+) -> None:
+    published.put(100 * MS, body_vel=velocity)
     gate.read(100 * MS)
+    assert gate.enabled
     assert not gate.read(350 * MS)
     assert gate.read(350 * MS + 1)
-    assert (gate.commanded, gate.enabled) == (False, False)
-    assert gate.since_ns == 350 * MS + 1
+    assert (gate.commanded, gate.enabled, gate.since_ns) == (False, False, 350 * MS + 1)
     assert not gate.read(400 * MS), "told once"
     published.put(500 * MS)
     assert gate.read(500 * MS)
     assert gate.commanded
-
-
-def test_a_gate_silent_at_rest_enables_nothing(gate: GateState, published: Published) -> None:
-    published.put(100 * MS, body_vel=[0, 0, 0])
-    gate.read(100 * MS)
-    assert gate.enabled
-    assert gate.read(350 * MS + 1)
-    assert (gate.commanded, gate.enabled) == (False, False)
 
 
 def test_what_a_dead_gate_left_is_old_at_once(gate: GateState, published: Published) -> None:
