@@ -10,8 +10,7 @@ from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 from tests.support.stage import PortMachine, Wire
 
-from .arm_bench import ArmBench
-from .arm_notes import Make
+from .arm_bench import ArmBench, Make
 from .client_side import Service
 from .gate_bench import Gate
 

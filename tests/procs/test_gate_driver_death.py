@@ -43,20 +43,13 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
 
 @pytest.mark.parametrize("dies", [1, 2])
 def test_a_client_that_waits_is_a_driver_as_well(dies: int) -> None:
+    """One that commanded before motion was enabled too."""
     dying = Gate(sources__teleop__priority=10)
-    dying.enable()
     dying.take(VELOCITY)
+    dying.enable()
     dying.take(REST, 2, manual=True, source="teleop")
     dying.step()
     dying.gone(dies)
-    assert dying.blocked == "disabled"
-
-
-def test_a_client_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
-    dying = Gate()
-    dying.take(VELOCITY)
-    dying.enable()
-    dying.gone(1)
     assert dying.blocked == "disabled"
 
 
@@ -65,8 +58,10 @@ def test_a_client_that_has_commanded_nothing_is_no_driver() -> None:
     dying.gone(2)
     assert dying.blocked == ""
     assert dying.take(VELOCITY, 3, source="stranger") == ""
+    dying.core.notes.clear()
     dying.gone(3)
     assert dying.blocked == "", "its commands were of no source"
+    assert not dying.core.notes
 
 
 def test_a_death_is_told_of_each_time_however_often() -> None:
@@ -98,7 +93,9 @@ def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
     assert ending.gone(1, parted=True) is None
     assert ending.step(0) == STILL
     assert ending.blocked == "cmd timeout"
-    assert [note.kind for note in ending.core.notes] == ["driver_ended"]
+    (note,) = ending.core.notes
+    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
+    assert note.text == "client 1 ended its command: the wheels are stopped"
 
 
 @pytest.mark.parametrize("driver_death", ["disable", "latch"])

@@ -56,9 +56,14 @@ def kill(machine: PortMachine, timeout_s: float = 10.0) -> tuple[int, int]:
 
 
 def test_the_tool_kills_its_own_group_and_nobody_else(machine: PortMachine) -> None:
-    ours, theirs = [start(machine) for _ in range(2)], start(machine, THEIRS)
-    assert kill(machine) == (2, 0)
-    assert [process.code for process in ours] == [-SIGKILL] * 2, "they have ended by the time it returns"
+    """The stop is written when all of them together have ended."""
+    theirs, begun_ns = start(machine, THEIRS), machine.clock()
+    assert kill(machine) == (0, 0)
+    assert machine.clock() == begun_ns
+    ours = [start(machine) for _ in range(6)]
+    assert kill(machine) == (6, 0)
+    assert [process.code for process in ours] == [-SIGKILL] * 6, "they have ended by the time it returns"
+    assert machine.clock() == begun_ns + LATE_NS
     assert not theirs.dead
 
 
@@ -73,13 +78,6 @@ def test_what_people_have_put_into_a_group_for_processors_is_killed_too(machine:
     assert not theirs.dead
 
 
-def test_alone_there_is_nothing_to_kill(machine: PortMachine) -> None:
-    start(machine, THEIRS)
-    begun_ns = machine.clock()
-    assert kill(machine) == (0, 0)
-    assert machine.clock() == begun_ns
-
-
 def test_what_has_ended_is_not_counted(machine: PortMachine) -> None:
     dead, gone = start(machine), start(machine)
     for process in (dead, gone):
@@ -92,15 +90,6 @@ def test_what_has_ended_is_not_counted(machine: PortMachine) -> None:
     put(machine, NOBODY + 1, OURS)
     assert kill(machine) == (2, 0), "they are found among those that have gone"
     assert [process.code for process in ours] == [-SIGKILL] * 2
-
-
-def test_the_stop_waits_for_all_workers_together(machine: PortMachine) -> None:
-    """It is written when they have ended."""
-    for _ in range(6):
-        start(machine)
-    begun_ns = machine.clock()
-    assert kill(machine) == (6, 0)
-    assert machine.clock() == begun_ns + LATE_NS
 
 
 @pytest.mark.parametrize("becomes", [None, THEIRS])
