@@ -59,7 +59,7 @@ ELSE: dict[int, int | Cause] = {
 @pytest.mark.parametrize("kind", ["motion", "zero", "zero, nothing moves"])
 @pytest.mark.parametrize("first", [*ROWS, None])
 def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) -> None:
-    """Whatever the rows after it say."""
+    """The rows after it change nothing."""
     rows = [row for row in ROWS if kind == "motion" or row != CONTENT]  # zeros have no other content
     after = [row for row in rows if first is not None and row > first]
     for later in (set(some) for n in range(len(after) + 1) for some in itertools.combinations(after, n)):

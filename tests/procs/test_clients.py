@@ -41,7 +41,7 @@ def test_a_client_needs_a_claim_and_a_hello(service: Service) -> None:
     assert service.sessions() == [5]
 
 
-def test_what_lies_in_a_claimed_slot_without_a_hello_is_nobody_s(service: Service) -> None:
+def test_a_claimed_slot_without_a_hello_commands_nothing(service: Service) -> None:
     """Session 0 is no client's: it is the gamepad's."""
     client = service.join(session=0)
     client.command()
@@ -106,7 +106,7 @@ def test_another_session_s_records_are_ignored(service: Service) -> None:
 # Who has gone.
 
 
-def test_a_claim_that_has_gone_is_noticed_at_the_next_look_and_no_command_of_before_counts(service: Service) -> None:
+def test_a_claim_that_has_gone_is_noticed_before_a_last_command(service: Service) -> None:
     client = service.known()
     client.command()
     client.leave()
@@ -201,7 +201,7 @@ def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, name
     assert service.tick() == [("gone", 11)], "its claim tells of its own end"
 
 
-def test_where_the_own_namespace_is_not_known_nobody_is_watched(service: Service) -> None:
+def test_nobody_is_watched_where_the_own_namespace_is_not_known(service: Service) -> None:
     service.scene.os.unlink(NAMESPACE)
     service.start()
     service.known(namespace=0)
@@ -236,7 +236,7 @@ def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, nam
 
 
 def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: Service) -> None:
-    """What a driver has forked inherits its claim; the driver has gone all the same."""
+    """A child of the driver inherits its claim; the driver has gone all the same."""
     driver = Dummy(service.scene.machine, "driver")
     client = service.known(pid=driver.pid)
     driver.kill()
@@ -279,7 +279,7 @@ def test_garbage_for_a_hint_looks_at_all(service: Service, hints: bytes) -> None
     assert service.sessions() == [61, 67]
 
 
-def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
+def test_the_assertions_of_a_session_are_read_with_their_time(service: Service) -> None:
     client = service.known()
     assert service.held == {}
     client.segment.latest_writer("sensed").write(records.ASSERTED.pack(11, []), 1234)
@@ -314,31 +314,26 @@ def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> No
     assert said.table() == []
 
 
-def test_who_says_ever_new_things_is_told_of_now_and_then() -> None:
+def test_a_client_that_says_ever_new_things_is_told_of_now_and_then() -> None:
     said = Said(0)
     told = [said.follow([(11, 0, "nav", turn, str(turn), "")], 0) or [] for turn in range(200)]
     assert sum(map(len, told)) == MOST_AT_ONCE
     assert said.table() == [(0, 199, "199", "")]
 
 
-@pytest.mark.parametrize(
-    ("sees", "wrong", "read"),
-    [
-        ("all well", "", ("all well", "")),
-        ("two\nlines", "also\ntwo", ("two lines", "also two")),
-        ("\x1b[31mred", "", ("?[31mred", "")),
-        ("ä" * 500, "", ("ä" * 95, "")),
-    ],
-)
-def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str, read: tuple[str, str]) -> None:
+def test_words_are_bounded_and_printable(service: Service) -> None:
     client = service.known()
     assert service.table.active[0].said() is None
-    client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), 42)
-    assert service.table.active[0].said() == (42, *read)
-
-
-@pytest.mark.parametrize("payload", [b"", b"short", records.SAID.pack(12, "of another session", "")])
-def test_damaged_words_and_those_of_another_session_count_as_none(service: Service, payload: bytes) -> None:
-    client = service.known()
-    client.segment.latest_writer("said").write(payload)
-    assert service.table.active[0].said() is None
+    for t_ns, (sees, wrong, read) in enumerate(
+        [
+            ("all well", "", ("all well", "")),
+            ("two\nlines", "also\ntwo", ("two lines", "also two")),
+            ("\x1b[31mred", "", ("?[31mred", "")),
+            ("ä" * 500, "", ("ä" * 95, "")),
+        ]
+    ):
+        client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), t_ns)
+        assert service.table.active[0].said() == (t_ns, *read)
+    for payload in (b"", b"short", records.SAID.pack(12, "of another session", "")):
+        client.segment.latest_writer("said").write(payload)
+        assert service.table.active[0].said() is None

@@ -1,4 +1,4 @@
-"""What people are told of an arm that nobody moves: what is wrong with a servo, and that it tucks itself."""
+"""Notes of an arm that nobody moves: faults of its servos, and that it tucks itself."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ ELBOW = 3
 
 
 def gap_m(scene: Scene) -> float:
-    """By the model, from where the servos truly are."""
+    """The gap by the model, from where the servos truly are."""
     angles = [(scene.at(servo) - 500) / PULSES_PER_RAD for servo in SERVOS]
     return MODEL.nearest(dict(zip(JOINTS, angles, strict=True)))[0]
 
@@ -97,8 +97,8 @@ def test_an_arm_that_can_not_tuck_itself_says_so(scene: Scene) -> None:
     assert gap_m(scene) > -0.001
 
 
-def test_what_touches_already_may_part(scene: Scene) -> None:
-    """By hand, or since the model is not exact: what is there must not be kept there."""
+def test_links_that_touch_already_may_part(scene: Scene) -> None:
+    """A hand moved it there, or the model is not exact: it must not be kept there."""
     scene.servos.change(ELBOW, scene.clock(), position=LOW)
     scene.result(records.ARM_READ)
     touching_m = gap_m(scene)
@@ -118,7 +118,7 @@ def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: Scene) -> None:
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_where_all_of_them_are_is_read_before_one_of_them_moves(scene: Scene) -> None:
+def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene) -> None:
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
     scene.gate.arm.core.forget()  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""What clients are told of the arm: replies to the letter, the gamepad's part, the state."""
+"""The arm's replies to the letter, the gamepad's part of it, and its state."""
 
 from __future__ import annotations
 

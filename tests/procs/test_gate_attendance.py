@@ -53,7 +53,7 @@ def test_the_last_of_several_counts() -> None:
     assert gone(gate) == causes.OPERATOR_GONE("Bert", DEPARTED)
 
 
-def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
+def test_a_record_of_somebody_who_is_gone_names_nobody() -> None:
     """The gate reads the same record at every tick."""
     gate = attended()
     gate.now += 2 * LEASE
@@ -65,7 +65,7 @@ def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
 
 
 def test_a_proof_counts_to_the_last_nanosecond_of_the_lease_and_then_names_nobody() -> None:
-    """Or who is told to have gone would not be who attended last."""
+    """Else the operator that is told to have gone would not be the one who attended last."""
     gate = attended()
     gate.core.attendance.leave(1)
     gate.core.attendance.hear(2, "Bert", gate.now - LEASE - 1, gate.now)
@@ -104,7 +104,7 @@ def test_a_stamp_from_the_future_proves_nothing() -> None:
     assert gone(gate) is not None, "and it counts from when it was heard"
 
 
-def test_the_gate_wakes_when_the_lease_ends_and_at_once_when_the_last_operator_leaves() -> None:
+def test_the_gate_wakes_when_the_lease_ends_and_when_the_last_operator_leaves() -> None:
     gate = attended()
     gate.take((0.2, 0.0, 0.0))
     assert gate.core.due_ns(gate.now) == gate.now + 300 * MS + 1  # the command's end comes first
@@ -121,7 +121,7 @@ def test_the_gate_wakes_when_the_lease_ends_and_at_once_when_the_last_operator_l
 def test_attendance_lasts_no_longer_than_the_lease_after_the_newest_proof(
     steps: list[tuple[int, int, int, bool]],
 ) -> None:
-    """Whatever comes, in whatever order and however late: it is attended exactly while some session that has not left
+    """In any order and however late: it is attended exactly while some session that has not left
     has proven a moment no older than the lease."""
     attendance = Attendance(LEASE, on=True)
     now = T0

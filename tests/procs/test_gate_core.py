@@ -88,7 +88,7 @@ def test_a_reason_without_words_latches_too(driving: Gate) -> None:
     assert told(driving.core.enable(2, "", driving.now)) == (False, "a stop is latched (stop request)")
 
 
-def test_what_the_supervisor_has_latched_counts(driving: Gate) -> None:
+def test_the_supervisor_s_latch_counts(driving: Gate) -> None:
     core = driving.core
     core.follow(None, 1)
     assert (core.enabled, core.velocity) == (True, FORWARD), "nothing latched is no news"

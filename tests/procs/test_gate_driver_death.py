@@ -24,7 +24,7 @@ def gate(driver_death: str, **changed: float | str) -> Gate:
 
 @pytest.mark.parametrize("silent_ns", [0, 299 * MS, 301 * MS, 3_600_000 * MS])
 def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns: int) -> None:
-    """What starts a program again that hung and was killed for it must not drive on either."""
+    """A program that hung, was killed for it and is started again must not drive on either."""
     dying = gate("disable")
     dying.step(silent_ns)
     dying.core.notes.clear()
@@ -43,7 +43,7 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
 
 @pytest.mark.parametrize("dies", [1, 2])
 def test_a_client_that_waits_is_a_driver_as_well(dies: int) -> None:
-    """One that commanded before motion was enabled too."""
+    """A client that commanded before motion was enabled is one too."""
     dying = Gate(sources__teleop__priority=10)
     dying.take(VELOCITY)
     dying.enable()
@@ -110,7 +110,7 @@ def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
 # What the gate hears of the slots.
 
 
-def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
+def test_a_client_that_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
     first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()

@@ -33,7 +33,7 @@ def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(scene
 
 
 def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Scene) -> None:
-    """Though it was asked for after that one."""
+    """The reset was asked for after that one."""
     scene.stop_and_tick("key1")
     scene.saw(2)
     scene.stop_and_tick("key2")
@@ -127,7 +127,7 @@ def test_a_damaged_cause_latches_too(scene: Scene) -> None:
 def test_a_request_of_before_the_stop_did_not_know_of_it(
     scene: Scene, successor: bool, after_ns: int, granted: bool
 ) -> None:
-    """Of a gate that saw the stop, and of one that was started for it."""
+    """It holds for a gate that saw the stop, and for one that was started for it."""
     scene.stop("gate died")
     stopped_ns = scene.clock()
     if successor:

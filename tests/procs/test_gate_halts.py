@@ -1,4 +1,4 @@
-"""Who drove and left off: what people are told when the wheels stop without a latch."""
+"""Notes for people when a driver leaves off: the wheels stop without a latch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VELOCITY = (0.2, 0.0, 0.0)
 
 
 def kinds(gate: Gate) -> list[str]:
-    """What people were told since the last look, by kind."""
+    """Kinds of the notes since the last look."""
     found = [note.kind for note in gate.core.notes]
     gate.core.notes.clear()
     return found
@@ -85,7 +85,7 @@ def test_ordinary_ends_without_end_do_not_hide_a_silent_driver(driving: Gate) ->
     assert kinds(driving) == ["driver_silent"]
 
 
-def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
+def test_a_driver_that_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
     driving.drive(REST, 30)
     driving.step(301 * MS)
@@ -100,7 +100,7 @@ def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None
     assert kinds(driving) == []
 
 
-def test_who_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
+def test_a_driver_that_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
     count = 0
     for _ in range(200):
         driving.drive(VELOCITY, 2)

@@ -1,4 +1,4 @@
-"""Who enabled, disabled, reset, was refused: told when it changed something, and never without end."""
+"""Remarks on who enabled, disabled, reset or was refused: when it changed something, and never without end."""
 
 from __future__ import annotations
 

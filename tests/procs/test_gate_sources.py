@@ -36,7 +36,7 @@ def scan(gate: Gate) -> None:
 
 
 def fields(gate: Gate) -> list[dict[str, str | int | float]]:
-    """What programs are told."""
+    """Fields of the notes, for programs."""
     return [note.fields for note in gate.core.notes]
 
 
@@ -150,7 +150,7 @@ def test_no_client_can_command_as_the_pad() -> None:
     assert gate.tick() == 0
 
 
-def test_an_unknown_source_moves_nothing_and_is_told_of_once_for_each_session_and_name() -> None:
+def test_an_unknown_source_moves_nothing_and_is_told_of_once_by_session_and_name() -> None:
     gate = scanning()
     scan(gate)
     for session in (1, 2, 1, 2):
@@ -213,7 +213,7 @@ def test_motion_resumes_by_itself_from_zero_and_both_are_told_once_with_the_age(
 
 @pytest.mark.parametrize("ahead", [False, True])
 def test_before_the_first_scan_nothing_moves(ahead: bool) -> None:
-    """Nor by a sensor whose clock is ahead; and nobody is told of a silence as long as the machine has run."""
+    """A sensor whose clock is ahead moves nothing either, and nobody is told of a silence as long as the uptime."""
     gate = scanning()
     if ahead:
         gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)

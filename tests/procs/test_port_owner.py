@@ -126,14 +126,14 @@ def test_stops_of_the_gate_do_not_flood_the_wire(scene: Scene) -> None:
     assert scene.forward(b"disabled", kind=records.WRITE_BURST) == BURST, "at once when something moves"
 
 
-@pytest.mark.parametrize("frame", [{"age_ns": 60 * MS}, {"epoch": 0}, {"epoch": 2}, {"epoch": 2**64 - 1}], ids=str)
+@pytest.mark.parametrize("frame", [{"age_ns": 60 * MS}, {"epoch": 2}], ids=str)
 def test_a_late_frame_and_one_of_another_epoch_is_dropped(scene: Scene, frame: dict[str, int]) -> None:
     scene.turn()
     scene.put(**frame)  # type: ignore[arg-type]
     assert scene.answer() == (b"", [])
 
 
-def test_to_stand_still_is_never_too_late(scene: Scene) -> None:
+def test_a_zero_frame_is_never_too_late(scene: Scene) -> None:
     scene.drive()
     assert scene.forward(BOARD.stop, age_ns=75 * MS) == BURST
     assert not scene.owner.admission.wheels_move
@@ -290,7 +290,7 @@ def test_bursts_and_zero_frames_go_out_while_it_is_stopped(scene: Scene) -> None
 
 
 def test_nothing_cuts_into_motion_but_that_the_gate_beats_and_sends_nothing(scene: Scene) -> None:
-    """For two refresh periods: the board would keep the last frame for ever."""
+    """After two refresh periods it is a stop: the board would keep the last frame for ever."""
     scene.drive()
     assert [wrote for _ in range(400) if (wrote := scene.turn(MS))] == []
     assert scene.reasons() == []

@@ -92,7 +92,7 @@ def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(sce
 
 
 def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:
-    """Nor what has waited since before."""
+    """A frame that has waited since before does not either."""
     settle(scene)
     scene.put(TWO, kind=records.ARM)
     scene.put(TWO, kind=records.ARM)
@@ -104,7 +104,7 @@ def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> N
     assert arm(scene) == MOVE
 
 
-def test_what_a_stop_would_wait_for_is_bounded_over_frames_and_no_move_is_lost(scene: Scene) -> None:
+def test_the_wait_of_a_stop_is_bounded_over_frames_and_no_move_is_lost(scene: Scene) -> None:
     settle(scene)
     other = bus_servo_move([(3, 500)], 40)
     scene.put(TWO, kind=records.ARM)

@@ -181,7 +181,7 @@ def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: S
     assert scene.turn() == BURST[50:], "the rest follows as soon as there is room"
 
 
-def test_what_is_left_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene) -> None:
+def test_the_rest_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene) -> None:
     scene.turn()
     scene.wire.port.takes(10)
     assert scene.forward() == MOTION[:10]
@@ -191,7 +191,7 @@ def test_what_is_left_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene) 
     assert scene.owner.loop.wait(0) == {}, "and it no longer waits for room"
 
 
-def test_what_is_left_of_the_first_burst_follows_too() -> None:
+def test_the_rest_of_the_first_burst_follows_too() -> None:
     scene = Scene(before=lambda scene: scene.wire.port.takes(100))
     assert scene.turn() == BURST[:100]
     assert scene.word("written_ns") == 0

@@ -114,7 +114,7 @@ def test_a_request_within_a_flood_stops_before_any_motion_and_once_it_began_anew
 # Buttons and keys, which telemetry has seen.
 
 
-def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
+def test_a_button_that_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
     scene.drive()
     buttons = scene.views[layout.TELEMETRY].ring_writer("causes")
     buttons.put(causes.BUTTON(0x0100).pack())

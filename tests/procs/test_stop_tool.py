@@ -31,7 +31,7 @@ def machine() -> Iterator[PortMachine]:
 
 @pytest.fixture
 def refused(machine: PortMachine) -> Any:
-    """What the tool raises."""
+    """The error that the tool raises."""
     return machine.load("failstop.board.port").PortError
 
 

@@ -72,19 +72,17 @@ def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scen
     assert scene.written(500) == []
 
 
-def test_one_that_was_held_up_meanwhile_does_not_cut_into_the_motion_of_the_next(scene: Scene) -> None:
+@pytest.mark.parametrize("before", [True, False])
+def test_a_stopper_that_was_held_up_does_not_cut_into_the_motion_of_the_next(scene: Scene, before: bool) -> None:
+    """It was held up before its first burst, or before the repeats."""
     scene.port_owner.kill()
+    if not before:
+        assert scene.turn() == BURST
     scene.start(layout.PORT_OWNER)
-    scene.early.tell(scene.port_owner.pid)
+    if before:
+        scene.early.tell(scene.port_owner.pid)
     assert scene.turn(100 * MS) == b""
     assert scene.written(500) == []
-
-
-def test_nor_does_one_that_was_held_up_before_the_repeats(scene: Scene) -> None:
-    scene.port_owner.kill()
-    assert scene.turn() == BURST
-    scene.start(layout.PORT_OWNER)
-    assert scene.turn(150 * MS) == b""
 
 
 def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -> None:
@@ -118,7 +116,7 @@ def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> No
     assert not scene.stays
 
 
-def test_but_not_for_long(scene: Scene) -> None:
+def test_the_stopper_does_not_wait_long_for_the_port_owner(scene: Scene) -> None:
     scene.supervisor.kill()
     assert scene.turn() == b""
     assert scene.written(22, alive=False) == [(3, BURST)]
@@ -160,7 +158,7 @@ def test_a_stopper_that_was_frozen_with_the_rest_fences_nobody(scene: Scene) -> 
     assert scene.turn(MS, alive=False) == BURST, "but it does if nothing comes from then on"
 
 
-def test_one_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None:
+def test_a_stopper_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None:
     assert scene.turn(STALLED_NS, alive=False) == b""
     assert scene.written(50, alive=False) == [(50, BURST)]
 
@@ -197,7 +195,7 @@ def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(s
     assert scene.own.word("port_number").get() == 2
 
 
-def test_one_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Wire) -> None:
+def test_a_port_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Wire) -> None:
     """A write of its own failed, and the others have kept it."""
     scene.stopper._port.lost = True
     scene.turn()
@@ -211,7 +209,7 @@ def test_one_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Wire) 
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_one_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire, number: int) -> None:
+def test_a_port_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire, number: int) -> None:
     before = scene.open_fds()
     scene.send_port(other, number)
     scene.turn()

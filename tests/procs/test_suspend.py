@@ -16,7 +16,7 @@ def machine() -> PortMachine:
 
 
 def told(machine: PortMachine, watch: Any, *slept_ms: float) -> list[float]:
-    """What it says at one look after the other, by when the machine has slept for so long in all."""
+    """Answers at one look after the other; the machine has slept for so long in all by each."""
     found = []
     for ms in slept_ms:
         machine.machine.slept_ns = round(ms * MS)

@@ -20,7 +20,7 @@ MODULE = "failstop.procs.port_owner.wire"
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
 FILL = bytes(Port.ROOM)
-"""What fills a port."""
+"""Bytes that fill a port."""
 
 
 def assert_stopped(stream: bytes) -> None:
@@ -90,10 +90,8 @@ def test_an_early_stop_waits_for_the_write_that_the_loop_is_in(machine: PortMach
     assert board.read() == MOTION + BOARD.first_stop
 
 
-def test_an_early_stop_for_a_port_that_has_gone_is_neither_written_nor_told_of_as_written(
-    machine: PortMachine, board: Wire, wire: Any
-) -> None:
-    """In the black box."""
+def test_an_early_stop_for_a_port_that_has_gone_is_not_written(machine: PortMachine, board: Wire, wire: Any) -> None:
+    """The black box tells of it as not written."""
     kept: list[bytes] = []
 
     class Ring:

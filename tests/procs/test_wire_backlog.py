@@ -8,8 +8,6 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.interface import BOARD
-from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS
 from tests.support.stage import MS, PortMachine, Wire
 
@@ -34,7 +32,7 @@ def test_a_motion_frame_is_not_added_to_a_backlog_and_a_stop_to_any(board: Wire,
 
 
 URB = 1280
-"""What cdc_acm counts for each write under way, whatever its length."""
+"""Bytes that cdc_acm counts for each write under way, of any length."""
 
 
 @pytest.mark.parametrize("unit", [1, URB])
@@ -49,23 +47,11 @@ def test_other_frames_may_queue_behind_a_little_in_whatever_unit_the_driver_coun
     assert board.read() == (OTHER if taken else b"")
 
 
-def test_what_the_port_has_drained_is_no_backlog(board: Wire, wire: Any) -> None:
+def test_bytes_that_the_port_has_drained_are_no_backlog(board: Wire, wire: Any) -> None:
     assert wire.frame(bytes(129))
     assert wire.frame(bytes(1)), "the kernel holds nothing"
     board.port.under_way = URB
     assert wire.frame(OTHER, backlog=128)
-
-
-def test_a_ping_follows_a_burst_that_is_under_way_and_motion_a_ping_alone(board: Wire, wire: Any) -> None:
-    wire.burst()
-    board.port.under_way = URB
-    assert not wire.frame(MOTION, backlog=MOTION_BACKLOG)
-    assert wire.frame(BOARD.pings[0], backlog=PING_BACKLOG)
-    assert board.read() == BURST + BOARD.pings[0]
-    board.port.under_way = 0
-    assert wire.frame(BOARD.pings[0])
-    board.port.under_way = URB
-    assert wire.frame(MOTION, backlog=MOTION_BACKLOG)
 
 
 # A port that does not drain.

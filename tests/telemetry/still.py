@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 
 def gyro(**changed: object) -> GyroBias:
-    """With the settings' defaults, but for what is changed."""
+    """A gyro's bias with the settings' defaults, but for what is changed."""
     return GyroBias(Settings({f"imu.{key}": value for key, value in changed.items()}))
 
 

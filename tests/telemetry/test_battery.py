@@ -83,7 +83,7 @@ def test_a_measured_step_is_seen_once_through_the_board_s_averaging(step_mv: int
     "before", [(11_800, 11_800, 9_000, 11_800, 11_800, 11_800, 11_800), (11_700, 11_900)], ids=["odd", "even"]
 )
 def test_the_base_is_the_median(before: tuple[int, ...]) -> None:
-    """Of an even number, the middle of the middle two."""
+    """The median of an even number is the middle of the middle two."""
     tested = charger()
     next_ns = readings(tested, *before) + 3 * S
     assert not tested.take(11_989, next_ns)
@@ -104,7 +104,7 @@ def test_a_step_while_enabled_is_none() -> None:
     assert tested.state == UNDECIDED
 
 
-def test_only_more_than_3_s_after_disabling() -> None:
+def test_a_step_counts_more_than_3_s_after_disabling() -> None:
     tested = settled()
     tested.follow(True, 5 * S)
     tested.follow(False, 6 * S)

@@ -14,7 +14,7 @@ from .still import PERIOD_NS, S, dps, gyro, heading_drift_deg, samples
 
 EIGHT_MINUTES_S = 480
 WORST_SEEDS = (6, 38)
-"""Of 0 to 39, those whose calibration is furthest off."""
+"""Seeds of 0 to 39 whose calibration is furthest off."""
 
 
 def resting(tau_s: float = 20.0) -> GyroBias:
@@ -91,7 +91,7 @@ def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
     assert not tested.tracking
 
 
-def test_off_it_never_moves() -> None:
+def test_the_bias_never_moves_where_tracking_is_off() -> None:
     tested = gyro(tracking="off")
     tested.follow(False, 0)
     for i in range(1000):
@@ -102,7 +102,7 @@ def test_off_it_never_moves() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 400), *[st.floats(-1.0, 1.0)] * 3, st.booleans()), max_size=60))
 def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, float, float, float, bool]]) -> None:
-    """Whatever happens, one reading moves it towards that reading, by no more than the band, and only at rest."""
+    """One reading moves it towards that reading, by no more than the band, and only at rest."""
     tested = resting()
     t_ns = 10 * S
     for ms, x, y, z, moving in steps:
@@ -136,8 +136,8 @@ def test_after_the_calibration_it_goes_on_as_the_mean_of_all_readings() -> None:
 
 
 @pytest.mark.parametrize(("tau_s", "settled_s"), [(20.0, 17.0), (2.0, 0.0)])
-def test_once_20_s_are_averaged_the_step_is_dt_over_tau(tau_s: float, settled_s: float) -> None:
-    """Of which the calibration was 3. Just before, the step is still greater."""
+def test_the_step_is_dt_over_tau_once_20_s_are_averaged(tau_s: float, settled_s: float) -> None:
+    """The calibration was 3 s of them. Just before, the step is still greater."""
     for early_s in (0.5, 0.0):
         tested, t_ns = calibrated(tracking_tau_s=tau_s)
         count = round((settled_s - early_s) * 100)

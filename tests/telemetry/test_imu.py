@@ -43,7 +43,7 @@ def test_gyro_comes_in_degrees_and_leaves_in_rad_per_second() -> None:
 
 @given(raw=st.tuples(*[st.floats(-16, 16)] * 3))
 def test_acceleration_is_raw_less_offset_times_scale(raw: Vector) -> None:
-    """By each axis's own settings, in m/s2."""
+    """Each axis has its own settings; the unit is m/s2."""
     found = accelerometer(OFFSETS_G, SCALES).mps2(*raw)
     wanted = [(r - o) * s * 9.80665 for r, o, s in zip(raw, OFFSETS_G, SCALES, strict=True)]
     assert found == pytest.approx(wanted)
@@ -163,7 +163,7 @@ def test_a_restarted_one_keeps_the_bias_it_had_until_it_has_a_new_one() -> None:
 
 
 @pytest.mark.parametrize(("gap_ns", "ends"), [(S // 2, True), (S // 2 + 1, False)])
-def test_only_more_than_0_5_s_is_a_gap(gap_ns: int, ends: bool) -> None:
+def test_more_than_0_5_s_is_a_gap(gap_ns: int, ends: bool) -> None:
     tested = gyro(calibration_s=0.5)
     tested.take(dps(0.0, 0.0, 0.1), 7 * S)
     assert bool(tested.take(dps(0.0, 0.0, 0.1), 7 * S + gap_ns)) is ends

@@ -33,7 +33,7 @@ class Held:
         return [self.frame(buttons) for _ in range(count)]
 
     def resets(self, count: int, buttons: int = MODE) -> list[int]:
-        """Which of so many frames asked for a reset."""
+        """Indices of those of so many frames that asked for a reset."""
         return [at for at, news in enumerate(self.frames(count, buttons)) if news.reset]
 
     def tap(self, buttons: int = MODE) -> PadNews:
@@ -256,7 +256,7 @@ FRAME = st.tuples(
 
 
 @given(st.lists(FRAME, max_size=150))
-def test_whatever_is_done_with_the_pad(frames: list[tuple[int, int, int, int, int, bool]]) -> None:
+def test_the_pad_keeps_its_rules_whatever_is_done_with_it(frames: list[tuple[int, int, int, int, int, bool]]) -> None:
     """Latched it is locked, commands nothing, and only MODE alone resets; no command is past a limit; whoever presses
     what is not MODE leaves drive."""
     held = Held()
@@ -315,7 +315,7 @@ def chosen(held: Held, *sticks: int) -> list[int]:
 
 
 def test_a_push_to_the_right_is_the_next_joint_and_one_to_the_left_the_one_before(armed: Held) -> None:
-    """Who pushes the wrong way turns a joint that is not the one he looks at."""
+    """A person who pushes the wrong way turns a joint that is not the one he looks at."""
     assert chosen(armed, 127, 0, 127, 0, 127, 0) == [1, 1, 2, 2, 0, 0]
     assert chosen(armed, -128, 0, -127, 0, -127, 0) == [2, 2, 1, 1, 0, 0]
 

@@ -44,7 +44,7 @@ def test_a_ping_is_one_frame_that_is_no_motion_and_asks_for_a_servo_that_there_i
 @pytest.mark.parametrize("behind", [BOARD.burst, BOARD.stop * 20, DRIVE * 20])
 @pytest.mark.parametrize("ping", BOARD.pings)
 def test_no_cut_of_a_ping_is_completed_to_anything(ping: bytes, behind: bytes) -> None:
-    """Whatever follows a cut ping: executed are frames that were written whole, and empty SYS frames of the burst's
+    """Executed are frames that were written whole, and empty SYS frames of the burst's
     zeros, which do nothing. Nothing reads servo 0, which is outside the firmware's table."""
     whole = {(framing.SYS, b""), (framing.MOTOR, STOP_DATA), (framing.MOTOR, DRIVE[4:-1])}
     for cut in range(len(ping)):
@@ -130,7 +130,7 @@ def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(sce
     assert told(scene) == ((0, 0) if reopened else (scene.clock(), 1))
 
 
-def test_what_the_lost_port_had_sent_still_belongs_together(scene: Scene) -> None:
+def test_bytes_of_the_lost_port_still_belong_together(scene: Scene) -> None:
     """News of the port and what came before and after it, all found in one turn."""
     reopen(scene, 1)
     whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)

@@ -228,7 +228,7 @@ def test_a_directory_that_can_t_be_made_is_a_line_in_the_journal(scene: Scene) -
     assert scene.latest("battery") == (11_800, 0)
 
 
-def test_what_people_are_told_is_at_most_280_bytes() -> None:
+def test_a_note_is_at_most_280_bytes() -> None:
     scene = Scene(**{"battery.directory": "/way/" + "é" * 200})
     scene.write_text("/way", "a file is in the way")
     scene.battery(*[11_800] * 2)

@@ -63,14 +63,14 @@ def refused(wanted: str, error: Exception) -> Callable[..., None]:
 
 @pytest.fixture
 def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """In place of /var/lib/failstop."""
+    """A folder in place of /var/lib/failstop."""
     monkeypatch.setenv(root.VARIABLE, str(tmp_path))
     (tmp_path / "var" / "lib").mkdir(parents=True)
     return tmp_path / "var" / "lib" / "failstop"
 
 
 def test_the_state_directory_is_the_first_that_is_given(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the settings, by systemd, the system's where it is writable, the user's."""
+    """The order: the settings', systemd's, the system's where it is writable, the user's."""
     monkeypatch.setenv("HOME", "/home/x")
     assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
     assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"

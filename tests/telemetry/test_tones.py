@@ -20,7 +20,7 @@ def sounding() -> Tones:
     return made
 
 
-def test_off_by_default() -> None:
+def test_tones_are_off_by_default() -> None:
     assert not Settings().on("buzzer.tones")
     silent = Tones(on=False)
     seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (pad.LOCKED, pad.DRIVING)]
