@@ -73,13 +73,10 @@ def test_a_death_is_told_of_each_time_however_often() -> None:
     assert dying.told() == [TOLD] * 50
 
 
-def test_a_death_latches_where_the_settings_say_so() -> None:
+def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("latch")
     assert dying.gone(1) == causes.DRIVER_DIED("client 1")
     assert dying.gone(1) is None, "once"
-
-
-def test_a_death_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("stay")
     assert dying.gone(1) is None
     assert dying.step(0) == STILL
@@ -123,7 +120,7 @@ def test_a_client_that_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(s
     assert service.sessions() == [22]
 
 
-def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> None:
+def test_the_goodbye_of_another_session_or_a_damaged_one_does_not_count(service: Service) -> None:
     first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
@@ -135,6 +132,11 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
     last.leave()
     assert service.look() == [("gone", 23)]
     assert service.parted is False
+    dying = service.known(session=24)
+    dying.segment.latest_writer("left").write(b"24")
+    dying.leave()
+    assert service.look() == [("gone", 24)]
+    assert service.parted is False
 
 
 def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
@@ -144,11 +146,3 @@ def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(servic
     again = service.join(index=1, session=22)
     again.command()
     assert service.look(bytes([1])) == [("gone", 21), ("command", 22, 0.1)]
-
-
-def test_a_goodbye_that_is_damaged_does_not_count(service: Service) -> None:
-    dying = service.known(session=21)
-    dying.segment.latest_writer("left").write(b"21")
-    dying.leave()
-    assert service.look() == [("gone", 21)]
-    assert service.parted is False

@@ -34,23 +34,15 @@ def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate)
     assert kinds(driving) == []
 
 
-def test_a_driver_that_has_gone_is_not_told_of_as_silent_too(driving: Gate) -> None:
-    driving.drive(VELOCITY, 3)
-    driving.gone(1)
-    driving.step(0)
-    driving.step(400 * MS)
-    assert kinds(driving) == ["driver_gone"]
-
-
 @pytest.mark.parametrize("kind", ["driver_gone", "driver_silent"])
 def test_the_news_of_a_driver_hides_no_other(driving: Gate, kind: str) -> None:
-    """In the same turn a program commands as a source that no setting names."""
+    """A program commands in the same turn as a source that no setting names. A driver that has gone is not told of as
+    silent too."""
     driving.drive(VELOCITY, 3)
     driving.take(VELOCITY, 2, source="navv")
     if kind == "driver_gone":
         driving.gone(1)
-    else:
-        driving.step(301 * MS)
+    driving.step(301 * MS)
     assert kinds(driving) == ["ignored", kind]
 
 
@@ -60,16 +52,14 @@ def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
     gate.step()
 
 
-def test_a_person_s_command_that_runs_out_is_let_go(driving: Gate) -> None:
+def test_a_person_s_command_that_runs_out_is_let_go_but_for_the_gamepad_s(driving: Gate) -> None:
+    """The gamepad says where its sticks are for as long as it can be heard."""
     by_hand(driving)
     driving.step(301 * MS)
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
     assert note.text == "client 1 let go: last command 321 ms ago, the wheels are stopped"
-
-
-def test_a_gamepad_that_falls_silent_has_not_let_go(driving: Gate) -> None:
-    """It says where its sticks are for as long as it can be heard."""
+    kinds(driving)
     by_hand(driving, PAD_SOURCE, PAD_SESSION)
     driving.step(301 * MS)
     assert kinds(driving) == ["driver_silent"]

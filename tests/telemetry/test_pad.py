@@ -77,10 +77,6 @@ def test_any_button_but_mode_stops_on_its_first_frame_also_the_first_of_all(mode
     assert set(BUTTONS.values()) <= {1 << bit for bit in range(16)}
 
 
-def test_sticks_alone_do_not_stop(held: Held) -> None:
-    assert held.frame(lx=127, ly=-128).cause is None
-
-
 def test_each_tap_is_a_request_and_a_held_button_one(held: Held) -> None:
     assert [bool(held.frame(buttons).cause) for buttons in (1, 1, 1, 0, 1, 0, 1)] == [
         *(True, False, False, False, True, False, True)
@@ -149,8 +145,9 @@ def test_an_axis_is_raw_over_127_at_most_1_and_0_within_0_1(driving: Held) -> No
     assert driving.frame(ly=13).command == pytest.approx((0.2 * 13 / 127, 0.0, 0.0)), "13/127 is 0.102"
 
 
-def test_locked_the_sticks_command_nothing(held: Held) -> None:
-    assert held.frame(ly=127).command is None
+def test_locked_the_sticks_command_nothing_and_stop_nothing(held: Held) -> None:
+    news = held.frame(lx=127, ly=-128)
+    assert (news.cause, news.command) == (None, None)
 
 
 def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None:
@@ -159,18 +156,16 @@ def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None
     assert driving.frame(ly=127).command is None
 
 
-def test_any_latch_drops_the_pad_to_locked(driving: Held) -> None:
+def test_any_latch_drops_the_pad_to_locked_and_its_own_stop_at_once(driving: Held) -> None:
     driving.latch()
     assert driving.pad.mode == LOCKED
     assert driving.frame(ly=127).command is None
     driving.latch(False)
     assert driving.frame(ly=127).command is None, "and so it stays until MODE"
-
-
-def test_its_own_trip_drops_it_at_once(driving: Held) -> None:
-    news = driving.frame(X, ly=127)
+    driving.tap()
+    assert driving.pad.mode == DRIVING
+    assert driving.frame(X, ly=127).command is None
     assert driving.pad.mode == LOCKED
-    assert news.command is None
 
 
 def test_while_latched_mode_changes_nothing(held: Held) -> None:
