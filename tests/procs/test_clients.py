@@ -330,7 +330,8 @@ def test_words_are_bounded_and_printable(service: Service) -> None:
             ("two\nlines", "also\ntwo", ("two lines", "also two")),
             ("\x1b[31mred", "", ("?[31mred", "")),
             ("ä" * 500, "", ("ä" * 95, "")),
-        ]
+        ],
+        42,
     ):
         client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), t_ns)
         assert service.table.active[0].said() == (t_ns, *read)
