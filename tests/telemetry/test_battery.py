@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -59,7 +61,7 @@ def settled(state: int = UNDECIDED, **changed: object) -> Charger:
         ({"battery.step_mv": 500}, 500, PLUGGED_IN),
     ],
 )
-def test_a_step_of_190_mv_or_the_setting_s_is_the_charger(changed: dict[str, object], step_mv: int, state: int) -> None:
+def test_a_step_of_190_mv_or_the_setting_s_is_the_charger(changed: dict[str, Any], step_mv: int, state: int) -> None:
     """Motor load makes +-170 mV."""
     tested = settled(**changed)
     assert tested.state == UNDECIDED
