@@ -76,16 +76,12 @@ def test_the_newest_command_arrives_once(service: Service) -> None:
     assert isnan(service.commanded.velocity[0]), "passed on for the gate to judge"
 
 
-def test_a_request_arrives_once_and_before_a_command(service: Service) -> None:
+def test_a_request_arrives_once_and_before_a_command_and_again_when_asked_again(service: Service) -> None:
     client = service.join()
     client.command()
     number = client.request(records.RESET)
     assert service.look() == [("request", 11, number, records.RESET), ("command", 11, 0.1)]
     assert service.look() == []
-
-
-def test_the_same_request_again_is_a_new_one(service: Service) -> None:
-    client = service.join()
     assert client.request() != client.request()
     assert len(service.look()) == 1, "only the newest: a client waits for its answer"
     client.request()

@@ -95,6 +95,16 @@ def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
     assert note.text == "client 1 ended its command: the wheels are stopped"
 
 
+def test_the_orderly_end_of_a_client_that_waits_is_no_news() -> None:
+    ending = gate("disable", sources__teleop__priority=10)
+    ending.take(VELOCITY, 2, source="teleop")
+    ending.take(VELOCITY, 3, source="stranger")
+    ending.step()
+    ending.gone(1, parted=True)
+    ending.gone(2, parted=True)
+    assert [note.kind for note in ending.core.notes] == ["ignored", "driver_ended"]
+
+
 @pytest.mark.parametrize("driver_death", ["disable", "latch"])
 def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
     dying = gate(driver_death)

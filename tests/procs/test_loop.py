@@ -78,14 +78,6 @@ def test_a_wait_is_one_sleep(longest_ns: int) -> None:
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before == 1
 
 
-def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
-    loop = Loop()
-    start_ns = time.monotonic_ns()
-    loop.timer().set(start_ns + LATER_NS)
-    assert loop.wait(20_000_000) == {}
-    assert 20_000_000 <= time.monotonic_ns() - start_ns < LATER_NS
-
-
 def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)

@@ -152,15 +152,11 @@ def test_a_port_owner_that_hangs_is_fenced_before_the_burst(scene: Scene) -> Non
     assert not any(lived)
 
 
-def test_a_stopper_that_was_frozen_with_the_rest_fences_nobody(scene: Scene) -> None:
-    assert scene.turn(5_000 * MS, alive=False) == b""
-    assert scene.written(249, alive=False) == []
-    assert scene.turn(MS, alive=False) == BURST, "but it does if nothing comes from then on"
-
-
-def test_a_stopper_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None:
-    assert scene.turn(STALLED_NS, alive=False) == b""
-    assert scene.written(50, alive=False) == [(50, BURST)]
+@pytest.mark.parametrize(("late_ns", "fences_ms"), [(5_000 * MS, 250), (STALLED_NS, 50)], ids=["frozen", "late itself"])
+def test_a_stopper_that_was_frozen_with_the_rest_waits_anew(scene: Scene, late_ns: int, fences_ms: int) -> None:
+    """One that was only late itself fences all the same."""
+    assert scene.turn(late_ns, alive=False) == b""
+    assert scene.written(fences_ms, alive=False) == [(fences_ms, BURST)]
 
 
 def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None:
