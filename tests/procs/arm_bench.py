@@ -13,9 +13,12 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
 from tests.support.arm_settings import ARM, SERVOS
+from tests.support.gate_scene import Scene
 
 from .gate_bench import MS, T0, TICK, Gate
 
+Make = Callable[..., Scene]
+"""A scene with other settings; two underscores are a point."""
 ANSWER_NS = 2 * MS
 """From a question to its answer."""
 ME, OTHER = 11, 12

@@ -1,4 +1,4 @@
-"""What the gate's tests start from."""
+"""Fixtures of the gate's tests."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
 from tests.support.stage import PortMachine, Wire
 
-from .arm_bench import ArmBench
-from .arm_notes import Make
+from .arm_bench import ArmBench, Make
 from .client_side import Service
 from .gate_bench import Gate
 

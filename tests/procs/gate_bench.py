@@ -59,7 +59,7 @@ class Gate:
         return self.core.client_gone(session, self.now, parted=parted)
 
     def told(self) -> list[str]:
-        """What people are told, in words."""
+        """Notes for people, in words."""
         return [note.text for note in self.core.notes]
 
     @property

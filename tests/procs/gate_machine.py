@@ -14,6 +14,7 @@ from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
 from failstop.procs.gate.sources import Command
+from tests.support.amounts import amount
 from tests.support.why import told, why
 
 MS = 1_000_000
@@ -262,4 +263,4 @@ class GateMachine(RuleBasedStateMachine):
         assert all(-limit_rps <= rps <= limit_rps for rps in self.core.speeds)
 
 
-GateMachine.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+GateMachine.TestCase.settings = settings(max_examples=amount(50, 2_000), stateful_step_count=40, deadline=None)

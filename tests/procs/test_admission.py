@@ -60,7 +60,7 @@ ELSE: dict[int, int | Cause] = {
 @pytest.mark.parametrize("kind", ["motion", "zero", "zero, nothing moves"])
 @pytest.mark.parametrize("first", [*ROWS, None])
 def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) -> None:
-    """Whatever the rows after it say."""
+    """The rows after it change nothing."""
     rows = [row for row in ROWS if kind == "motion" or row != CONTENT]  # zeros have no other content
     after = [row for row in rows if first is not None and row > first]
     for later in (set(some) for n in range(len(after) + 1) for some in itertools.combinations(after, n)):
@@ -93,6 +93,7 @@ def test_a_lease_runs_out_exactly_then(admission: Admission, silent_ns: int, lap
     assert bool(admission.lapsed(beat_ns, NOW, NOW)) is lapsed
     assert (admission.lapses_ns(beat_ns, NOW) <= NOW) is lapsed
     assert (admission.lapses_ns(NOW, beat_ns) <= NOW) is lapsed
+    assert decided(admission, (FRAME, EPOCH, beat_ns)) == (DROP if lapsed else ADMIT), "a frame must be younger"
 
 
 def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
@@ -126,46 +127,15 @@ def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
 # Epoch.
 
 
-@pytest.mark.parametrize(("frame_epoch", "epoch"), [(1, 2), (2, 1), (0, 1), (1, 0)])
-def test_a_frame_of_any_other_epoch_is_dropped(admission: Admission, frame_epoch: int, epoch: int) -> None:
-    assert decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == DROP
-
-
-def test_epoch_zero_is_before_every_run(admission: Admission) -> None:
-    assert decided(admission, (FRAME, 0, NOW), epoch=0) == DROP
-
-
-def test_its_own_stop_refuses_its_epoch_until_a_newer_one(admission: Admission) -> None:
-    admission.stopped(4)
-    assert decided(admission, (FRAME, 4, NOW), epoch=4) == DROP
-    assert decided(admission, (FRAME, 5, NOW), epoch=5) == ADMIT
-
-
 @given(st.lists(epochs), epochs, epochs)
-def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
+def test_a_frame_of_another_epoch_or_one_that_was_stopped_in_is_dropped(
     stops: list[int], frame_epoch: int, epoch: int
 ) -> None:
+    """Epoch 0 is before every run."""
     admission = Admission(BOARD, LEASE_NS, MAX_RPS)
     for stopped_in in stops:
+        admission.wheels_move = True
         admission.stopped(stopped_in)
-    newest = max(stops, default=0)
-    written = decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == ADMIT
-    assert written == (frame_epoch == epoch and epoch > newest)
-
-
-# Age.
-
-
-@pytest.mark.parametrize(("age_ns", "goes"), [(0, True), (LEASE_NS - 1, True), (LEASE_NS, False), (NOW, False)])
-def test_a_frame_must_be_younger_than_the_lease(admission: Admission, age_ns: int, goes: bool) -> None:
-    assert decided(admission, (FRAME, EPOCH, NOW - age_ns)) == (ADMIT if goes else DROP)
-
-
-# Moving.
-
-
-def test_every_stop_ends_the_motion(admission: Admission) -> None:
-    assert not admission.wheels_move
-    admission.wheels_move = True
-    admission.stopped(1)
-    assert not admission.wheels_move
+        assert not admission.wheels_move
+    admitted = frame_epoch == epoch and epoch > max(stops, default=0)
+    assert decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == (ADMIT if admitted else DROP)

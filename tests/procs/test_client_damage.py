@@ -1,4 +1,4 @@
-"""What clients may do to their memory, and what a gate that starts again makes of what it finds there."""
+"""Clients that damage their memory, and a gate that starts again and reads what is there."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_records_of_another_run_are_ignored(service: Service) -> None:
     assert service.look() == []
 
 
-@pytest.mark.parametrize("size", [0, 1, 128, 300])
+@pytest.mark.parametrize("size", [0, 128])
 def test_a_truncated_segment_is_a_client_gone(service: Service, size: int) -> None:
     client = service.join()
     client.command()
@@ -103,7 +103,7 @@ def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
         room = client.segment.spec.records["hello"].capacity - len(hello)
         client.segment.latest_writer("hello").write(body + b"\xff" * room)
     service.look()
-    assert len(service.sessions()) == layout.CLIENT_SLOTS
+    assert service.sessions() == list(range(1, 1 + layout.CLIENT_SLOTS))
     who = service.table.active[0].who()
     latch = f"multiple cmd_vel publishers: {who}, {who}"
     state = msgpack.packb(
@@ -126,23 +126,16 @@ def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
 # A gate that starts again.
 
 
-def test_a_successor_does_not_replay_what_it_finds(service: Service) -> None:
+def test_a_successor_acts_on_nothing_that_its_predecessor_saw_or_missed(service: Service) -> None:
     client = service.join()
     client.command()
     client.request(records.ENABLE)
     service.look()
-    service.start()
-    assert service.look() == []
-    assert service.sessions() == [11], "the client is still there"
-    client.command(0.2)
-    assert service.look() == [("command", 11, 0.2)]
-
-
-def test_a_successor_does_not_act_on_what_its_predecessor_never_saw(service: Service) -> None:
-    client = service.known()
     client.command()
     client.request(records.ENABLE)
     service.start()
     assert service.look() == []
+    assert service.sessions() == [11], "the client is still there"
+    client.command(0.2)
     client.request(records.DISABLE)
-    assert service.look() == [("request", 11, 2, records.DISABLE)]
+    assert service.look() == [("request", 11, 3, records.DISABLE), ("command", 11, 0.2)]

@@ -1,16 +1,18 @@
-"""What people are told of an arm that nobody moves: what is wrong with a servo, and that it tucks itself."""
+"""Notes of an arm that nobody moves: faults of its servos, and that it tucks itself."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from failstop.messages import records
+from failstop.messages.packing import Note
 from tests.support.arm_settings import SERVOS, TUCK
 from tests.support.gate_scene import Scene
 
-from .arm_notes import Make, notes
+from .arm_bench import Make
 
 
 @pytest.fixture
@@ -18,29 +20,41 @@ def scene(arm_scene: Scene) -> Scene:
     return arm_scene
 
 
+def notes(scene: Scene) -> Callable[[], list[tuple[str, str]]]:
+    """(level, text) of what people are told of the arm from now on, since the last call."""
+    ring = scene.own.ring_reader("notes")
+
+    def news() -> list[tuple[str, str]]:
+        found = [Note.unpack(entry[2]) for entry in iter(ring.next, None)]
+        return [(note.level, note.text) for note in found if note.kind == "arm"]
+
+    return news
+
+
 # What is wrong with a servo.
 
+FAULTS: dict[int, dict[str, Any]] = {2: {"silent": True}, 3: {"temperature_c": 70}, 4: {"supply_mv": 5999}}
+TOLD = {
+    "shoulder (servo 2)": "does not answer",
+    "elbow (servo 3)": "is hot: 70 degrees or more; at 85 it lets go",
+    "wrist (servo 4)": "has less than 6000 mV; with little less it lets go",
+}
 
-@pytest.mark.parametrize(
-    ("fault", "text"),
-    [
-        ({"silent": True}, "does not answer"),
-        ({"temperature_c": 70}, "is hot: 70 degrees or more; at 85 it lets go"),
-        ({"supply_mv": 5999}, "has less than 6000 mV; with little less it lets go"),
-    ],
-)
-def test_fault_of_a_servo_is_told_once_and_its_end(scene: Scene, fault: dict[str, Any], text: str) -> None:
+
+def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
     news = notes(scene)
     scene.run(20.0)
     assert news() == []
-    scene.servos.change(2, scene.clock(), **fault)
+    for servo, fault in FAULTS.items():
+        scene.servos.change(servo, scene.clock(), **fault)
     scene.run(20.0)
-    assert news() == [("warning", f"joint shoulder (servo 2) {text}")]
-    assert scene.state()["wrong"] == [f"joint shoulder {text}"]
-    assert scene.state()["silent"] == ([2] if "silent" in fault else [])
-    scene.servos.change(2, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
+    assert sorted(news()) == sorted(("warning", f"joint {of} {text}") for of, text in TOLD.items())
+    assert sorted(scene.state()["wrong"]) == sorted(f"joint {of.partition(' ')[0]} {text}" for of, text in TOLD.items())
+    assert scene.state()["silent"] == [2]
+    for servo in FAULTS:
+        scene.servos.change(servo, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
     scene.run(20.0)
-    assert news() == [("", "joint shoulder (servo 2) is well again")]
+    assert sorted(news()) == sorted(("", f"joint {of} is well again") for of in TOLD)
     assert scene.state()["wrong"] == []
 
 
@@ -50,6 +64,8 @@ def test_fault_of_a_servo_is_told_once_and_its_end(scene: Scene, fault: dict[str
 def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=10.0, arm__tuck_notice_s=4.0)
     news = notes(scene)
+    scene.run(12.0)
+    assert scene.moves == [], "never used, never tucked"
     assert scene.state()["auto_tuck_s"] is None
     scene.travel({1: 0.5})
     scene.finish()
@@ -72,7 +88,7 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
     scene.run(10.0)
     assert [scene.at(servo) for servo in SERVOS] == pytest.approx(TUCK, abs=2)
     assert scene.state()["pose"] == "tuck"
-    scene.run(60.0)
+    scene.run(15.0)
     assert news() == []
 
 
@@ -91,7 +107,7 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
     assert len(news()) == 1
     scene.ask_for(records.ENABLE)
     assert scene.finish()[0] == records.DONE
-    scene.run(30.0)
+    scene.run(12.0)
     assert news() == [], "wheels enabled: it must not"
     assert scene.state()["auto_tuck_s"] in (None, 10)
     scene.ask_for(records.DISABLE)
@@ -107,7 +123,7 @@ def test_arm_that_was_put_into_its_tuck_pose_announces_nothing(arm_with: Make) -
     scene.ask_for(records.ARM_TUCK)
     assert scene.finish(most_s=20.0) == (records.DONE, "arm is there")
     assert scene.state()["auto_tuck_s"] is None
-    scene.run(15.0)
+    scene.run(8.0)
     assert news() == []
 
 
@@ -119,13 +135,16 @@ def test_arm_without_auto_tuck_stays_where_it_is(arm_with: Make) -> None:
     assert scene.at(1) > 600
 
 
-def test_released_arm_does_not_tuck_itself(arm_with: Make) -> None:
+def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
     scene.travel({1: 0.2})
     scene.finish()
     scene.ask_for(records.ARM_RELEASE)
-    scene.run(10.0)
-    assert all(servo.limp() for servo in scene.servos.by_id.values())
+    for seconds in (0.2, 10.0):
+        scene.run(seconds)
+        assert all(servo.limp() for servo in scene.servos.by_id.values())
+    scene.travel({1: 0.1})
+    assert scene.finish() == (records.DONE, "arm is there")
 
 
 def test_tuck_that_fails_is_told(arm_with: Make) -> None:
@@ -148,9 +167,9 @@ def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
     for servo in SERVOS:
         scene.servos.change(servo, scene.clock(), silent=True)
     news = notes(scene)
-    scene.run(20.0)
+    scene.run(12.0)
     assert any("did not tuck itself" in text for _, text in news())
-    scene.run(20.0)
+    scene.run(8.0)
     assert news() == []
 
 

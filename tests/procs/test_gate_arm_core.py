@@ -58,7 +58,7 @@ def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> Non
 
 
 @pytest.mark.parametrize("ask", [ArmBench.goal, lambda bench: bench.travel((0.0, 510.0))])
-def test_whatever_moves_a_released_arm_uses_it_again(bench: ArmBench, ask: Callable[[ArmBench], object]) -> None:
+def test_a_goal_or_a_journey_uses_a_released_arm_again(bench: ArmBench, ask: Callable[[ArmBench], object]) -> None:
     bench.core.release(bench.now)
     bench.run(0.1)
     ask(bench)

@@ -18,7 +18,7 @@ FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 VERBS = (records.ARM_DRIVE, records.ARM_TUCK, records.ARM_HOLD, records.ARM_RELEASE, records.ARM_READ)
 ANGLES = (0.0, 0.01, 0.3, -0.3, 1.0, 3.0, 1e9, -1e300, inf, nan)
 TIMES_S = (0.0, 0.001, 0.05, 0.5, 5.0, 599.0, 601.0, -1.0, nan)
-GOALS = amount(2_000, 100_000)
+GOALS = amount(400, 100_000)
 MOST_TURNS = 300
 """In a second in which nobody asks for anything: ticks, the moves of six joints, questions and their answers."""
 

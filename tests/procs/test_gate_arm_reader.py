@@ -75,7 +75,7 @@ def test_an_idle_reader_asks_each_joint_twice_for_its_place_and_once_for_the_res
         assert (joint.measured, joint.temperature_c, joint.supply_mv, joint.loaded) == (40, 40, 40, True)
 
 
-def test_who_waits_ends_an_idle_pause_but_not_the_bus_s(bench: Bench) -> None:
+def test_a_client_that_waits_ends_an_idle_pause_but_not_the_bus_s(bench: Bench) -> None:
     assert bench.reader.free_ns() == 0
     bench.say(bench.ask(), 500)
     asked_ns = bench.now - ANSWERED_NS
@@ -114,7 +114,7 @@ def test_place_counts_when_two_readings_agree(bench: Bench, first: int, second: 
 
 
 @pytest.mark.parametrize("lost", [None, 0])
-def test_what_follows_an_answer_of_no_servo_or_of_0_counts_for_nothing(bench: Bench, lost: int | None) -> None:
+def test_an_answer_behind_one_of_no_servo_or_of_0_counts_for_nothing(bench: Bench, lost: int | None) -> None:
     joint = bench.joints[0]
     bench.say(bench.ask(joint), 500)
     assert bench.say(bench.ask(joint), lost) is None

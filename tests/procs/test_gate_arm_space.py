@@ -32,7 +32,7 @@ ELBOW = 3
 
 
 def gap_m(scene: Scene) -> float:
-    """By the model, from where the servos truly are."""
+    """The gap by the model, from where the servos truly are."""
     angles = [(scene.at(servo) - 500) / PULSES_PER_RAD for servo in SERVOS]
     return MODEL.nearest(dict(zip(JOINTS, angles, strict=True)))[0]
 
@@ -67,14 +67,10 @@ def test_follow_ends_before_the_floor_and_goes_back_from_there(scene: Scene) -> 
     assert scene.state()["refused"] == ""
 
 
-def test_jog_ends_before_the_floor(scene: Scene) -> None:
-    assert watch(scene, 2.5, lambda: scene.goal(records.ARM_JOG, {ELBOW: 0.8})) > -0.001
-    assert FLOOR in scene.state()["refused"]
-
-
 def test_the_gamepad_s_joint_ends_before_the_floor(scene: Scene) -> None:
     assert watch(scene, 2.5, lambda: scene.pad(JOINTS.index("elbow"), 0.8)) > -0.001
     assert gap_m(scene) < 0.02
+    assert FLOOR in scene.state()["refused"]
 
 
 def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene) -> None:
@@ -101,8 +97,8 @@ def test_an_arm_that_can_not_tuck_itself_says_so(scene: Scene) -> None:
     assert gap_m(scene) > -0.001
 
 
-def test_what_touches_already_may_part(scene: Scene) -> None:
-    """By hand, or since the model is not exact: what is there must not be kept there."""
+def test_links_that_touch_already_may_part(scene: Scene) -> None:
+    """A hand moved it there, or the model is not exact: it must not be kept there."""
     scene.servos.change(ELBOW, scene.clock(), position=LOW)
     scene.result(records.ARM_READ)
     touching_m = gap_m(scene)
@@ -122,7 +118,7 @@ def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: Scene) -> None:
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_where_all_of_them_are_is_read_before_one_of_them_moves(scene: Scene) -> None:
+def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene) -> None:
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
     scene.gate.arm.core.forget()  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""What clients are told of the arm: replies to the letter, the gamepad's part, the state."""
+"""The arm's replies to the letter, the gamepad's part of it, and its state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
 from tests.support.gate_scene import SESSION, Scene
 from tests.support.stage import MS
 
-from .arm_notes import Make
+from .arm_bench import Make
 
 NO_JOINTS = "a trajectory for joints that the arm does not have"
 TIMES = f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
@@ -29,30 +29,25 @@ def scene(arm_scene: Scene) -> Scene:
 # Trajectories.
 
 
-def test_move_without_a_trajectory_is_refused(scene: Scene) -> None:
+REFUSED = [
+    ([(0.0, [0.1, 0.1])], [1, 7], 1.0, NO_JOINTS),
+    ([(0.0, [0.1, 0.1])], [1, 1], 1.0, NO_JOINTS),
+    ([(0.0, [0.1])], [1], 0.0, NO_JOINTS),
+    ([(0.0, [0.1])], [1], 1.01, NO_JOINTS),
+    ([(-0.1, [0.1])], [1], 1.0, TIMES),
+    ([(LONGEST_S + 0.1, [0.1])], [1], 1.0, TIMES),
+    ([(0.0, [0.1]), (1.0, [0.2])], [1], 1.0, TIMES),
+    ([(1.0, [0.1]), (1.0, [0.1])], [1], 1.0, "the times do not go up: 1 s, then 1 s"),
+    ([(1.0, [3.0])], [1], 1.0, ANGLE),
+    ([(1.0, [0.1]), (2.0, [3.0])], [1], 1.0, f"{ANGLE} (at 2 s)"),
+]
+
+
+def test_trajectory_that_can_not_be_gone_is_refused(scene: Scene) -> None:
     assert scene.result(records.ARM_MOVE) == (records.REFUSED, "no trajectory came with the request")
-
-
-@pytest.mark.parametrize(
-    ("rows", "servos", "share", "told"),
-    [
-        ([(0.0, [0.1, 0.1])], [1, 7], 1.0, NO_JOINTS),
-        ([(0.0, [0.1, 0.1])], [1, 1], 1.0, NO_JOINTS),
-        ([(0.0, [0.1])], [1], 0.0, NO_JOINTS),
-        ([(0.0, [0.1])], [1], 1.01, NO_JOINTS),
-        ([(-0.1, [0.1])], [1], 1.0, TIMES),
-        ([(LONGEST_S + 0.1, [0.1])], [1], 1.0, TIMES),
-        ([(0.0, [0.1]), (1.0, [0.2])], [1], 1.0, TIMES),
-        ([(1.0, [0.1]), (1.0, [0.1])], [1], 1.0, "the times do not go up: 1 s, then 1 s"),
-        ([(1.0, [3.0])], [1], 1.0, ANGLE),
-        ([(1.0, [0.1]), (2.0, [3.0])], [1], 1.0, f"{ANGLE} (at 2 s)"),
-    ],
-)
-def test_trajectory_that_can_not_be_gone_is_refused(
-    scene: Scene, rows: list[tuple[float, list[float]]], servos: list[int], share: float, told: str
-) -> None:
-    scene.go(share, servos, rows)
-    assert scene.finish() == (records.REFUSED, told)
+    for rows, servos, share, told in REFUSED:
+        scene.go(share, servos, rows)
+        assert scene.finish() == (records.REFUSED, told)
     assert scene.moves == []
 
 
@@ -63,13 +58,12 @@ def test_trajectory_may_take_the_longest_time(scene: Scene, rows: list[tuple[flo
     assert scene.answered()[1] == f"arm, move: on its way, {(LONGEST_S * 1e9 - 0.4e9) / 1e9:.1f} s left"
 
 
-@pytest.mark.parametrize(("share", "over_s"), [(1.0, 0.5), (0.25, 2.0)])
-def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene, share: float, over_s: float) -> None:
-    scene.go(share, [1, 2], [(0.0, [0.5, -0.1])])
+def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene) -> None:
+    scene.go(0.25, [1, 2], [(0.0, [0.5, -0.1])])
     assert scene.finish() == (records.DONE, "arm is there")
     assert scene.at(1) == pytest.approx(500 + 0.5 * PULSES_PER_RAD, abs=1)
     assert scene.at(2) == pytest.approx(500 - 0.1 * PULSES_PER_RAD, abs=1)
-    assert (scene.moves[-1][0] - scene.moves[0][0]) * 1e-9 == pytest.approx(over_s, abs=share and 0.35)
+    assert (scene.moves[-1][0] - scene.moves[0][0]) * 1e-9 == pytest.approx(2.0, abs=0.35)
 
 
 def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
@@ -117,25 +111,24 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "done"),
-    [(records.ARM_HOLD, "arm held"), (records.ARM_RELEASE, "arm released: its torque is off")],
+    ("verb", "client", "done"),
+    [
+        (records.ARM_HOLD, 0, "arm held"),
+        (records.ARM_HOLD, 1, "arm held"),
+        (records.ARM_RELEASE, 0, "arm released: its torque is off"),
+    ],
 )
-def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(scene: Scene, verb: int, done: str) -> None:
+def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
+    scene: Scene, verb: int, client: int, done: str
+) -> None:
     scene.travel({1: 1.0})
     scene.run(0.5)
-    scene.ask_for(verb)
+    scene.ask_for(verb, client)
     scene.run(0.02)
-    assert scene.answered() == (records.DONE, done)
+    assert scene.answered(client) == (records.DONE, done)
+    assert client == 0 or scene.answered() == (records.REFUSED, "held by other (pid 0)")
     assert not scene.state()["moving"]
     assert scene.state()["released"] == (verb == records.ARM_RELEASE)
-
-
-def test_hold_of_another_client_names_it(scene: Scene) -> None:
-    scene.travel({1: 1.0})
-    scene.run(0.5)
-    scene.ask_for(records.ARM_HOLD, client=1)
-    scene.run(0.02)
-    assert scene.answered() == (records.REFUSED, "held by other (pid 0)")
 
 
 def test_hold_ends_a_release(scene: Scene) -> None:
@@ -196,22 +189,27 @@ def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with:
 # The gamepad.
 
 
-def test_gamepad_turns_by_its_share_of_the_joint_s_speed_and_no_joint_that_is_none(scene: Scene) -> None:
-    for _ in range(20):
-        scene.pad(len(JOINTS), 0.5)
-        scene.run(0.05)
-    assert scene.state()["mode"] == ""
-    for _ in range(10):
-        scene.pad(len(JOINTS) - 1, -0.5)
-        scene.run(0.05)
+def test_gamepad_turns_by_its_share_of_the_joint_s_speed_until_let_go(scene: Scene) -> None:
+    def hold(joint: int, times: int) -> None:
+        for _ in range(times):
+            scene.pad(joint, -0.5)
+            scene.run(0.05)
+
+    hold(len(JOINTS), 20)
+    assert scene.state()["mode"] == "", "no joint that is none"
+    hold(len(JOINTS) - 1, 10)
     assert scene.state()["pad_joint"] == "gripper"
     assert (scene.state()["mode"], scene.state()["by"]) == ("jog", "gamepad")
     begun_ns, begin = scene.clock(), scene.at(10)
-    for _ in range(20):
-        scene.pad(len(JOINTS) - 1, -0.5)
-        scene.run(0.05)
+    hold(len(JOINTS) - 1, 20)
     speed = (scene.at(10) - begin) / (scene.clock() - begun_ns) * 1e9
     assert speed == pytest.approx(-0.5 * PULSES_PER_RAD, rel=0.05)
+    scene.pad(len(JOINTS) - 1, 0.0)
+    scene.run(0.02)
+    stood = scene.at(10)
+    scene.run(0.3)
+    assert scene.at(10) == pytest.approx(stood, abs=1)
+    assert scene.state()["pad_joint"] is None
 
 
 # The state.

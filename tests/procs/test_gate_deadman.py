@@ -1,4 +1,4 @@
-"""The deadman: a command that is older than the command timeout moves nothing. Integers for a clock."""
+"""The deadman: a command that is older than its timeout moves nothing, and the gate wakes for that moment."""
 
 from __future__ import annotations
 
@@ -10,59 +10,49 @@ from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import NO_SPEEDS
 
-from .gate_bench import MS, Gate, stands
+from .gate_bench import MS, T0, Gate, stands
+
+TIMEOUT = 300 * MS
+SCAN = 500 * MS
+FORWARD = (0.2, 0.0, 0.0)
 
 
-def test_no_command_yet_is_a_timeout(gate: Gate) -> None:
-    gate.enable()
-    assert gate.blocked == "cmd timeout"
+@pytest.mark.parametrize(
+    ("age_ns", "left_ns"), [(0, 300 * MS), (200 * MS, 100 * MS), (-3_600_000 * MS, 300 * MS)], ids=["", "old", "future"]
+)
+@pytest.mark.parametrize("manual", [False, True])
+def test_the_deadman_counts_to_the_nanosecond_from_the_command_s_own_time(
+    driving: Gate, age_ns: int, left_ns: int, manual: bool
+) -> None:
+    """A stamp from the future counts as now. The exemption of manual commands is from the scan gate alone."""
+    assert driving.take(FORWARD, age_ns=age_ns, manual=manual) == ""
+    assert driving.core.blocked(driving.now + left_ns) == ""
+    assert driving.core.blocked(driving.now + left_ns + 1) == "cmd timeout"
 
 
-def test_the_deadman_is_exact(driving: Gate) -> None:
-    assert driving.take((0.2, 0.0, 0.0)) == ""
-    assert driving.core.blocked(driving.now + 300 * MS) == ""
-    assert driving.core.blocked(driving.now + 300 * MS + 1) == "cmd timeout"
-
-
-def test_the_deadman_is_zero_at_once_and_sent_at_once(driving: Gate) -> None:
-    driving.take((0.2, 0.0, 0.0))
+def test_the_deadman_is_zero_at_once_and_sent_at_once_and_the_ramp_starts_from_there(driving: Gate) -> None:
+    driving.take(FORWARD)
     assert driving.step(300 * MS) is not None
-    assert driving.core.velocity == (0.2, 0.0, 0.0)
+    assert driving.core.velocity == FORWARD
     assert driving.step(1) == NO_SPEEDS
     assert stands(driving)
-
-
-def test_the_deadman_counts_from_the_command_s_own_time(driving: Gate) -> None:
-    assert driving.take((0.2, 0.0, 0.0), age_ns=200 * MS) == ""
-    assert driving.core.blocked(driving.now + 100 * MS) == ""
-    assert driving.core.blocked(driving.now + 100 * MS + 1) == "cmd timeout"
+    assert driving.drive(FORWARD, 1)[0][0] == pytest.approx(0.01)
 
 
 def test_an_old_command_moves_nothing(gate: Gate) -> None:
     gate.enable()
-    assert gate.take((0.2, 0.0, 0.0), age_ns=301 * MS) == ""
+    assert gate.take(FORWARD, age_ns=301 * MS) == ""
     gate.step()
     assert gate.blocked == "cmd timeout"
     assert stands(gate)
 
 
-def test_a_stamp_from_the_future_counts_as_now(driving: Gate) -> None:
-    assert driving.take((0.2, 0.0, 0.0), age_ns=-3_600_000 * MS) == ""
-    assert driving.core.blocked(driving.now + 300 * MS + 1) == "cmd timeout"
-
-
 def test_the_deadman_s_time_is_the_setting_s() -> None:
     gate = Gate(gate__command_timeout_s=0.5)
     gate.enable()
-    gate.take((0.2, 0.0, 0.0))
+    gate.take(FORWARD)
     assert gate.core.blocked(gate.now + 500 * MS) == ""
     assert gate.core.blocked(gate.now + 500 * MS + 1) == "cmd timeout"
-
-
-def test_after_the_deadman_the_ramp_starts_from_zero(driving: Gate) -> None:
-    driving.step(301 * MS)
-    assert stands(driving)
-    assert driving.drive((0.2, 0.0, 0.0), 1)[0][0] == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("value", [0, -1, 0.049, 2.01, inf, nan, "off", "", False, None])
@@ -73,9 +63,45 @@ def test_the_deadman_cannot_be_switched_off(value: object) -> None:
             Settings({key: value})
 
 
-def test_a_manual_command_times_out_too(gate: Gate) -> None:
-    """The exemption of manual commands is from the scan gate alone."""
+# When the gate has to look again although nothing is new: when what drives stops counting.
+
+
+def due_ns(gate: Gate) -> int | None:
+    return gate.core.due_ns(gate.now)
+
+
+def scanned(*, manual: bool = False) -> Gate:
+    """Commanded now, and the obstacle sensor's last delivery counts for 100 ms more."""
+    gate = Gate(scan__gate="on")
     gate.enable()
-    assert gate.command(0.2, manual=True) == ""
-    assert gate.core.blocked(gate.now + 300 * MS) == ""
-    assert gate.core.blocked(gate.now + 300 * MS + 1) == "cmd timeout"
+    gate.core.scan.deliver(T0 - SCAN + 100 * MS, T0)
+    assert gate.command(0.1, manual=manual) == ""
+    return gate
+
+
+def test_nothing_is_due_without_a_command_or_while_disabled(gate: Gate) -> None:
+    assert gate.command(0.1) == ""
+    assert due_ns(gate) is None
+    gate.enable()
+    assert due_ns(gate) is None
+
+
+def test_a_command_is_due_at_its_timeout_and_the_wheels_stop_in_that_step(gate: Gate) -> None:
+    gate.enable()
+    assert gate.command(0.1) == ""
+    assert gate.step() is not None
+    assert due_ns(gate) == T0 + TIMEOUT + 1
+    assert gate.step(TIMEOUT + 1 - 20 * MS) == NO_SPEEDS
+    assert gate.blocked == "cmd timeout"
+    assert due_ns(gate) is None, "or the loop would spin"
+
+
+def test_the_sensor_is_due_when_it_comes_first_and_counts() -> None:
+    gate = scanned()
+    assert due_ns(gate) == T0 + 100 * MS + 1
+    gate.now += 100 * MS
+    assert gate.blocked == ""
+    gate.now += 1
+    assert gate.blocked == "no scan"
+    assert due_ns(gate) is None
+    assert due_ns(scanned(manual=True)) == T0 + TIMEOUT + 1

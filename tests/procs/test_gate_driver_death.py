@@ -24,7 +24,7 @@ def gate(driver_death: str, **changed: float | str) -> Gate:
 
 @pytest.mark.parametrize("silent_ns", [0, 299 * MS, 301 * MS, 3_600_000 * MS])
 def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns: int) -> None:
-    """What starts a program again that hung and was killed for it must not drive on either."""
+    """A program that hung, was killed for it and is started again must not drive on either."""
     dying = gate("disable")
     dying.step(silent_ns)
     dying.core.notes.clear()
@@ -43,20 +43,13 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
 
 @pytest.mark.parametrize("dies", [1, 2])
 def test_a_client_that_waits_is_a_driver_as_well(dies: int) -> None:
+    """A client that commanded before motion was enabled is one too."""
     dying = Gate(sources__teleop__priority=10)
-    dying.enable()
     dying.take(VELOCITY)
+    dying.enable()
     dying.take(REST, 2, manual=True, source="teleop")
     dying.step()
     dying.gone(dies)
-    assert dying.blocked == "disabled"
-
-
-def test_a_client_that_commanded_before_motion_was_enabled_is_a_driver() -> None:
-    dying = Gate()
-    dying.take(VELOCITY)
-    dying.enable()
-    dying.gone(1)
     assert dying.blocked == "disabled"
 
 
@@ -65,8 +58,10 @@ def test_a_client_that_has_commanded_nothing_is_no_driver() -> None:
     dying.gone(2)
     assert dying.blocked == ""
     assert dying.take(VELOCITY, 3, source="stranger") == ""
+    dying.core.notes.clear()
     dying.gone(3)
     assert dying.blocked == "", "its commands were of no source"
+    assert not dying.core.notes
 
 
 def test_a_death_is_told_of_each_time_however_often() -> None:
@@ -78,13 +73,10 @@ def test_a_death_is_told_of_each_time_however_often() -> None:
     assert dying.told() == [TOLD] * 50
 
 
-def test_a_death_latches_where_the_settings_say_so() -> None:
+def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("latch")
     assert dying.gone(1) == causes.DRIVER_DIED("client 1")
     assert dying.gone(1) is None, "once"
-
-
-def test_a_death_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("stay")
     assert dying.gone(1) is None
     assert dying.step(0) == NO_SPEEDS
@@ -98,7 +90,19 @@ def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
     assert ending.gone(1, parted=True) is None
     assert ending.step(0) == NO_SPEEDS
     assert ending.blocked == "cmd timeout"
-    assert [note.kind for note in ending.core.notes] == ["driver_ended"]
+    (note,) = ending.core.notes
+    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
+    assert note.text == "client 1 ended its command: the wheels are stopped"
+
+
+def test_the_orderly_end_of_a_client_that_waits_is_no_news() -> None:
+    ending = gate("disable", sources__teleop__priority=10)
+    ending.take(VELOCITY, 2, source="teleop")
+    ending.take(VELOCITY, 3, source="stranger")
+    ending.step()
+    ending.gone(1, parted=True)
+    ending.gone(2, parted=True)
+    assert [note.kind for note in ending.core.notes] == ["ignored", "driver_ended"]
 
 
 @pytest.mark.parametrize("driver_death", ["disable", "latch"])
@@ -113,7 +117,7 @@ def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
 # What the gate hears of the slots.
 
 
-def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
+def test_a_client_that_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
     first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
@@ -126,7 +130,7 @@ def test_who_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Se
     assert service.sessions() == [22]
 
 
-def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> None:
+def test_the_goodbye_of_another_session_or_a_damaged_one_does_not_count(service: Service) -> None:
     first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
@@ -138,6 +142,11 @@ def test_the_goodbye_of_another_session_is_not_this_one_s(service: Service) -> N
     last.leave()
     assert service.look() == [("gone", 23)]
     assert service.parted is False
+    dying = service.known(session=24)
+    dying.segment.latest_writer("left").write(b"24")
+    dying.leave()
+    assert service.look() == [("gone", 24)]
+    assert service.parted is False
 
 
 def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
@@ -147,11 +156,3 @@ def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(servic
     again = service.join(index=1, session=22)
     again.command()
     assert service.look(bytes([1])) == [("gone", 21), ("command", 22, 0.1)]
-
-
-def test_a_goodbye_that_is_damaged_does_not_count(service: Service) -> None:
-    dying = service.known(session=21)
-    dying.segment.latest_writer("left").write(b"21")
-    dying.leave()
-    assert service.look() == [("gone", 21)]
-    assert service.parted is False

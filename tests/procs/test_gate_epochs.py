@@ -33,7 +33,7 @@ def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(scene
 
 
 def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Scene) -> None:
-    """Though it was asked for after that one."""
+    """The reset was asked for after that one."""
     scene.stop_and_tick("key1")
     scene.saw(2)
     scene.stop_and_tick("key2")
@@ -42,6 +42,9 @@ def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Sce
     scene.saw(3)
     assert scene.ask(records.RESET)[0]
     assert scene.latched() is None
+    scene.stop_and_tick("key1")
+    scene.saw(0)
+    assert scene.ask(records.RESET)[0], "one that names no stop is of who asks alone"
 
 
 def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Scene) -> None:
@@ -54,13 +57,6 @@ def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Sc
     scene.gate.requests.write()
     assert scene.replied()[1:] == (False, UNSEEN)
     assert scene.tick() == "key1"
-
-
-def test_a_reset_that_names_no_stop_is_of_whom_it_was_asked_by_alone(scene: Scene) -> None:
-    scene.stop("key1")
-    scene.stop_and_tick("key2")
-    scene.saw(0)
-    assert scene.ask(records.RESET)[0]
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 2)), max_size=12))
@@ -105,24 +101,14 @@ def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> Non
     assert scene.replied() == (0, records.UNDER_WAY, "")
 
 
-def test_resets_are_decided_one_after_the_other(scene: Scene) -> None:
-    slot = scene.gate.clients.slots[0]
-    scene.stop_and_tick("key1")
-    for number in (7, 8):
-        scene.gate.take_request(scene.clock(), slot, scene.clock(), number, records.RESET)
-    assert scene.own.word("resets_asked").get() == 1
-    scene.decide()
-    assert scene.own.word("resets_asked").get() == 2
-    assert scene.replied() == (8, True, "no stop is latched")
-
-
-def test_who_asks_for_resets_without_end_is_in_the_line_once(scene: Scene) -> None:
-    """While the first one is being decided; nobody else has to wait behind the rest."""
+def test_a_client_that_asks_for_resets_without_end_is_in_the_line_once(scene: Scene) -> None:
+    """They are decided one after the other, and nobody else has to wait behind the rest of its."""
     mine, other = scene.gate.clients.slots[:2]
     scene.stop_and_tick("key1")
     for number in range(1000):
         scene.gate.take_request(scene.clock(), mine, scene.clock(), number, records.RESET)
     scene.gate.take_request(scene.clock(), other, scene.clock(), 1, records.RESET)
+    assert scene.own.word("resets_asked").get() == 1
     scene.decide()
     assert scene.own.word("resets_asked").get() == 3
     assert scene.replied() == (999, True, "no stop is latched")
@@ -138,15 +124,17 @@ def test_a_damaged_cause_latches_too(scene: Scene) -> None:
 
 @pytest.mark.parametrize("successor", [False, True])
 @pytest.mark.parametrize(("after_ns", "granted"), [(-MS, False), (MS, True)])
-def test_who_asked_before_the_stop_did_not_know_of_it(
+def test_a_request_of_before_the_stop_did_not_know_of_it(
     scene: Scene, successor: bool, after_ns: int, granted: bool
 ) -> None:
-    """Of a gate that saw the stop, and of one that was started for it."""
+    """It holds for a gate that saw the stop, and for one that was started for it."""
     scene.stop("gate died")
     stopped_ns = scene.clock()
     if successor:
         scene.start_gate()
     assert scene.tick() == "gate died"
+    if not granted:
+        assert scene.ask(records.ENABLE, stopped_ns + after_ns)[1].startswith("asked before the last stop (gate died)")
     scene.ask_for(records.RESET, asked_ns=stopped_ns + after_ns)
     for _ in range(main.LOOK_AT_ALL_EVERY):
         latched = scene.tick()
@@ -154,6 +142,7 @@ def test_who_asked_before_the_stop_did_not_know_of_it(
     assert done == granted
     assert latched == (None if granted else "gate died")
     assert granted or text.startswith("asked before the last stop (gate died)")
+    assert scene.ask(records.RESET)[0], "and now it does"
 
 
 def test_nothing_was_stopped_yet_for_the_first_gate(scene: Scene) -> None:

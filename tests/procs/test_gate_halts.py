@@ -1,4 +1,4 @@
-"""Who drove and left off: what people are told when the wheels stop without a latch."""
+"""Notes for people when a driver leaves off: the wheels stop without a latch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VELOCITY = (0.2, 0.0, 0.0)
 
 
 def kinds(gate: Gate) -> list[str]:
-    """What people were told since the last look, by kind."""
+    """Kinds of the notes since the last look."""
     found = [note.kind for note in gate.core.notes]
     gate.core.notes.clear()
     return found
@@ -34,34 +34,15 @@ def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate)
     assert kinds(driving) == []
 
 
-def test_a_driver_that_has_gone_is_told_of(driving: Gate) -> None:
-    driving.drive(VELOCITY, 3)
-    driving.gone(1)
-    (note,) = driving.core.notes
-    assert (note.kind, note.fields["who"], note.fields["source"]) == ("driver_gone", "client 1", "cmd_vel")
-    driving.step(0)
-    driving.step(400 * MS)
-    assert kinds(driving) == ["driver_gone"], "and not as silent too"
-
-
-def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> None:
-    driving.drive(VELOCITY, 3)
-    assert driving.gone(1, parted=True) is None
-    assert driving.core.enabled
-    (note,) = driving.core.notes
-    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
-    assert note.text == "client 1 ended its command: the wheels are stopped"
-
-
 @pytest.mark.parametrize("kind", ["driver_gone", "driver_silent"])
 def test_the_news_of_a_driver_hides_no_other(driving: Gate, kind: str) -> None:
-    """In the same turn a program commands as a source that no setting names."""
+    """A program commands in the same turn as a source that no setting names. A driver that has gone is not told of as
+    silent too."""
     driving.drive(VELOCITY, 3)
     driving.take(VELOCITY, 2, source="navv")
     if kind == "driver_gone":
         driving.gone(1)
-    else:
-        driving.step(301 * MS)
+    driving.step(301 * MS)
     assert kinds(driving) == ["ignored", kind]
 
 
@@ -71,16 +52,14 @@ def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
     gate.step()
 
 
-def test_a_person_s_command_that_runs_out_is_let_go(driving: Gate) -> None:
+def test_a_person_s_command_that_runs_out_is_let_go_but_for_the_gamepad_s(driving: Gate) -> None:
+    """The gamepad says where its sticks are for as long as it can be heard."""
     by_hand(driving)
     driving.step(301 * MS)
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
     assert note.text == "client 1 let go: last command 321 ms ago, the wheels are stopped"
-
-
-def test_a_gamepad_that_falls_silent_has_not_let_go(driving: Gate) -> None:
-    """It says where its sticks are for as long as it can be heard."""
+    kinds(driving)
     by_hand(driving, PAD_SOURCE, PAD_SESSION)
     driving.step(301 * MS)
     assert kinds(driving) == ["driver_silent"]
@@ -96,17 +75,11 @@ def test_ordinary_ends_without_end_do_not_hide_a_silent_driver(driving: Gate) ->
     assert kinds(driving) == ["driver_silent"]
 
 
-def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
+def test_a_driver_that_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
     driving.drive(REST, 30)
     driving.step(301 * MS)
     driving.gone(1, parted=True)
-    assert kinds(driving) == []
-
-
-def test_a_client_that_does_not_drive_leaves_without_a_word(driving: Gate) -> None:
-    driving.drive(VELOCITY, 3)
-    driving.gone(2)
     assert kinds(driving) == []
 
 
@@ -117,7 +90,7 @@ def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None
     assert kinds(driving) == []
 
 
-def test_who_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
+def test_a_driver_that_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
     count = 0
     for _ in range(200):
         driving.drive(VELOCITY, 2)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.why import told
 
-from .gate_bench import MS, ROBOT, Gate, stands
+from .gate_bench import MS, ROBOT, Gate, Velocity, stands
 
 
 @pytest.mark.parametrize(("axis", "limit", "step"), [(0, 0.2, 0.01), (1, 0.2, 0.01), (2, 1.0, 0.04)])
@@ -25,16 +25,25 @@ def test_each_axis_ramps_a_tick_at_a_time_to_its_limit(
     assert all(v[other] == 0.0 for v in found for other in range(3) if other != axis)
 
 
-def test_axes_are_limited_each_for_itself(gate: Gate) -> None:
+@pytest.mark.parametrize(
+    ("changed", "first", "last"),
+    [
+        ({}, (0.01, -0.01, 0.04), (0.2, -0.2, 0.3)),
+        (
+            {"vx_mps": 0.35, "vy_mps": 0.1, "wz_radps": 0.2, "acceleration_mps2": 1.0},
+            (0.02, -0.02, 0.04),
+            (0.35, -0.1, 0.2),
+        ),
+    ],
+)
+def test_axes_are_limited_each_for_itself_by_the_settings(
+    changed: dict[str, object], first: Velocity, last: Velocity
+) -> None:
+    gate = Gate(**{f"limits__{key}": value for key, value in changed.items()})
     gate.enable()
-    assert gate.drive((9.0, -9.0, 0.3), 60)[-1] == (0.2, -0.2, 0.3)
-
-
-def test_limits_and_ramps_are_the_settings() -> None:
-    gate = Gate(limits__vx_mps=0.35, limits__vy_mps=0.1, limits__wz_radps=2.0, limits__acceleration_mps2=1.0)
-    gate.enable()
-    assert gate.drive((9.0, 9.0, 9.0), 1)[0] == pytest.approx((0.02, 0.02, 0.04))
-    assert gate.drive((9.0, 9.0, 9.0), 100)[-1] == (0.35, 0.1, 2.0)
+    found = gate.drive((9.0, -9.0, 0.3), 100)
+    assert found[0] == pytest.approx(first)
+    assert found[-1] == last
 
 
 def test_a_speed_limit_counts_at_once_by_the_ramps_and_is_lifted(gate: Gate) -> None:
@@ -49,17 +58,12 @@ def test_a_speed_limit_counts_at_once_by_the_ramps_and_is_lifted(gate: Gate) -> 
     assert gate.drive((9.0, 0.0, 0.0), 60)[-1] == (0.2, 0.0, 0.0)
 
 
-def test_the_slowest_speed_that_a_refusal_names_can_be_had(gate: Gate) -> None:
-    assert told(gate.core.limit_to(5)) == (True, "speed limited to 5 % of the settings'")
-    gate.enable()
-    assert gate.drive((9.0, 0.0, 0.0), 40)[-1] == (0.01, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("percent", [0, 4, 101, 255])
 def test_a_speed_limit_that_is_none_is_refused_and_changes_nothing(gate: Gate, percent: int) -> None:
-    gate.core.limit_to(50)
+    assert told(gate.core.limit_to(5)) == (True, "speed limited to 5 % of the settings'")
     assert told(gate.core.limit_to(percent)) == (False, f"a speed limit of {percent} %: must be 5 to 100")
-    assert gate.core.limit == 50
+    gate.enable()
+    assert gate.drive((9.0, 0.0, 0.0), 40)[-1] == (0.01, 0.0, 0.0)
 
 
 def test_slowing_down_and_turning_round_ramp_too(driving: Gate) -> None:
@@ -70,23 +74,18 @@ def test_slowing_down_and_turning_round_ramp_too(driving: Gate) -> None:
     assert all(a - b == pytest.approx(0.01) for a, b in pairwise(found[:37]))
 
 
-def test_a_command_counts_at_once_for_the_time_that_has_passed(gate: Gate) -> None:
+@pytest.mark.parametrize(
+    ("passed_ms", "speed"), [(0, 0.0), (5, 0.0025), (40, 0.02), (299, 0.02)], ids=["none", "", "two periods", "late"]
+)
+def test_a_command_ramps_for_the_time_that_has_passed_and_two_periods_at_most(
+    gate: Gate, passed_ms: int, speed: float
+) -> None:
     gate.enable()
     gate.step()
     gate.take((0.2, 0.0, 0.0))
-    gate.step(5 * MS)
-    assert gate.core.velocity[0] == pytest.approx(0.0025)
+    gate.step(passed_ms * MS)
     gate.step(0)
-    assert gate.core.velocity[0] == pytest.approx(0.0025), "no time, no change"
-
-
-@pytest.mark.parametrize("late_ms", [40, 100, 299])
-def test_a_late_tick_makes_no_jump(gate: Gate, late_ms: int) -> None:
-    gate.enable()
-    gate.step()
-    gate.take((0.2, 0.0, 0.0))
-    gate.step(late_ms * MS)
-    assert gate.core.velocity[0] == pytest.approx(0.02), "two periods' worth and no more"
+    assert gate.core.velocity[0] == pytest.approx(speed)
 
 
 def test_time_spent_disabled_is_not_saved_up(gate: Gate) -> None:

@@ -1,4 +1,4 @@
-"""Who enabled, disabled, reset, was refused: told when it changed something, and never without end."""
+"""Remarks on who enabled, disabled, reset or was refused: when it changed something, and never without end."""
 
 from __future__ import annotations
 
@@ -36,16 +36,11 @@ def test_a_request_is_told_of_when_it_changed_something_or_was_refused(
     assert note is None or WHO.items() <= note.fields.items()
 
 
-FIELDS = {"who": "gamepad", "reason": "key1", "cause": "key"}
-
-
 def test_the_gamepad_has_no_pid() -> None:
     note = of_request(records.RESET, "gamepad", 0, Reply(True, "latched stop cleared", why("key1")), enabled=False)
     assert note is not None
-    assert (note.text, note.fields) == (
-        "gamepad: latched stop cleared",
-        FIELDS,
-    )
+    assert note.text == "gamepad: latched stop cleared"
+    assert note.fields == {"who": "gamepad", "reason": "key1", "cause": "key"}
 
 
 def test_a_flood_is_told_of_a_few_times_a_second() -> None:

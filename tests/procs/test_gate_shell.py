@@ -5,21 +5,10 @@ from __future__ import annotations
 import pytest
 
 from failstop.messages import records
-from failstop.procs.gate.main import NO_ARM
+from failstop.procs.gate.main import MOST_RINGS, NO_ARM
+from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
-
-
-@pytest.mark.parametrize("verb", [records.ENABLE, records.RESET])
-def test_who_asked_before_the_last_stop_did_not_know_of_it(scene: Scene, verb: int) -> None:
-    asked_ns = scene.clock() - 1
-    scene.stop("key1")
-    scene.turn()
-    done, text = scene.ask(verb, asked_ns)
-    assert not done
-    assert text.startswith("asked before the last stop (key1)")
-    assert scene.latched() == "key1"
-    assert scene.ask(records.RESET)[0], "and now it does"
 
 
 def test_an_enable_that_comes_after_a_later_disable_moves_nothing(scene: Scene) -> None:
@@ -59,6 +48,9 @@ def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s
 def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(scene: Scene) -> None:
     assert scene.ask(records.ENABLE)[0]
     assert records.MOTION in scene.drive(0.1)
+    scene.ask(records.DISABLE)
+    assert scene.asked == [records.WRITE_BURST], "a disable writes one too"
+    assert scene.ask(records.ENABLE)[0]
     assert scene.drive(float("nan")) == [records.WRITE_BURST]
     assert "is not finite" in scene.stopped()
 
@@ -81,13 +73,6 @@ def test_nobody_is_enabled_while_the_service_is_not_ready(scene: Scene) -> None:
     assert not scene.gate.core.enabled
 
 
-def test_a_disable_writes_a_stop(scene: Scene) -> None:
-    scene.ask(records.ENABLE)
-    scene.drive(0.1)
-    scene.ask(records.DISABLE)
-    assert scene.asked == [records.WRITE_BURST]
-
-
 def test_a_successor_keeps_the_speed_limit(scene: Scene) -> None:
     assert scene.ask(records.LIMIT) == (False, "a speed limit of 0 %: must be 5 to 100"), "none lies in the slot"
     scene.limit(30)
@@ -96,12 +81,6 @@ def test_a_successor_keeps_the_speed_limit(scene: Scene) -> None:
     assert not scene.ask(records.LIMIT)[0]
     scene.start_gate()
     assert scene.gate.core.limit == 30
-
-
-def test_a_successor_starts_latched(scene: Scene) -> None:
-    scene.stop("key1")
-    scene.start_gate()
-    assert scene.latched() == "key1"
 
 
 def test_a_command_that_is_repeated_without_a_ring_does_not_time_out(scene: Scene) -> None:
@@ -120,3 +99,43 @@ def test_a_command_that_is_repeated_without_a_ring_does_not_time_out(scene: Scen
     scene.gate.turn({})
     assert scene.gate.core.blocked(scene.clock()) == ""
     assert scene.gate.core.due_ns(scene.clock()) == ends_ns + 298 * MS + 1
+
+
+# What people are told: who asked for what, by name, once, and what was left out.
+
+
+def test_an_enable_and_a_disable_are_told_by_name_when_they_changed_something(scene: Scene) -> None:
+    for _ in range(2):
+        scene.ask(records.ENABLE)
+    for _ in range(2):
+        scene.ask(records.DISABLE)
+    assert scene.told() == ["motion enabled by test", "motion disabled by test"]
+
+
+def test_an_enable_by_way_of_the_drive_pose_is_told_by_name_once(arm_scene: Scene) -> None:
+    assert arm_scene.result(records.ENABLE) == (records.DONE, "motion enabled")
+    assert arm_scene.told() == ["motion enabled by test"]
+
+
+def test_a_stop_is_cleared_by_name_and_by_the_gamepad_by_no_process(scene: Scene) -> None:
+    scene.stop("key1")
+    scene.ask(records.RESET)
+    scene.stop("key1")
+    scene.pad_resets()
+    scene.turn()
+    cleared = "latched stop cleared (was: key1); motion still disabled"
+    assert scene.told() == [f"test: {cleared}", f"gamepad: {cleared}"]
+
+
+def test_after_a_flood_of_refusals_how_many_were_left_out_is_told_once(scene: Scene) -> None:
+    for number in range(MOST_AT_ONCE + 5):
+        if number == MOST_RINGS - 1:
+            scene.tick()  # or the gate would hear no more rings
+        scene.ask(99)
+    refused = "refused to 99, test: unknown request 99"
+    assert scene.told() == [refused] * MOST_AT_ONCE
+    left_out = "and 5 more requests, too many to tell of each"
+    for expected in ([refused, left_out], [refused]):
+        scene.turn(EVERY_NS)
+        scene.ask(99)
+        assert scene.told() == expected

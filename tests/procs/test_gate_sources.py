@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf, nan
+
 import pytest
 
 from failstop.policy import kinematics
@@ -34,7 +36,7 @@ def scan(gate: Gate) -> None:
 
 
 def fields(gate: Gate) -> list[dict[str, str | int | float]]:
-    """What programs are told."""
+    """Fields of the notes, for programs."""
     return [note.fields for note in gate.core.notes]
 
 
@@ -61,10 +63,9 @@ def test_a_higher_source_takes_over_at_once() -> None:
     cruise(gate, 0.1)
     gate.command(-0.1, "teleop", session=2)
     assert gate.tick() == pytest.approx(0.09), "from the speed it has, along the ramp"
-    rows = gate.core.sources.table(gate.now)
-    assert [(row["source"], row["who"], row["state"]) for row in rows] == [
-        ("teleop", "client 2", "drives"),
-        ("cmd_vel", "client 1", "waits"),
+    assert gate.core.sources.table(gate.now) == [
+        {"source": "teleop", "priority": 10, "who": "client 2", "state": "drives"},
+        {"source": "cmd_vel", "priority": 0, "who": "client 1", "state": "waits"},
     ]
 
 
@@ -88,25 +89,51 @@ def test_two_publishers_of_one_source_latch_and_of_two_sources_do_not() -> None:
     assert gate.command(0.1, "cmd_vel", session=2) == "multiple cmd_vel publishers: client 1, client 2"
 
 
-def test_each_source_has_its_own_timeout() -> None:
+def test_another_publishes_while_disabled_or_once_the_last_command_no_longer_counts(gate: Gate) -> None:
+    gate.take(REST)
+    assert gate.take(REST, session=2) == "multiple cmd_vel publishers: client 1, client 2"
+    gate.step(300 * MS)
+    assert gate.take(REST, session=2).startswith("multiple")
+    gate.step(1)
+    assert gate.take((0.1, 0.0, 0.0), session=2) == ""
+
+
+def test_another_drives_at_once_from_zero_when_the_driver_has_ended(driving: Gate) -> None:
+    driving.gone(2, parted=True)
+    assert driving.blocked == "", "a client that does not drive"
+    driving.gone(1, parted=True)
+    assert driving.step(0) == NO_SPEEDS
+    assert driving.blocked == "cmd timeout"
+    assert driving.core.latch is None
+    assert driving.take((0.2, 0.0, 0.0), session=2) == ""
+    driving.step()
+    assert driving.core.velocity[0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_a_value_that_is_not_finite_is_a_reason_to_stop(driving: Gate, axis: int, value: float) -> None:
+    wanted = [0.1, 0.1, 0.1]
+    wanted[axis] = value
+    before = driving.core.sources.driving(driving.now)
+    assert driving.take((wanted[0], wanted[1], wanted[2])) == "command from client 1 is not finite"
+    assert driving.core.sources.driving(driving.now) is before
+
+
+@pytest.mark.parametrize(("source", "timeout_ms"), [("teleop", 200), ("cmd_vel", 300)])
+def test_each_source_has_its_own_timeout(source: str, timeout_ms: int) -> None:
     gate = scanning(WITH_TELEOP)
-    gate.command(0.1, "teleop", manual=True)
-    gate.tick(200 * MS)
-    assert gate.blocked == ""
-    gate.tick(1)
-    assert gate.blocked == "cmd timeout"
-    gate.command(0.1, "cmd_vel", manual=True)
-    gate.tick(300 * MS)
+    gate.command(0.1, source, manual=True)
+    gate.tick(timeout_ms * MS)
     assert gate.blocked == ""
     gate.tick(1)
     assert gate.blocked == "cmd timeout"
 
 
-def test_the_default_is_one_source() -> None:
+def test_the_default_is_one_source_and_the_pad_is_above_all() -> None:
+    """The settings refuse its name and its rank for a source of the user's."""
     assert list(Settings().sources()) == ["cmd_vel"]
-
-
-def test_the_pad_is_above_all() -> None:
+    assert (PAD_SOURCE, PAD_PRIORITY) == ("gamepad", 101)
     gate = scanning(WITH_TELEOP)
     gate.command(0.1, "teleop", session=2, manual=True)
     gate.command(0.05, PAD_SOURCE, session=0, manual=True)
@@ -123,22 +150,19 @@ def test_no_client_can_command_as_the_pad() -> None:
     assert gate.tick() == 0
 
 
-def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
+def test_an_unknown_source_moves_nothing_and_is_told_of_once_by_session_and_name() -> None:
     gate = scanning()
     scan(gate)
-    assert gate.command(0.1, "navv") == ""
-    assert gate.tick() == 0
-    assert gate.told() == ["command from client 1 ignored: no source 'navv' in the settings"]
-    assert fields(gate) == [{"who": "client 1", "source": "navv"}]
-
-
-def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
-    gate = scanning()
     for session in (1, 2, 1, 2):
         for source in ("a", "b", "a"):
             assert gate.command(0.1, source=source, session=session) == ""
-    assert gate.told() == [
-        f"command from client {session} ignored: no source '{source}' in the settings"
+    assert gate.tick() == 0
+    found = [(note.text, note.fields) for note in gate.core.notes]
+    assert found == [
+        (
+            f"command from client {session} ignored: no source '{source}' in the settings",
+            {"who": f"client {session}", "source": source},
+        )
         for session in (1, 2)
         for source in "ab"
     ]
@@ -169,24 +193,30 @@ def test_a_sensor_silent_for_half_a_second_blocks_and_does_not_latch() -> None:
     assert gate.core.speeds == NO_SPEEDS
 
 
-def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -> None:
+def test_motion_resumes_by_itself_from_zero_and_both_are_told_once_with_the_age() -> None:
     gate = scanning()
-    cruise(gate, 0.1)
-    fall_silent(gate)
-    assert gate.told() == ["no scan for 0.52 s: wheels stopped"]
-    scan(gate)
-    gate.command(0.1)
-    assert gate.tick() == pytest.approx(0.01), "along the ramp"
-    assert gate.told()[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
-    assert fields(gate) == [
-        {"state": "silent", "age_s": pytest.approx(0.52)},
-        {"state": "back", "age_s": pytest.approx(0.02)},
-    ]
-    assert [note.level for note in gate.core.notes] == ["", "info"]
+    for _ in range(2):
+        gate.core.notes.clear()
+        cruise(gate, 0.1)
+        fall_silent(gate)
+        assert gate.told() == ["no scan for 0.52 s: wheels stopped"]
+        scan(gate)
+        gate.command(0.1)
+        assert gate.tick() == pytest.approx(0.01), "along the ramp"
+        assert gate.told()[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
+        assert fields(gate) == [
+            {"state": "silent", "age_s": pytest.approx(0.52)},
+            {"state": "back", "age_s": pytest.approx(0.02)},
+        ]
+        assert [note.level for note in gate.core.notes] == ["", "info"]
 
 
-def test_before_the_first_scan_nothing_moves() -> None:
+@pytest.mark.parametrize("ahead", [False, True])
+def test_before_the_first_scan_nothing_moves(ahead: bool) -> None:
+    """A sensor whose clock is ahead moves nothing either, and nobody is told of a silence as long as the uptime."""
     gate = scanning()
+    if ahead:
+        gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)
     gate.command(0.1)
     assert gate.tick() == 0
     assert gate.blocked == "no scan"
@@ -194,18 +224,10 @@ def test_before_the_first_scan_nothing_moves() -> None:
     assert fields(gate) == [{"state": "silent"}]
 
 
-def test_a_sensor_whose_clock_is_ahead_has_not_delivered_yet() -> None:
-    """And nobody is told of a silence as long as the machine has run."""
-    gate = scanning()
-    gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)
-    gate.command(0.1)
-    assert gate.tick() == 0
-    assert gate.told() == ["no scan yet: wheels stand"]
-
-
-def test_manual_commands_need_no_scan() -> None:
-    gate = scanning()
-    gate.command(0.1, manual=True)
+@pytest.mark.parametrize(("changed", "manual"), [({}, True), ({"scan.gate": "off"}, False)])
+def test_manual_commands_and_a_gate_without_it_need_no_scan(changed: dict[str, object], manual: bool) -> None:
+    gate = scanning(changed)
+    gate.command(0.1, manual=manual)
     assert gate.tick() == pytest.approx(0.01)
     assert gate.blocked == ""
 
@@ -217,26 +239,14 @@ def test_the_command_timeout_comes_before_no_scan() -> None:
     assert gate.blocked == "cmd timeout"
 
 
-def test_a_word_switches_the_scan_gate_off() -> None:
-    gate = scanning({"scan.gate": "off"})
-    gate.command(0.1)
-    assert gate.tick() == pytest.approx(0.01)
-
-
 # Interlocks.
 
 
-def test_enabling_needs_every_interlock() -> None:
+def test_enabling_needs_every_interlock_and_its_loss_disables_and_does_not_latch() -> None:
     gate = Gate(scan__gate="on", **ARM)
     assert told(gate.core.enable(1, "", gate.now)) == (False, "arm is not in the drive pose")
     gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
     assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
-
-
-def test_an_interlock_that_is_lost_disables_and_does_not_latch() -> None:
-    gate = Gate(scan__gate="on", **ARM)
-    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
-    gate.core.enable(1, "", gate.now)
     scan(gate)
     gate.command(0.1)
     assert gate.tick(500 * MS) == 0
@@ -291,26 +301,6 @@ def test_a_command_is_no_manual_one_unless_it_says_so() -> None:
     assert command.source == "cmd_vel"
 
 
-def test_the_pad_has_a_name_and_a_rank_of_its_own() -> None:
-    """The settings refuse both for a source of the user's."""
-    assert (PAD_SOURCE, PAD_PRIORITY) == ("gamepad", 101)
-
-
-def test_every_loss_and_every_return_is_logged_once() -> None:
-    gate = scanning()
-    for _ in range(2):
-        gate.core.notes.clear()
-        cruise(gate, 0.1)
-        fall_silent(gate)
-        scan(gate)
-        gate.core.step(gate.now)
-        assert gate.told() == [
-            "no scan for 0.52 s: wheels stopped",
-            "scan is back (age 0.00 s): motion resumes by itself",
-        ]
-        assert fields(gate)[1]["age_s"] == 0
-
-
 def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
     gate = scanning()
     cruise(gate, 0.1)
@@ -319,14 +309,6 @@ def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
     gate.tick(400 * MS)
     assert gate.blocked == "cmd timeout"
     assert gate.told() == []
-
-
-def test_the_table_of_sources_says_the_priority() -> None:
-    gate = scanning(WITH_TELEOP)
-    gate.command(0.1, "teleop", session=2)
-    assert gate.core.sources.table(gate.now) == [
-        {"source": "teleop", "priority": 10, "who": "client 2", "state": "drives"}
-    ]
 
 
 def test_the_worst_corner_of_each_layout_bounds_its_wheels() -> None:

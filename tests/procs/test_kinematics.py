@@ -11,26 +11,29 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.policy import kinematics
-from failstop.policy.kinematics import differential, mecanum
+from failstop.policy.kinematics import Chassis, differential, mecanum
 from failstop.policy.settings import Settings
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
 ROBOT = mecanum(DIAMETER_M, WHEELBASE_M, TRACK_M)
+TWO_SIDED = differential(DIAMETER_M, TRACK_M)
 speed = st.floats(-10, 10)
 
 
 @pytest.mark.parametrize(
-    ("velocity", "printed"),
+    ("robot", "velocity", "printed"),
     [
-        ((0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
-        ((-0.2, 0.0, 0.0), ["-0.796", "-0.796", "0.796", "0.796"]),
-        ((0.0, 0.2, 0.0), ["-0.796", "0.796", "-0.796", "0.796"]),
-        ((0.0, 0.0, 1.0), ["-0.694", "-0.694", "-0.694", "-0.694"]),
-        ((0.0, 0.0, -1.0), ["0.694", "0.694", "0.694", "0.694"]),
+        (ROBOT, (0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
+        (ROBOT, (-0.2, 0.0, 0.0), ["-0.796", "-0.796", "0.796", "0.796"]),
+        (ROBOT, (0.0, 0.2, 0.0), ["-0.796", "0.796", "-0.796", "0.796"]),
+        (ROBOT, (0.0, 0.0, 1.0), ["-0.694", "-0.694", "-0.694", "-0.694"]),
+        (ROBOT, (0.0, 0.0, -1.0), ["0.694", "0.694", "0.694", "0.694"]),
+        (TWO_SIDED, (0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
+        (TWO_SIDED, (0.0, 0.0, 1.0), ["-0.341", "-0.341", "-0.341", "-0.341"]),
     ],
 )
-def test_published_numbers(velocity: tuple[float, float, float], printed: list[str]) -> None:
-    assert [f"{rps:.3f}" for rps in ROBOT.wheels_rps(*velocity)] == printed
+def test_published_numbers(robot: Chassis, velocity: tuple[float, float, float], printed: list[str]) -> None:
+    assert [f"{rps:.3f}" for rps in robot.wheels_rps(*velocity)] == printed
 
 
 @given(speed, speed, speed)
@@ -45,17 +48,6 @@ def test_geometry_counts() -> None:
     twice = mecanum(2 * DIAMETER_M, 2 * WHEELBASE_M, 2 * TRACK_M)
     assert twice.wheels_rps(0.2, 0.0, 0.0)[0] == pytest.approx(ROBOT.wheels_rps(0.1, 0.0, 0.0)[0])
     assert twice.wheels_rps(0.0, 0.0, 1.0)[0] == pytest.approx(ROBOT.wheels_rps(0.0, 0.0, 1.0)[0])
-
-
-def test_rest_is_plus_zero_and_the_stop_frame() -> None:
-    speeds = ROBOT.wheels_rps(0.0, 0.0, 0.0)
-    assert [copysign(1.0, rps) for rps in speeds] == [1.0] * 4
-    assert codec.motor_speeds(speeds, 0.0) == codec.STOP
-
-
-@pytest.mark.parametrize("velocity", list(product((0.0, -0.0), repeat=3)))
-def test_zero_of_either_sign_is_the_stop_frame(velocity: tuple[float, float, float]) -> None:
-    assert codec.motor_speeds(ROBOT.wheels_rps(*velocity), 0.0) == codec.STOP
 
 
 @given(speed, speed)
@@ -92,24 +84,10 @@ def test_a_layout_without_kinematics_is_refused_by_name() -> None:
         kinematics.from_settings(Tracks())
 
 
-TWO_SIDED = differential(DIAMETER_M, TRACK_M)
-
-
 @given(speed, speed)
 def test_differential_formulas(vx: float, wz: float) -> None:
     left, right = (vx - wz * TRACK_M / 2) / (pi * DIAMETER_M), (vx + wz * TRACK_M / 2) / (pi * DIAMETER_M)
     assert TWO_SIDED.wheels_rps(vx, 0.0, wz) == pytest.approx((left, left, -right, -right), rel=1e-12, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("velocity", "printed"),
-    [
-        ((0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
-        ((0.0, 0.0, 1.0), ["-0.341", "-0.341", "-0.341", "-0.341"]),
-    ],
-)
-def test_differential_numbers(velocity: tuple[float, float, float], printed: list[str]) -> None:
-    assert [f"{rps:.3f}" for rps in TWO_SIDED.wheels_rps(*velocity)] == printed
 
 
 def test_no_fixed_wheel_goes_sideways() -> None:
@@ -118,12 +96,12 @@ def test_no_fixed_wheel_goes_sideways() -> None:
     assert TWO_SIDED.worst_rps(0.2, 3.0, 1.0) == TWO_SIDED.worst_rps(0.2, 0.0, 1.0)
 
 
-@pytest.mark.parametrize("velocity", list(product((0.0, -0.0), repeat=3)))
-@pytest.mark.parametrize("signs", list(product((1, -1), repeat=4)))
-def test_zero_is_the_stop_frame_in_every_mounting(
-    signs: tuple[int, int, int, int], velocity: tuple[float, float, float]
-) -> None:
-    for robot in (mecanum(0.08, 0.2, 0.2, signs, (3, 1, 0, 2)), differential(0.08, 0.2, signs, (3, 1, 0, 2))):
+def test_zero_is_the_stop_frame_in_every_mounting() -> None:
+    """Zeros of either sign."""
+    robots = [ROBOT, TWO_SIDED]
+    for signs in product((1, -1), repeat=4):
+        robots += [mecanum(0.08, 0.2, 0.2, signs, (3, 1, 0, 2)), differential(0.08, 0.2, signs, (3, 1, 0, 2))]
+    for robot, velocity in product(robots, product((0.0, -0.0), repeat=3)):
         speeds = robot.wheels_rps(*velocity)
         assert [copysign(1.0, rps) for rps in speeds] == [1.0] * 4
         assert codec.motor_speeds(speeds, 0.0) == codec.STOP
@@ -139,10 +117,10 @@ def test_a_sign_turns_one_wheel(layout: str, wheel: int) -> None:
         assert new == (-old if index == wheel - 1 else old) != 0.0
 
 
-@pytest.mark.parametrize("ids", list(permutations(range(4))))
 @pytest.mark.parametrize("layout", ["mecanum", "differential"])
-def test_each_wheel_goes_to_its_wire_id(layout: str, ids: tuple[int, int, int, int]) -> None:
+def test_each_wheel_goes_to_its_wire_id(layout: str) -> None:
     by_wheel = kinematics.from_settings(Settings({"wheels.layout": layout})).wheels_rps(0.2, 0.0, 0.5)
-    changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
-    by_id = kinematics.from_settings(Settings({"wheels.layout": layout, **changed})).wheels_rps(0.2, 0.0, 0.5)
-    assert [by_id[wire_id] for wire_id in ids] == list(by_wheel)
+    for ids in permutations(range(4)):
+        changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
+        by_id = kinematics.from_settings(Settings({"wheels.layout": layout, **changed})).wheels_rps(0.2, 0.0, 0.5)
+        assert [by_id[wire_id] for wire_id in ids] == list(by_wheel)

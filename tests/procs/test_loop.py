@@ -27,14 +27,10 @@ def test_a_wait_returns_ready_descriptors_with_their_events(pipe: tuple[int, int
     assert loop.wait(0) == {}
 
 
-def test_a_time_that_is_over_returns_at_once(pipe: tuple[int, int]) -> None:
+def test_a_wait_takes_until_its_time_and_no_shorter(pipe: tuple[int, int]) -> None:
     loop = Loop()
     loop.watch(pipe[0], READ)
     assert loop.wait(-LATER_NS) == {}
-
-
-def test_a_wait_takes_until_its_time_and_no_shorter() -> None:
-    loop = Loop()
     until_ns = time.monotonic_ns() + 2_000_000
     assert loop.wait(2_000_000) == {}
     assert time.monotonic_ns() >= until_ns
@@ -50,14 +46,17 @@ def test_time_outs_are_finer_than_a_millisecond() -> None:
     assert 100_000 <= shortest_ns < 1_000_000
 
 
-def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
+def test_watching_again_changes_the_events_and_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
     loop = Loop()
-    loop.watch(pipe[1], READ)
-    assert loop.wait(0) == {}
-    loop.watch(pipe[1], READ | WRITE)
-    assert loop.wait(0) == {pipe[1]: WRITE}
-    loop.watch(pipe[1], READ)
-    assert loop.wait(0) == {}
+    for events, found in ((READ, {}), (READ | WRITE, {pipe[1]: WRITE}), (READ, {})):
+        loop.watch(pipe[1], events)
+        assert loop.wait(0) == found
+    os.write(pipe[1], b"x")
+    for _ in range(2):
+        loop.watch(pipe[0], READ)
+        assert loop.wait(0) == {pipe[0]: READ}
+        loop.forget(pipe[0])
+        assert loop.wait(0) == {}
 
 
 def test_at_the_edge_a_wait_tells_of_new_bytes_alone(pipe: tuple[int, int]) -> None:
@@ -77,24 +76,6 @@ def test_a_wait_is_one_sleep(longest_ns: int) -> None:
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
     assert loop.wait(longest_ns) == {}
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before == 1
-
-
-def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
-    loop = Loop()
-    start_ns = time.monotonic_ns()
-    loop.timer().set(start_ns + LATER_NS)
-    assert loop.wait(20_000_000) == {}
-    assert 20_000_000 <= time.monotonic_ns() - start_ns < LATER_NS
-
-
-def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
-    loop = Loop()
-    loop.watch(pipe[0], READ)
-    os.write(pipe[1], b"x")
-    loop.forget(pipe[0])
-    assert loop.wait(0) == {}
-    loop.watch(pipe[0], READ)
-    assert loop.wait(0) == {pipe[0]: READ}
 
 
 def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:

@@ -22,15 +22,8 @@ def scene() -> Scene:
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
-        (b"obstacle\n", "stop request: obstacle"),
-        (b"first\nsecond\n", "stop request: first"),
-        (b"\n", "stop request"),
-        (b"\tnav\t3\n", "stop request (nav, pid 3)"),
         (b"obstacle\tnav\t3\n", "stop request: obstacle (nav, pid 3)"),
-        (b"obstacle\tnav\tx\n", "stop request: obstacle?nav?x"),
-        (b"gate died\n", "stop request: gate died"),
-        (b"\0", "stop request: ?"),
-        (b"\xff\xfe\x1b[31m", "stop request: \ufffd\ufffd?[31m"),
+        (b"first\nsecond\n", "stop request: first"),
         (b"no end of line", "stop request: no end of line"),
     ],
 )
@@ -39,6 +32,23 @@ def test_any_bytes_are_a_stop(scene: Scene, message: bytes, reason: str) -> None
     scene.ask_to_stop(message)
     assert scene.answer() == (BURST, [reason])
     assert scene.turn() == b"", "the pipe is empty again"
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (b"obstacle", "stop request: obstacle"),
+        (b"", "stop request"),
+        (b"\tnav\t3", "stop request (nav, pid 3)"),
+        (b"obstacle\tnav\tx", "stop request: obstacle?nav?x"),
+        (b"gate died", "stop request: gate died"),
+        (b"gamepad button 0x0100", "stop request: gamepad button 0x0100"),
+        (b"\0", "stop request: ?"),
+        (b"\xff\xfe\x1b[31m", "stop request: \ufffd\ufffd?[31m"),
+    ],
+)
+def test_a_line_of_the_pipe_is_somebody_s_words_whatever_it_says(line: bytes, reason: str) -> None:
+    assert str(causes.requested(line)) == reason
 
 
 def test_a_full_pipe_of_garbage_is_a_stop(scene: Scene) -> None:
@@ -86,30 +96,25 @@ def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene
     assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
 
 
-def test_a_request_within_a_flood_stops_before_any_motion(scene: Scene) -> None:
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_request_within_a_flood_stops_before_any_motion_and_once_it_began_anew(scene: Scene, anew: bool) -> None:
     scene.drive()
     scene.ask_to_stop(b"first\n")
     scene.turn()
     scene.raise_epoch(2)
-    scene.ask_to_stop(b"second\n")
-    scene.put(epoch=2)
-    assert scene.answer(MS) == (BURST, ["stop request: first", "stop request: second"])
-
-
-def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"first\n")
-    scene.turn()
-    scene.raise_epoch(2)
-    assert scene.forward(epoch=2, elapsed_ns=MS) == MOTION
-    scene.ask_to_stop(b"second\n")
+    if anew:
+        assert scene.forward(epoch=2, elapsed_ns=MS) == MOTION
+        scene.ask_to_stop(b"second\n")
+    else:
+        scene.ask_to_stop(b"second\n")
+        scene.put(epoch=2)
     assert scene.answer(MS) == (BURST, ["stop request: first", "stop request: second"])
 
 
 # Buttons and keys, which telemetry has seen.
 
 
-def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
+def test_a_button_that_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
     scene.drive()
     buttons = scene.views[layout.TELEMETRY].ring_writer("causes")
     buttons.put(causes.BUTTON(0x0100).pack())
@@ -119,9 +124,3 @@ def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scen
     buttons.put(b"\xff\xff")
     assert scene.turn() == BURST
     assert scene.reasons() == ["stopped by the supervisor"], "whatever it is"
-
-
-def test_nobody_else_can_press_a_button(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"gamepad button 0x0100\n")
-    assert scene.answer() == (BURST, ["stop request: gamepad button 0x0100"])

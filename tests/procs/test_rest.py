@@ -18,7 +18,7 @@ from tests.support.stage import MS, PortMachine
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
 THEIRS = "12:devices:/system.slice\n0::/system.slice/failstop@other.service\n"
 PROC = "/groups"
-"""In the place of /proc."""
+"""A folder in the place of /proc."""
 NOBODY = 1 << 22
 """No process has this pid or a larger one."""
 SIGKILL = 9
@@ -57,13 +57,18 @@ def kill(machine: PortMachine, timeout_s: float = 10.0) -> tuple[int, int]:
 
 
 def test_the_tool_kills_its_own_group_and_nobody_else(machine: PortMachine) -> None:
-    ours, theirs = [start(machine) for _ in range(2)], start(machine, THEIRS)
-    assert kill(machine) == (2, 0)
-    assert [process.code for process in ours] == [-SIGKILL] * 2, "they have ended by the time it returns"
+    """The stop is written when all of them together have ended."""
+    theirs, begun_ns = start(machine, THEIRS), machine.clock()
+    assert kill(machine) == (0, 0)
+    assert machine.clock() == begun_ns
+    ours = [start(machine) for _ in range(6)]
+    assert kill(machine) == (6, 0)
+    assert [process.code for process in ours] == [-SIGKILL] * 6, "they have ended by the time it returns"
+    assert machine.clock() == begun_ns + TAKEDOWN_NS
     assert not theirs.dead
 
 
-def test_what_people_have_put_into_a_group_for_processors_is_killed_too(machine: PortMachine) -> None:
+def test_a_worker_in_a_group_for_processors_is_killed_too(machine: PortMachine) -> None:
     """The hierarchies of version 1 are independent of each other."""
     for name in ("self", machine.me.pid):
         put(machine, name, "2:cpuset:/\n1:name=systemd:/system.slice/failstop.service\n0::/\n")
@@ -74,14 +79,7 @@ def test_what_people_have_put_into_a_group_for_processors_is_killed_too(machine:
     assert not theirs.dead
 
 
-def test_alone_there_is_nothing_to_kill(machine: PortMachine) -> None:
-    start(machine, THEIRS)
-    begun_ns = machine.clock()
-    assert kill(machine) == (0, 0)
-    assert machine.clock() == begun_ns
-
-
-def test_what_has_ended_is_not_counted(machine: PortMachine) -> None:
+def test_a_process_that_has_ended_is_not_counted(machine: PortMachine) -> None:
     dead, gone = start(machine), start(machine)
     for process in (dead, gone):
         machine.machine.die(process, 0)
@@ -95,20 +93,11 @@ def test_what_has_ended_is_not_counted(machine: PortMachine) -> None:
     assert [process.code for process in ours] == [-SIGKILL] * 2
 
 
-def test_the_stop_waits_for_all_workers_together(machine: PortMachine) -> None:
-    """It is written when they have ended."""
-    for _ in range(6):
-        start(machine)
-    begun_ns = machine.clock()
-    assert kill(machine) == (6, 0)
-    assert machine.clock() == begun_ns + TAKEDOWN_NS
-
-
 @pytest.mark.parametrize("becomes", [None, THEIRS])
 def test_a_pid_that_is_another_s_by_the_time_it_is_opened_is_not_killed(
     machine: PortMachine, becomes: str | None
 ) -> None:
-    """Or nobody's."""
+    """The pid may be nobody's by then."""
     bystander = start(machine)
     change = machine.os.unlink if becomes is None else lambda _: put(machine, bystander.pid, str(becomes))
     machine.at_next("pidfd_open", lambda: change(cgroup(bystander.pid)))
@@ -124,7 +113,7 @@ def test_a_process_that_was_just_started_is_killed_too(machine: PortMachine) -> 
 
 
 @pytest.mark.parametrize("refused", [False, True])
-def test_what_does_not_end_is_told_of(machine: PortMachine, refused: bool) -> None:
+def test_a_process_that_does_not_end_is_told_of(machine: PortMachine, refused: bool) -> None:
     def refuse(thread: object, call: str, about: object) -> None:
         if call == "kill":
             raise PermissionError

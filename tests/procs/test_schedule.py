@@ -22,34 +22,6 @@ def scene() -> Scene:
     return Scene()
 
 
-def test_pings_take_their_indices_in_turn() -> None:
-    due = Timer()
-    pings = Pings(4, PERIOD, due, T0, quick=0)
-    found = []
-    for turn in range(6):
-        assert pings.due(T0 + turn * PERIOD)
-        found.append(pings.index)
-        pings.sent(T0 + turn * PERIOD)
-        assert not pings.due(T0 + (turn + 1) * PERIOD - 1)
-        assert due.ns == T0 + (turn + 1) * PERIOD
-    assert found == [0, 1, 2, 3, 0, 1]
-
-
-def test_a_ping_is_due_right_after_a_stop() -> None:
-    pings = Pings(4, PERIOD, Timer(), T0)
-    pings.sent(T0)
-    pings.stopped(T0 + 200 * MS)
-    assert pings.due(T0 + 200 * MS)
-
-
-def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
-    pings = Pings(4, PERIOD, Timer(), T0)
-    pings.sent(T0)
-    pings.stopped(T0 + MS)
-    assert not pings.due(T0 + PING_GAP_NS - 1)
-    assert pings.due(T0 + PING_GAP_NS)
-
-
 def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
@@ -58,19 +30,15 @@ def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> Non
     assert pings.index == 0
 
 
-def test_a_board_with_one_ping_is_asked_that() -> None:
+def test_a_board_with_one_ping_is_asked_that_and_one_without_never() -> None:
     due = Timer()
     pings = Pings(1, PERIOD, due, T0, quick=0)
     assert pings.due(T0)
     pings.sent(T0)
-    assert pings.index == 0
-    assert due.ns == T0 + PERIOD
-
-
-def test_a_board_without_pings_is_never_asked() -> None:
-    pings = Pings(0, PERIOD, Timer(), T0)
-    pings.stopped(T0)
-    assert not pings.due(T0 + PERIOD)
+    assert (pings.index, due.ns) == (0, T0 + PERIOD)
+    none = Pings(0, PERIOD, Timer(), T0)
+    none.stopped(T0)
+    assert not none.due(T0 + PERIOD)
 
 
 def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
@@ -125,11 +93,10 @@ def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scen
     assert len(scene.asked) == before + 1
 
 
-def without_pings(scene: Scene) -> None:
-    type(scene.board).pings = ()
-
-
 def test_a_board_without_pings_keeps_the_port_owner_no_more_awake() -> None:
+    def without_pings(scene: Scene) -> None:
+        type(scene.board).pings = ()
+
     scene = Scene(before=without_pings)
     scene.turn()
     scene.turn()
@@ -182,7 +149,7 @@ def test_a_sleep_between_the_look_and_the_write_is_stopped_for(scene: Scene) -> 
 
 
 class Schedule(Repeats):
-    """With its deadline in sight."""
+    """Repeats with their deadline in sight."""
 
     def __init__(self) -> None:
         self.next = Timer()
@@ -190,7 +157,7 @@ class Schedule(Repeats):
 
 
 def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int]]:
-    """What comes due from start to end, asked every millisecond: (ms, what)."""
+    """Repeats that come due from start to end, asked every millisecond: (ms, what)."""
     times = range(start_ms, end_ms)
     return [(ms, what) for ms in times if (what := repeats.take(BEGIN + ms * MS))]
 
@@ -202,57 +169,30 @@ def repeats() -> Schedule:
     return made
 
 
-def test_bursts_and_then_zero_frames_follow_a_stop(repeats: Schedule) -> None:
-    assert written(repeats, 0, 850) == [
-        (20, REPEAT),
-        (100, REPEAT),
-        (200, ZERO),
-        (400, ZERO),
-        (600, ZERO),
-        (800, ZERO),
-    ]
-
-
 def test_before_any_stop_zero_frames_go_out() -> None:
     assert written(Schedule(), 0, 450) == [(0, ZERO), (200, ZERO), (400, ZERO)]
 
 
-def test_a_repeat_is_due_exactly_at_its_time_and_once(repeats: Schedule) -> None:
+def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(repeats: Schedule) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
-    assert repeats.take(BEGIN + 20 * MS) == REPEAT
-    assert repeats.take(BEGIN + 20 * MS) == 0
+    assert written(repeats, 0, 650) == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]
+    repeats.restart(BEGIN + 650 * MS)
+    assert written(repeats, 650, 700) == [(670, REPEAT)]
+    repeats.restart(BEGIN + 700 * MS)
+    assert written(repeats, 700, 950) == [(720, REPEAT), (800, REPEAT), (900, ZERO)]
 
 
-def test_a_new_stop_begins_the_schedule_anew(repeats: Schedule) -> None:
-    assert written(repeats, 0, 60) == [(20, REPEAT)]
-    repeats.restart(BEGIN + 60 * MS)
-    assert written(repeats, 60, 300) == [(80, REPEAT), (160, REPEAT), (260, ZERO)]
-
-
-def test_motion_ends_the_repeats(repeats: Schedule) -> None:
+def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) -> None:
     assert written(repeats, 0, 30) == [(20, REPEAT)]
     repeats.motion()
-    assert written(repeats, 30, 2_000) == []
     assert repeats.next.ns == NEVER
-
-
-def test_no_repeat_cuts_into_motion_even_when_it_was_overdue(repeats: Schedule) -> None:
-    repeats.motion()
-    assert repeats.take(BEGIN + 5_000 * MS) == 0
+    assert written(repeats, 30, 2_000) == []
     repeats.restart(BEGIN + 5_000 * MS)
     assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, ZERO)]
+    repeats.motion()
+    assert repeats.take(BEGIN + 9_000 * MS) == 0
 
 
 def test_overdue_bursts_are_each_written(repeats: Schedule) -> None:
     late = BEGIN + 1_000 * MS
     assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, ZERO, 0]
-
-
-def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
-    found: list[tuple[int, int]] = []
-    now_ns = BEGIN
-    while len(found) < 5:
-        assert repeats.next.ns > now_ns, "a wake-up that is over already would spin"
-        now_ns = repeats.next.ns
-        found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
-    assert found == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]

@@ -32,7 +32,7 @@ def machine() -> Iterator[PortMachine]:
 
 @pytest.fixture
 def refused(machine: PortMachine) -> Any:
-    """What the tool raises."""
+    """The error that the tool raises."""
     return machine.load("failstop.board.port").PortError
 
 
@@ -101,13 +101,6 @@ def test_the_tool_takes_the_port_from_nobody(machine: PortMachine, stop: Stop) -
     machine.os.close(fd)
 
 
-def test_an_absent_device_is_not_waited_for_without_a_wait(machine: PortMachine, stop: Stop, refused: Any) -> None:
-    with pytest.raises(refused, match=f"no device {ABSENT}") as raised:
-        stop(path=ABSENT)
-    assert raised.value.kind == "absent"
-    assert passed_s(machine) == 0.0
-
-
 def test_a_device_that_comes_back_is_stopped_soon(machine: PortMachine, stop: Stop, said: list[str]) -> None:
     machine.after(300 * MS, lambda: plug(machine))
     assert stop(30.0, ABSENT) == pytest.approx(0.3, abs=stopping.RETRY_S + 1e-6)
@@ -115,14 +108,15 @@ def test_a_device_that_comes_back_is_stopped_soon(machine: PortMachine, stop: St
     assert said == []
 
 
-def test_the_tool_looks_often_enough() -> None:
-    assert stopping.RETRY_S <= 0.2
-
-
-def test_the_tool_gives_up_after_the_wait_with_the_last_reason(machine: PortMachine, stop: Stop, refused: Any) -> None:
-    with pytest.raises(refused, match="no device"):
-        stop(5.0, ABSENT)
-    assert 5.0 <= passed_s(machine) <= 5.0 + stopping.RETRY_S + 1e-6
+@pytest.mark.parametrize("wait_s", [0.0, 5.0])
+def test_the_tool_gives_up_after_the_wait_with_the_last_reason(
+    machine: PortMachine, stop: Stop, refused: Any, wait_s: float
+) -> None:
+    assert stopping.RETRY_S <= 0.2, "it looks often enough"
+    with pytest.raises(refused, match=f"no device {ABSENT}") as raised:
+        stop(wait_s, ABSENT)
+    assert raised.value.kind == "absent"
+    assert wait_s <= passed_s(machine) <= (wait_s + stopping.RETRY_S + 1e-6 if wait_s else 0.0)
 
 
 def test_the_tool_warns_once_after_a_second(machine: PortMachine, stop: Stop, said: list[str]) -> None:
@@ -161,22 +155,17 @@ def test_a_port_that_takes_no_bytes_says_power_switch(machine: PortMachine, stop
     assert passed_s(machine) == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_full_port_that_drains_in_time_gets_the_whole_burst(machine: PortMachine, stop: Stop) -> None:
-    machine.wire.fill()
-    machine.after(50 * MS, machine.wire.port.drain)
-    stop()
-    assert machine.wire.read() == bytes(Port.ROOM) + BURST
-
-
-def test_a_full_port_is_tried_again_for_as_long_as_it_may_wait(
-    machine: PortMachine, stop: Stop, said: list[str]
+@pytest.mark.parametrize(("drains_s", "wait_s", "told"), [(0.05, 0.0, 0), (3.0, 30.0, 1)])
+def test_a_full_port_is_tried_for_as_long_as_it_may_wait_and_gets_the_whole_burst(
+    machine: PortMachine, stop: Stop, said: list[str], drains_s: float, wait_s: float, told: int
 ) -> None:
     machine.wire.fill()
-    machine.after(3_000 * MS, machine.wire.port.drain)
-    assert stop(30.0) == pytest.approx(3.0, abs=0.1 + stopping.RETRY_S + 0.01)
-    assert machine.wire.read().endswith(BURST)
-    assert len(said) == 1
-    assert "POWER SWITCH" in said[0]
+    machine.after(round(drains_s * 1000) * MS, machine.wire.port.drain)
+    assert stop(wait_s) <= drains_s + 0.1 + stopping.RETRY_S + 0.01
+    assert passed_s(machine) >= drains_s
+    assert machine.wire.read() == bytes(Port.ROOM) + BURST
+    assert len(said) == told
+    assert all("POWER SWITCH" in text for text in said)
 
 
 def test_a_device_that_goes_away_while_writing_is_told(machine: PortMachine, stop: Stop, refused: Any) -> None:

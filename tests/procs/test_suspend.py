@@ -16,7 +16,7 @@ def machine() -> PortMachine:
 
 
 def told(machine: PortMachine, watch: Any, *slept_ms: float) -> list[float]:
-    """What it says at one look after the other, by when the machine has slept for so long in all."""
+    """Answers at one look after the other; the machine has slept for so long in all by each."""
     found = []
     for ms in slept_ms:
         machine.machine.slept_ns = round(ms * MS)
@@ -28,17 +28,20 @@ def watch(machine: PortMachine) -> Any:
     return machine.load("failstop.procs.suspend").SuspendWatch()
 
 
-def test_a_watch_tells_a_sleep_once_with_its_length(machine: PortMachine) -> None:
-    machine.machine.slept_ns = 7 * MS
-    assert told(machine, watch(machine), 7, 3007, 3007) == [0, 3000, 0]
-
-
-def test_a_watch_tells_two_sleeps_as_two(machine: PortMachine) -> None:
-    assert told(machine, watch(machine), 60, 120) == [60, 60]
-
-
-def test_a_watch_takes_jitter_for_no_sleep(machine: PortMachine) -> None:
-    assert told(machine, watch(machine), 3, 0, (SLEPT_NS - 1) / MS) == [0, 0, 0]
+@pytest.mark.parametrize(
+    ("before_ms", "slept_ms", "told_ms"),
+    [
+        (7, (7, 3007, 3007), [0, 3000, 0]),
+        (0, (60, 120), [60, 60]),
+        (0, (3, 0, (SLEPT_NS - 1) / MS), [0, 0, 0]),
+    ],
+    ids=["once", "two as two", "jitter is none"],
+)
+def test_a_watch_tells_a_sleep_with_its_length(
+    machine: PortMachine, before_ms: int, slept_ms: tuple[float, ...], told_ms: list[float]
+) -> None:
+    machine.machine.slept_ns = before_ms * MS
+    assert told(machine, watch(machine), *slept_ms) == told_ms
 
 
 def test_a_watch_takes_the_best_of_its_first_three_looks(machine: PortMachine) -> None:

@@ -20,7 +20,7 @@ MODULE = "failstop.procs.port_owner.wire"
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
 FILL = bytes(Port.ROOM)
-"""What fills a port."""
+"""Bytes that fill a port."""
 
 
 def assert_stopped(stream: bytes) -> None:
@@ -90,15 +90,8 @@ def test_an_early_stop_waits_for_the_write_that_the_loop_is_in(machine: PortMach
     assert board.read() == MOTION + BOARD.first_stop
 
 
-def test_a_port_that_has_gone_gets_no_early_stop(board: Wire, wire: Any) -> None:
-    wire.lost = True
-    wire.early_stop()
-    assert board.read() == b""
-
-
-def test_an_early_stop_for_a_port_that_has_gone_is_not_in_the_black_box_as_written(
-    machine: PortMachine, wire: Any
-) -> None:
+def test_an_early_stop_for_a_port_that_has_gone_is_not_written(machine: PortMachine, board: Wire, wire: Any) -> None:
+    """The black box tells of it as not written."""
     kept: list[bytes] = []
 
     class Ring:
@@ -107,6 +100,7 @@ def test_an_early_stop_for_a_port_that_has_gone_is_not_in_the_black_box_as_writt
     wire.keep(Ring())
     wire.lost = True
     wire.early_stop()
+    assert board.read() == b""
     wire.adopt(machine.open(machine.wire))
     kept.clear()
     wire.heed()
@@ -159,16 +153,20 @@ def test_bursts_until_the_port_is_full_are_cut_short_and_still_stop(board: Wire,
 # Short writes.
 
 
-@pytest.mark.parametrize("cut", range(1, len(MOTION)))
-def test_a_burst_after_a_cut_motion_frame_stops(board: Wire, wire: Any, cut: int) -> None:
-    board.port.takes(cut)
-    assert wire.frame(MOTION)
-    assert wire.unsent == MOTION[cut:]
-    board.port.takes()
-    wire.burst()
-    stream = board.read()
-    assert stream == MOTION[:cut] + BURST, "the rest of the motion frame is dropped"
-    assert_stopped(stream)
+@pytest.mark.parametrize("frame", [MOTION, codec.STOP])
+def test_a_burst_after_a_cut_motion_frame_stops(machine: PortMachine, frame: bytes) -> None:
+    """Wherever it was cut. The rest of it is dropped, but for that of a zero frame."""
+    made = machine.load(MODULE).Wire
+    for cut in range(1, len(frame)):
+        wire, board = made(machine.open(machine.wire)), machine.wire
+        board.port.takes(cut)
+        assert wire.frame(frame)
+        assert wire.unsent == frame[cut:]
+        board.port.takes()
+        wire.burst()
+        stream = board.read()
+        assert stream == (frame if frame == codec.STOP else frame[:cut]) + BURST
+        assert_stopped(MOTION + stream)
 
 
 def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(board: Wire, wire: Any) -> None:
@@ -185,31 +183,26 @@ def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(board: Wire, wire:
     assert board.read() == MOTION
 
 
-@pytest.mark.parametrize("cut", [0, 1, 31, 32, 33, 45, 58, 59, 60, 200, 315, 316, 330, 343, 396])
 @pytest.mark.parametrize(
     "before", [b"", MOTION, MOTION[:20], MOTION[:3]], ids=["", "motion", "cut in data", "cut head"]
 )
-def test_a_cut_burst_is_finished(board: Wire, wire: Any, before: bytes, cut: int) -> None:
-    board.receive(before)
-    board.port.takes(cut)
-    wire.burst()
-    board.port.takes()
-    wire.flush()
-    stream = board.read()
-    assert stream == before + BURST
-    assert_stopped(stream)
-
-
-@pytest.mark.parametrize("cut", [0, 1, 33, 58, 59, 200, 330, 396])
-def test_a_stop_after_a_cut_burst_begins_with_its_rest(board: Wire, wire: Any, cut: int) -> None:
-    board.port.takes(cut)
-    wire.burst()
-    board.port.takes()
-    wire.burst()
-    assert wire.unsent == b""
-    stream = board.read()
-    assert stream == BURST + BURST
-    assert_stopped(MOTION[:20] + stream)
+@pytest.mark.parametrize("again", [False, True])
+def test_a_cut_burst_is_finished_also_by_a_stop_after_it(machine: PortMachine, before: bytes, again: bool) -> None:
+    made = machine.load(MODULE).Wire
+    for cut in (0, 1, 31, 32, 33, 45, 58, 59, 60, 200, 315, 316, 330, 343, 396):
+        wire, board = made(machine.open(machine.wire)), machine.wire
+        board.receive(before)
+        board.port.takes(cut)
+        wire.burst()
+        board.port.takes()
+        if again:
+            wire.burst()
+        else:
+            wire.flush()
+        assert wire.unsent == b""
+        stream = board.read()
+        assert stream == before + BURST * (1 + again)
+        assert_stopped(stream)
 
 
 @pytest.mark.parametrize("first", [0, 20, 300])
@@ -223,11 +216,3 @@ def test_stops_cut_again_and_again_still_stop(board: Wire, wire: Any, first: int
     wire.flush()
     assert wire.unsent == b""
     assert_stopped(MOTION[:20] + board.read())
-
-
-def test_a_stop_after_a_cut_zero_frame_stops(board: Wire, wire: Any) -> None:
-    board.port.takes(13)
-    assert wire.frame(codec.STOP)
-    board.port.takes()
-    wire.burst()
-    assert_stopped(MOTION + board.read())

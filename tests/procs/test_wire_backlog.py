@@ -22,24 +22,20 @@ MOTION_BACKLOG = len(BOARD.pings[0])
 # No backlog.
 
 
-@pytest.mark.parametrize("unsent", [1, 27, 4096])
-def test_a_motion_frame_is_not_added_to_a_backlog(board: Wire, wire: Any, unsent: int) -> None:
-    board.port.under_way = unsent
-    assert not wire.frame(MOTION)
-    assert board.read() == b""
+def test_a_motion_frame_is_not_added_to_a_backlog_and_a_stop_to_any(board: Wire, wire: Any) -> None:
+    for unsent in (1, 4096):
+        board.port.under_way = unsent
+        assert not wire.frame(MOTION)
+        assert board.read() == b""
+        wire.burst()
+        assert board.read() == BURST
     board.port.under_way = 0
     assert wire.frame(MOTION)
     assert board.read() == MOTION
 
 
-def test_a_stop_is_added_to_any_backlog(board: Wire, wire: Any) -> None:
-    board.port.under_way = 4096
-    wire.burst()
-    assert board.read() == BURST
-
-
 URB = 1280
-"""What cdc_acm counts for each write under way, whatever its length."""
+"""Bytes that cdc_acm counts for each write under way, of any length."""
 
 
 @pytest.mark.parametrize("unit", [1, URB])
@@ -54,36 +50,29 @@ def test_other_frames_may_queue_behind_a_little_in_whatever_unit_the_driver_coun
     assert board.read() == (OTHER if taken else b"")
 
 
-def test_what_the_port_has_drained_is_no_backlog(board: Wire, wire: Any) -> None:
+def test_bytes_that_the_port_has_drained_are_no_backlog(board: Wire, wire: Any) -> None:
     assert wire.frame(bytes(129))
     assert wire.frame(bytes(1)), "the kernel holds nothing"
     board.port.under_way = URB
     assert wire.frame(OTHER, backlog=128)
 
 
-def test_a_ping_follows_a_burst_that_is_still_under_way_and_motion_does_not(board: Wire, wire: Any) -> None:
-    wire.burst()
-    board.port.under_way = URB
-    assert not wire.frame(MOTION, backlog=MOTION_BACKLOG)
-    assert wire.frame(BOARD.pings[0], backlog=PING_BACKLOG)
-    assert board.read() == BURST + BOARD.pings[0]
-
-
-def test_motion_follows_a_ping_that_is_still_under_way(board: Wire, wire: Any) -> None:
-    assert wire.frame(BOARD.pings[0])
-    board.port.under_way = URB
-    assert wire.frame(MOTION, backlog=MOTION_BACKLOG)
-
-
 # A port that does not drain.
 
 
-def test_a_port_is_stuck_after_exactly_the_time(board: Wire, wire: Any) -> None:
+def test_a_port_is_stuck_after_exactly_the_time_unless_it_drained_in_between(board: Wire, wire: Any) -> None:
+    assert not any(wire.stuck(T0 - n * DRAIN_NS) for n in range(5, 0, -1)), "an empty one is not"
     board.port.under_way = 1
     assert not wire.stuck(T0)
     assert not wire.stuck(T0 + DRAIN_NS - 1)
     assert wire.stuck(T0 + DRAIN_NS)
     assert wire.stuck(T0 + 10 * DRAIN_NS)
+    board.port.under_way = 0
+    assert not wire.stuck(T0 + 11 * DRAIN_NS - 1)
+    board.port.under_way = 1
+    assert not wire.stuck(T0 + 11 * DRAIN_NS)
+    assert not wire.stuck(T0 + 12 * DRAIN_NS - 1)
+    assert wire.stuck(T0 + 12 * DRAIN_NS)
 
 
 def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(board: Wire, wire: Any) -> None:
@@ -92,17 +81,6 @@ def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(board: W
     board.unplug()
     assert not wire.stuck(T0 + DRAIN_NS)
     assert wire.lost
-
-
-def test_a_port_that_drained_in_between_is_not_stuck(board: Wire, wire: Any) -> None:
-    board.port.under_way = 1
-    wire.stuck(T0)
-    board.port.under_way = 0
-    assert not wire.stuck(T0 + DRAIN_NS - 1)
-    board.port.under_way = 1
-    assert not wire.stuck(T0 + DRAIN_NS)
-    assert not wire.stuck(T0 + 2 * DRAIN_NS - 1)
-    assert wire.stuck(T0 + 2 * DRAIN_NS)
 
 
 def test_a_full_port_is_stuck_and_recovers(board: Wire, wire: Any) -> None:
@@ -115,13 +93,15 @@ def test_a_full_port_is_stuck_and_recovers(board: Wire, wire: Any) -> None:
     assert not wire.stuck(T0 + DRAIN_NS + 1)
 
 
-def test_a_write_that_was_refused_is_held_back_until_one_is_taken(board: Wire, wire: Any) -> None:
+def test_a_write_that_was_refused_is_held_back_until_one_is_taken(machine: PortMachine, board: Wire, wire: Any) -> None:
     """Where the kernel counts nothing and has no room all the same."""
     assert not wire.stuck(T0 - DRAIN_NS)
     assert not wire.stuck(T0), "nothing was refused yet"
     board.port.takes(0)
+    begun_ns = machine.clock()
     assert not wire.frame(MOTION)
     assert not wire.stuck(T0)
+    assert machine.clock() == begun_ns, "it is not waited for"
     assert wire.stuck(T0 + DRAIN_NS)
     board.port.takes(len(MOTION))
     assert wire.frame(MOTION)
@@ -139,18 +119,6 @@ def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(mach
     assert not wire.stuck(T0 + DRAIN_NS), "there was room"
 
 
-def test_a_full_port_is_not_waited_for(machine: PortMachine, board: Wire, wire: Any) -> None:
-    begun_ns = machine.clock()
-    board.port.takes(0)
-    assert not wire.frame(MOTION)
-    wire.stuck(T0)
-    assert machine.clock() == begun_ns
-
-
-def test_an_empty_port_is_not_stuck(wire: Any) -> None:
-    assert not any(wire.stuck(T0 + n * DRAIN_NS) for n in range(5))
-
-
 # What the board sends, and its end.
 
 
@@ -162,28 +130,17 @@ def test_a_read_takes_what_waits_and_no_more(board: Wire, wire: Any) -> None:
     assert not wire.lost
 
 
-@pytest.mark.parametrize("touch", ["read", "frame", "burst", "stuck"])
+@pytest.mark.parametrize("touch", ["read", "frame", "burst", "stuck", "flush"])
 def test_a_hang_up_is_noticed_by_whatever_touches_the_port(board: Wire, wire: Any, touch: str) -> None:
+    if touch == "flush":
+        board.port.takes(10)
+        assert wire.frame(MOTION)
+        board.port.takes()
     board.unplug()
-    if touch == "read":
-        assert wire.read() == b""
-    elif touch == "frame":
-        assert not wire.frame(MOTION)
-    elif touch == "burst":
-        wire.burst()
-    else:
-        assert not wire.stuck(T0)
+    arguments = {"frame": (MOTION,), "stuck": (T0,)}.get(touch, ())
+    assert not getattr(wire, touch)(*arguments)
     assert wire.lost
-    assert wire.unsent == b""
-
-
-def test_a_hang_up_in_the_middle_of_a_frame_loses_the_port(board: Wire, wire: Any) -> None:
-    board.port.takes(10)
-    assert wire.frame(MOTION)
-    board.port.takes()
-    board.unplug()
-    wire.flush()
-    assert wire.lost
+    assert touch == "flush" or wire.unsent == b""
 
 
 def test_nothing_is_written_to_a_lost_port(board: Wire, wire: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from random import Random
 
 from failstop.policy.settings import Settings
@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 
 def gyro(**changed: object) -> GyroBias:
-    """With the settings' defaults, but for what is changed."""
+    """A gyro's bias with the settings' defaults, but for what is changed."""
     return GyroBias(Settings({f"imu.{key}": value for key, value in changed.items()}))
 
 
@@ -43,7 +43,7 @@ def samples(
         yield i * PERIOD_NS, (x, y, z)
 
 
-def heading_drift_deg(tested: GyroBias, run: Iterator[tuple[int, Vector]]) -> float:
+def heading_drift_deg(tested: GyroBias, run: Iterable[tuple[int, Vector]]) -> float:
     """The furthest that the heading, integrated from the end of the calibration on, strays from zero."""
     tested.follow(False, 0)
     heading_rad = furthest_rad = 0.0

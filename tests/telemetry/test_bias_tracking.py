@@ -13,8 +13,8 @@ from failstop.procs.telemetry.imu import GyroBias
 from .still import PERIOD_NS, S, dps, gyro, heading_drift_deg, samples
 
 EIGHT_MINUTES_S = 480
-WORST_SEEDS = (6, 38, 35, 3, 33)
-"""Of 0 to 39, those whose calibration is furthest off."""
+WORST_SEED = 6
+"""Of 0 to 39, the seed whose calibration is furthest off."""
 
 
 def resting(tau_s: float = 20.0) -> GyroBias:
@@ -35,16 +35,15 @@ def test_it_follows_the_reading_with_a_time_constant_of_20_s() -> None:
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1 * (1 - 0.36788)), rel=1e-3)
 
 
-def test_the_step_is_dt_over_tau() -> None:
-    tested = resting()
-    tested.take(dps(0.0, 0.4, 0.2), 10 * S + S // 10)
-    assert tested.bias_radps == pytest.approx(dps(0.0, 0.4 * 0.005, 0.2 * 0.005))
-
-
-def test_the_step_is_at_most_1() -> None:
-    tested = resting(tau_s=0.1)
-    tested.take(dps(0.0, 0.0, 0.2), 10 * S + S // 4)
-    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.2))
+@pytest.mark.parametrize(
+    ("tau_s", "gap_ns", "weight"),
+    [(20.0, S // 10, 0.005), (20.0, S // 2, 0.025), (20.0, S // 2 + 1, 0.0), (0.1, S // 4, 1.0)],
+    ids=["dt over tau", "the longest", "after a gap", "at most 1"],
+)
+def test_the_weight_of_a_reading_is_its_time_over_the_constant(tau_s: float, gap_ns: int, weight: float) -> None:
+    tested = resting(tau_s)
+    tested.take(dps(0.0, 0.4, 0.2), 10 * S + gap_ns)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.4 * weight, 0.2 * weight))
 
 
 def test_it_begins_when_zero_has_been_commanded_for_1_s() -> None:
@@ -69,18 +68,18 @@ def test_frozen_while_driving() -> None:
     assert tested.bias_radps == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("axis", range(3))
-def test_frozen_when_turned_by_hand(axis: int) -> None:
+def test_frozen_when_turned_by_hand() -> None:
     """More than 0.5 deg/s from the bias on any axis."""
-    tested = resting()
-    rate = [0.01, 0.01, 0.01]
-    rate[axis] = 0.51
-    for i in range(1, 500):
-        tested.take(dps(*rate), 10 * S + i * PERIOD_NS)
-    assert tested.bias_radps == (0.0, 0.0, 0.0)
-    rate[axis] = 0.5
-    tested.take(dps(*rate), 15 * S)
-    assert tested.tracking, "exactly 0.5 is within"
+    for axis in range(3):
+        tested = resting()
+        rate = [0.01, 0.01, 0.01]
+        rate[axis] = 0.51
+        for i in range(1, 500):
+            tested.take(dps(*rate), 10 * S + i * PERIOD_NS)
+        assert tested.bias_radps == (0.0, 0.0, 0.0)
+        rate[axis] = 0.5
+        tested.take(dps(*rate), 15 * S)
+        assert tested.tracking, "exactly 0.5 is within"
 
 
 def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
@@ -92,7 +91,7 @@ def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
     assert not tested.tracking
 
 
-def test_off_it_never_moves() -> None:
+def test_the_bias_never_moves_where_tracking_is_off() -> None:
     tested = gyro(tracking="off")
     tested.follow(False, 0)
     for i in range(1000):
@@ -101,22 +100,9 @@ def test_off_it_never_moves() -> None:
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1))
 
 
-@pytest.mark.parametrize(("gap_ns", "weight"), [(S // 2, 0.025), (S // 2 + 1, 0.0)])
-def test_0_5_s_is_the_longest_weight_of_one_reading(gap_ns: int, weight: float) -> None:
-    tested = resting()
-    tested.take(dps(0.0, 0.0, 0.4), 10 * S + gap_ns)
-    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.4 * weight))
-
-
-def test_a_reading_after_a_silence_is_not_given_the_weight_of_the_silence() -> None:
-    tested = resting()
-    tested.take(dps(0.0, 0.0, 0.4), 18 * S)
-    assert tested.bias_radps == (0.0, 0.0, 0.0)
-
-
 @given(st.lists(st.tuples(st.integers(0, 400), *[st.floats(-1.0, 1.0)] * 3, st.booleans()), max_size=60))
 def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, float, float, float, bool]]) -> None:
-    """Whatever happens, one reading moves it towards that reading, by no more than the band, and only at rest."""
+    """One reading moves it towards that reading, by no more than the band, and only at rest."""
     tested = resting()
     t_ns = 10 * S
     for ms, x, y, z, moving in steps:
@@ -130,9 +116,9 @@ def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, f
         assert not (moving and before != tested.bias_radps)
 
 
-def calibrated(duration_s: float = 3.0, **changed: Any) -> tuple[GyroBias, int]:
-    """Calibrated to zero, at rest; and the time of the last sample."""
-    tested = gyro(calibration_s=duration_s, **changed)
+def calibrated(**changed: Any) -> tuple[GyroBias, int]:
+    """Calibrated to zero, at rest, in 3 s; and the time of the last sample."""
+    tested = gyro(**changed)
     tested.follow(False, 0)
     t_ns = 10 * S
     while tested.calibrating:
@@ -150,8 +136,8 @@ def test_after_the_calibration_it_goes_on_as_the_mean_of_all_readings() -> None:
 
 
 @pytest.mark.parametrize(("tau_s", "settled_s"), [(20.0, 17.0), (2.0, 0.0)])
-def test_once_20_s_are_averaged_the_step_is_dt_over_tau(tau_s: float, settled_s: float) -> None:
-    """Of which the calibration was 3. Just before, the step is still greater."""
+def test_the_step_is_dt_over_tau_once_20_s_are_averaged(tau_s: float, settled_s: float) -> None:
+    """The calibration was 3 s of them. Just before, the step is still greater."""
     for early_s in (0.5, 0.0):
         tested, t_ns = calibrated(tracking_tau_s=tau_s)
         count = round((settled_s - early_s) * 100)
@@ -189,36 +175,23 @@ def test_a_bias_without_calibration_follows_by_the_time_constant_from_the_start(
 
 
 @pytest.mark.slow
-def test_the_noise_of_the_calibration_is_soon_forgotten() -> None:
-    """A constant bias, 8 minutes: of 40 such runs the worst strays by 0.098 degrees (median 0.066). With the time
-    constant from the start 2 exceed 0.15 (worst 0.169), and these seeds are its worst."""
-    worst_deg = max(
-        heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, seed, ramp_dps=0.0, walk_dps=0.0)) for seed in WORST_SEEDS
-    )
-    assert worst_deg < 0.11
-
-
-@pytest.mark.parametrize("seed", [1, 6, 38])
-@pytest.mark.slow
-def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest(seed: int) -> None:
-    """The bias warms up by 0.002 deg/s and walks by 0.001 deg/s. With tracking the drift is the time constant times
-    the change of the bias's estimate: of 40 such runs 39 stay below 0.15 degrees (median 0.073, worst 0.156, where it
-    is the bias that walks). Without: median 0.79, worst 3.7. Seeds 6 and 38 exceed 0.15 with the time constant from the
-    start."""
-
-    def drift_deg(*, tracks: bool) -> float:
-        run = samples(EIGHT_MINUTES_S, seed, ramp_dps=0.002, walk_dps=0.001)
-        return heading_drift_deg(gyro(tracking="on" if tracks else "off"), run)
-
-    with_deg, without_deg = drift_deg(tracks=True), drift_deg(tracks=False)
+def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest() -> None:
+    """A constant bias: of 40 such runs the worst strays by 0.098 degrees (median 0.066); with the time constant from
+    the start 2 exceed 0.15 (worst 0.169), and this seed is its worst. One that warms up by 0.002 deg/s and walks by
+    0.001 deg/s: with tracking the drift is the time constant times the change of the bias's estimate; of 40 such runs
+    39 stay below 0.15 degrees (median 0.073, worst 0.156, where it is the bias that walks). Without: median 0.79, worst
+    3.7."""
+    assert heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, WORST_SEED, ramp_dps=0.0, walk_dps=0.0)) < 0.11
+    run = list(samples(EIGHT_MINUTES_S, WORST_SEED, ramp_dps=0.002, walk_dps=0.001))
+    with_deg, without_deg = (heading_drift_deg(gyro(tracking=tracks), run) for tracks in ("on", "off"))
     assert with_deg < 0.15
     assert without_deg > 4 * with_deg
 
 
+@pytest.mark.slow
 def test_a_bias_that_moves_0_15_dps_costs_3_degrees_with_tracking_and_36_without() -> None:
     """20 s x 0.15 deg/s; without, half of it over 480 s. The time constant is the price of not following the noise."""
-    ramp = {"ramp_dps": 0.15, "walk_dps": 0.0, "noise_radps": 0.0}
-    with_deg = heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, 0, **ramp))
-    without_deg = heading_drift_deg(gyro(tracking="off"), samples(EIGHT_MINUTES_S, 0, **ramp))
+    run = list(samples(EIGHT_MINUTES_S, 0, ramp_dps=0.15, walk_dps=0.0, noise_radps=0.0))
+    with_deg, without_deg = (heading_drift_deg(gyro(tracking=tracks), run) for tracks in ("on", "off"))
     assert with_deg == pytest.approx(3.0, rel=0.06)
     assert without_deg == pytest.approx(36.0, rel=0.03)

@@ -1,4 +1,4 @@
-"""What telemetry makes of the gate's state, and of a gate that is silent."""
+"""The gate's state as telemetry reads it, and a gate that is silent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MS = 1_000_000
 
 
 class Published:
-    """In the place of the gate's record."""
+    """A stand-in for the gate's record."""
 
     def __init__(self) -> None:
         self.entry: tuple[int, int, bytes] | None = None
@@ -57,35 +57,30 @@ def test_a_latch_is_any_reason(gate: GateState, published: Published) -> None:
     assert not gate.commanded
 
 
-def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Published) -> None:
-    published.put(100 * MS)
+@pytest.mark.parametrize("velocity", [[0.1, 0.0, -0.5], [0, 0, 0]])
+def test_a_gate_silent_for_250_ms_moves_and_enables_nothing(
+    gate: GateState, published: Published, velocity: list[float]
+) -> None:
+    published.put(100 * MS, body_vel=velocity)
     gate.read(100 * MS)
+    assert gate.enabled
     assert not gate.read(350 * MS)
     assert gate.read(350 * MS + 1)
-    assert (gate.commanded, gate.enabled) == (False, False)
-    assert gate.since_ns == 350 * MS + 1
+    assert (gate.commanded, gate.enabled, gate.since_ns) == (False, False, 350 * MS + 1)
     assert not gate.read(400 * MS), "told once"
     published.put(500 * MS)
     assert gate.read(500 * MS)
     assert gate.commanded
 
 
-def test_a_gate_silent_at_rest_enables_nothing(gate: GateState, published: Published) -> None:
-    published.put(100 * MS, body_vel=[0, 0, 0])
-    gate.read(100 * MS)
-    assert gate.enabled
-    assert gate.read(350 * MS + 1)
-    assert (gate.commanded, gate.enabled) == (False, False)
-
-
-def test_what_a_dead_gate_left_is_old_at_once(gate: GateState, published: Published) -> None:
+def test_the_state_of_a_dead_gate_is_old_at_once(gate: GateState, published: Published) -> None:
     published.put(100 * MS)
     assert gate.read(900 * MS)
     assert not gate.commanded
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", msgpack.packb(7), msgpack.packb({"enabled": True})])
-def test_what_is_no_state_changes_nothing(gate: GateState, published: Published, payload: bytes) -> None:
+def test_a_payload_that_is_no_state_changes_nothing(gate: GateState, published: Published, payload: bytes) -> None:
     published.put(100 * MS)
     gate.read(100 * MS)
     published.raw(110 * MS, payload)

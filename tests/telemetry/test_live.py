@@ -18,6 +18,7 @@ FOLDER = "/state"
 SETTINGS = {"battery.directory": FOLDER, "battery.log_s": 1.0, "buzzer.tones": "on"}
 
 
+@pytest.mark.slow
 def test_bias_charger_log_and_tones_on_a_running_service() -> None:
     service = Simulated(SETTINGS, imu_hz=110.0)
     robot, model, wait_for = service.robot, service.lab.board.model, service.wait_for

@@ -33,6 +33,10 @@ class Held:
     def frames(self, count: int, buttons: int = 0) -> list[PadNews]:
         return [self.frame(buttons) for _ in range(count)]
 
+    def resets(self, count: int, buttons: int = MODE) -> list[int]:
+        """Indices of those of so many frames that asked for a reset."""
+        return [at for at, news in enumerate(self.frames(count, buttons)) if news.reset]
+
     def tap(self, buttons: int = MODE) -> PadNews:
         """One frame, as real taps are, and rest enough for the next."""
         news = self.frame(buttons)
@@ -61,45 +65,23 @@ def driving(held: Held) -> Held:
     return held
 
 
-def test_any_button_but_mode_stops_on_its_first_frame(held: Held) -> None:
-    assert str(held.frame(X).cause) == "gamepad button 0x0100"
-    for bit in range(16):
-        if 1 << bit != MODE:
-            assert str(held.tap(1 << bit).cause) == f"gamepad button 0x{1 << bit:04X}"
-    assert held.tap(MODE).cause is None
+@pytest.mark.parametrize("mode", [MODE, 0x0008])
+def test_any_button_but_mode_stops_on_its_first_frame_also_the_first_of_all(mode: int) -> None:
+    held = Held(**{"pad.mode_button": mode})
+    held.frame()
+    for bit in {1 << bit for bit in range(16)} - {mode}:
+        told = f"gamepad button 0x{bit:04X}"
+        assert str(Held(**{"pad.mode_button": mode}).frame(bit).cause) == told
+        assert str(held.tap(bit).cause) == str(held.tap(mode | bit).cause) == told
+    assert held.tap(mode).cause is None
+    assert held.pad.mode == DRIVING
+    assert set(BUTTONS.values()) <= {1 << bit for bit in range(16)}
 
 
-@pytest.mark.parametrize("button", [1 << bit for bit in range(16) if 1 << bit != MODE])
-def test_the_first_frame_of_all_stops_too(button: int) -> None:
-    assert str(Held().frame(button).cause) == f"gamepad button 0x{button:04X}"
-
-
-@pytest.mark.parametrize("button", BUTTONS.values(), ids=BUTTONS.keys())
-def test_every_known_button_stops(held: Held, button: int) -> None:
-    assert held.frame(button).cause == causes.BUTTON(button)
-
-
-def test_only_mode_does_not_stop(held: Held) -> None:
-    assert held.frame(MODE).cause is None
-    assert str(held.frame(MODE | X).cause) == "gamepad button 0x0100"
-
-
-def test_mode_is_the_setting_s() -> None:
-    held = Held(**{"pad.mode_button": 0x0008})
-    assert held.frame(0x0008).cause is None
-    assert str(held.frame(0x2008).cause) == "gamepad button 0x2000"
-
-
-def test_sticks_alone_do_not_stop(held: Held) -> None:
-    assert held.frame(lx=127, ly=-128).cause is None
-
-
-def test_a_held_button_is_one_request(held: Held) -> None:
-    assert [bool(news.cause) for news in held.frames(3, X)] == [True, False, False]
-
-
-def test_each_tap_is_a_request(held: Held) -> None:
-    assert [bool(held.frame(buttons).cause) for buttons in (1, 0, 1, 0, 1)] == [True, False, True, False, True]
+def test_each_tap_is_a_request_and_a_held_button_one(held: Held) -> None:
+    assert [bool(held.frame(buttons).cause) for buttons in (1, 1, 1, 0, 1, 0, 1)] == [
+        *(True, False, False, False, True, False, True)
+    ]
 
 
 def test_another_button_while_one_is_held_is_a_request(held: Held) -> None:
@@ -126,35 +108,21 @@ def test_mode_cycles_locked_and_drive(held: Held) -> None:
     assert [records.PAD_MODES[mode] for mode in seen] == ["locked", "drive", "locked", "drive", "locked"]
 
 
-def test_mode_has_a_lockout_of_0_6_s(held: Held) -> None:
-    """From one change to the next: eleven frames are 0.55 s."""
+@pytest.mark.parametrize(("between", "mode"), [(10, DRIVING), (11, LOCKED)])
+def test_mode_has_a_lockout_of_0_6_s_that_a_press_does_not_prolong(held: Held, between: int, mode: int) -> None:
+    """From one change to the next; eleven frames are 0.55 s."""
     held.frame(MODE)
-    held.frames(10)
+    held.frames(between)
     held.frame(MODE)
-    assert held.pad.mode == DRIVING, "0.55 s"
+    assert held.pad.mode == mode
     held.frames(3)
     held.frame(MODE)
-    assert held.pad.mode == LOCKED, "0.75 s; the press that was locked out did not prolong it"
-
-
-def test_exactly_0_6_s_is_enough(held: Held) -> None:
-    held.frame(MODE)
-    held.frames(11)
-    held.frame(MODE)
-    assert held.pad.mode == LOCKED
+    assert held.pad.mode == LOCKED, "0.75 s, or still locked out"
 
 
 def test_mode_held_changes_the_mode_once(held: Held) -> None:
     held.frames(100, MODE)
     assert held.pad.mode == DRIVING
-
-
-def test_modes_bit_is_a_setting() -> None:
-    held = Held(**{"pad.mode_button": 0x0008})
-    held.frame()
-    assert held.tap(0x0008).cause is None
-    assert held.pad.mode == DRIVING
-    assert str(held.frame(MODE).cause) == "gamepad button 0x2000"
 
 
 def test_in_drive_the_sticks_command_times_the_limits(driving: Held) -> None:
@@ -172,17 +140,15 @@ def test_the_limits_are_the_settings() -> None:
     assert held.frame(lx=-127, ly=127, rx=-127).command == pytest.approx((0.35, 0.3, 2.0))
 
 
-def test_an_axis_is_raw_over_127_and_at_most_1(driving: Held) -> None:
+def test_an_axis_is_raw_over_127_at_most_1_and_0_within_0_1(driving: Held) -> None:
     assert driving.frame(ly=-128, lx=-128, rx=-128).command == pytest.approx((-0.2, 0.2, 1.0))
-
-
-def test_the_dead_zone_is_0_1(driving: Held) -> None:
     assert driving.frame(ly=12, lx=-12, rx=12).command == (0.0, 0.0, 0.0), "12/127 is 0.094"
     assert driving.frame(ly=13).command == pytest.approx((0.2 * 13 / 127, 0.0, 0.0)), "13/127 is 0.102"
 
 
-def test_locked_the_sticks_command_nothing(held: Held) -> None:
-    assert held.frame(ly=127).command is None
+def test_locked_the_sticks_command_nothing_and_stop_nothing(held: Held) -> None:
+    news = held.frame(lx=127, ly=-128)
+    assert (news.cause, news.command) == (None, None)
 
 
 def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None:
@@ -191,18 +157,16 @@ def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None
     assert driving.frame(ly=127).command is None
 
 
-def test_any_latch_drops_the_pad_to_locked(driving: Held) -> None:
+def test_any_latch_drops_the_pad_to_locked_and_its_own_stop_at_once(driving: Held) -> None:
     driving.latch()
     assert driving.pad.mode == LOCKED
     assert driving.frame(ly=127).command is None
     driving.latch(False)
     assert driving.frame(ly=127).command is None, "and so it stays until MODE"
-
-
-def test_its_own_trip_drops_it_at_once(driving: Held) -> None:
-    news = driving.frame(X, ly=127)
+    driving.tap()
+    assert driving.pad.mode == DRIVING
+    assert driving.frame(X, ly=127).command is None
     assert driving.pad.mode == LOCKED
-    assert news.command is None
 
 
 def test_while_latched_mode_changes_nothing(held: Held) -> None:
@@ -214,25 +178,17 @@ def test_while_latched_mode_changes_nothing(held: Held) -> None:
     assert held.pad.mode == LOCKED
 
 
-def resets(found: list[PadNews]) -> list[int]:
-    """Which of the frames asked for a reset."""
-    return [i for i, news in enumerate(found) if news.reset]
-
-
-def test_mode_held_2_s_while_latched_resets(held: Held) -> None:
-    """Forty frames after the first are 2 s."""
+@pytest.mark.parametrize(("hold_s", "at"), [(2.0, 40), (1.0, 20)])
+def test_mode_held_while_latched_resets_once_a_hold(hold_s: float, at: int) -> None:
+    """Twenty frames after the first are 1 s; 2 s are the default."""
+    held = Held(**({} if hold_s == 2.0 else {"pad.reset_hold_s": hold_s}))
     held.latch()
-    assert resets(held.frames(100, MODE)) == [40]
-
-
-def test_once_a_hold(held: Held) -> None:
-    held.latch()
-    held.frames(41, MODE)
+    assert held.resets(at + 1) == [at]
     held.latch(False)
     held.latch()
-    assert resets(held.frames(200, MODE)) == []
+    assert held.resets(200) == []
     held.frames(3)
-    assert resets(held.frames(50, MODE)) == [40]
+    assert held.resets(50) == [at]
 
 
 def test_the_reset_does_not_change_the_mode(held: Held) -> None:
@@ -248,55 +204,39 @@ def test_3_frames_without_mode_end_a_hold_and_2_do_not(held: Held) -> None:
     held.latch()
     held.frames(30, MODE)
     held.frames(2)
-    assert resets(held.frames(20, MODE)) == [8]
+    assert held.resets(20) == [8]
     held.frames(3)
     held.frames(30, MODE)
     held.frames(3)
-    assert resets(held.frames(20, MODE)) == []
+    assert held.resets(20) == []
 
 
-def test_not_latched_nothing_is_reset(held: Held) -> None:
-    assert resets(held.frames(200, MODE)) == []
+@pytest.mark.parametrize(("latched", "buttons"), [(False, MODE), (True, MODE | X)])
+def test_unlatched_or_with_another_button_down_nothing_is_reset(held: Held, latched: bool, buttons: int) -> None:
+    held.latch(latched)
+    assert held.resets(200, buttons) == []
 
 
 def test_a_hold_from_before_the_latch_counts_from_the_latch(held: Held) -> None:
     held.frames(200, MODE)
     held.latch()
-    assert resets(held.frames(39, MODE)) == []
+    assert held.resets(39) == []
     assert held.frame(MODE).reset
 
 
-def test_with_another_button_down_nothing_is_reset(held: Held) -> None:
-    held.latch()
-    assert resets(held.frames(100, MODE | X)) == []
-
-
-def test_the_hold_is_a_setting() -> None:
-    held = Held(**{"pad.reset_hold_s": 1.0})
-    held.latch()
-    assert resets(held.frames(30, MODE)) == [20]
-
-
-@pytest.mark.parametrize("button", [1 << bit for bit in range(16) if 1 << bit != MODE])
-def test_a_button_held_into_a_silence_does_not_mask_the_next_tap_of_any(held: Held, button: int) -> None:
-    assert held.frame(X).cause
-    assert held.frame(X).cause is None
+@pytest.mark.parametrize(("ns", "again"), [(0, False), (1, True)])
+def test_more_than_0_5_s_of_silence_end_what_is_held(held: Held, ns: int, again: bool) -> None:
+    held.frame(X | 0x0001)
     held.silence(500)
-    held.now_ns += 1
-    assert str(held.frame(button).cause) == f"gamepad button 0x{button:04X}"
-
-
-def test_a_silence_of_0_5_s_is_still_the_same_hold(held: Held) -> None:
-    held.frame(X)
-    held.silence(500)
-    assert held.frame(X).cause is None
+    held.now_ns += ns
+    assert held.frame(X | 0x0001).cause == (causes.BUTTON(X | 0x0001) if again else None)
 
 
 def test_a_silence_ends_a_hold_of_mode(held: Held) -> None:
     held.latch()
     held.frames(3, MODE)
     held.silence(3_000)
-    assert resets(held.frames(40, MODE)) == []
+    assert held.resets(40) == []
 
 
 def test_a_pad_that_was_silent_in_drive_is_in_drive(driving: Held) -> None:
@@ -312,7 +252,7 @@ FRAME = st.tuples(
 
 
 @given(st.lists(FRAME, max_size=150))
-def test_whatever_is_done_with_the_pad(frames: list[tuple[int, int, int, int, int, bool]]) -> None:
+def test_the_pad_keeps_its_rules_whatever_is_done_with_it(frames: list[tuple[int, int, int, int, int, bool]]) -> None:
     """Latched it is locked, commands nothing, and only MODE alone resets; no command is past a limit; whoever presses
     what is not MODE leaves drive."""
     held = Held()
@@ -340,15 +280,16 @@ def test_with_an_arm_there_is_a_third_mode_whose_sticks_choose_and_turn_a_joint(
     held = Held(**{"joints.base.servo": 1, "joints.wrist.servo": 4})
     held.frame()
     held.tap()
-    assert held.tap().command == (0.0, 0.0, 0.0)
-    assert held.pad.mode == JOINT
-    assert held.frame(rx=-127).arm == (0, 1.0)
-    assert [held.frame(lx=127).arm for _ in range(3)] == [(1, 0.0)] * 3, "once a push"
+    news = held.frame(MODE, lx=127)
+    assert (news.command, news.arm) == ((0.0, 0.0, 0.0), (1, 0.0)), "a push that enters it chooses"
+    held.frames(12)
+    assert held.frame(rx=-127).arm == (1, 1.0)
+    assert [held.frame(lx=127).arm for _ in range(3)] == [(0, 0.0)] * 3, "once a push"
     held.frame()
-    assert held.frame(lx=-127, rx=64).arm == (0, pytest.approx(-0.504, abs=0.001))
-    assert held.frame(lx=0, rx=5).arm == (0, 0.0), "the dead zone"
+    assert held.frame(lx=-127, rx=64).arm == (1, pytest.approx(-0.504, abs=0.001))
+    assert held.frame(lx=0, rx=5).arm == (1, 0.0), "the dead zone"
     assert held.frame().command is None
-    assert held.frame(X).arm == (0, 0.0), "a trip lets go"
+    assert held.frame(X).arm == (1, 0.0), "a trip lets go"
     assert held.pad.mode == LOCKED
     assert held.frame().arm is None
 
@@ -370,7 +311,7 @@ def chosen(held: Held, *sticks: int) -> list[int]:
 
 
 def test_a_push_to_the_right_is_the_next_joint_and_one_to_the_left_the_one_before(armed: Held) -> None:
-    """Who pushes the wrong way turns a joint that is not the one he looks at."""
+    """A person who pushes the wrong way turns a joint that is not the one he looks at."""
     assert chosen(armed, 127, 0, 127, 0, 127, 0) == [1, 1, 2, 2, 0, 0]
     assert chosen(armed, -128, 0, -127, 0, -127, 0) == [2, 2, 1, 1, 0, 0]
 
@@ -380,13 +321,6 @@ def test_a_push_chooses_from_0_7_on_and_again_once_it_was_back_within_half_of_th
     assert chosen(armed, 45, 88, 89) == [0, 0, 1], "88/127 is 0.693"
     assert chosen(armed, 88, 45, 127) == [1, 1, 1], "45/127 is 0.354"
     assert chosen(armed, 44, 127) == [1, 2], "44/127 is 0.346"
-
-
-def test_a_push_that_enters_the_mode_of_the_joints_chooses_too() -> None:
-    held = Held(**{"joints.base.servo": 1, "joints.wrist.servo": 4})
-    held.frame()
-    held.tap()
-    assert held.frame(MODE, lx=127).arm == (1, 0.0)
 
 
 def test_mode_leads_from_the_joints_back_to_locked(armed: Held) -> None:

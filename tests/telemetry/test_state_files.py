@@ -6,7 +6,7 @@ import errno
 import os
 import resource
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -63,60 +63,43 @@ def refused(wanted: str, error: Exception) -> Callable[..., None]:
 
 @pytest.fixture
 def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """In place of /var/lib/failstop."""
+    """A folder in place of /var/lib/failstop."""
     monkeypatch.setenv(root.VARIABLE, str(tmp_path))
     (tmp_path / "var" / "lib").mkdir(parents=True)
     return tmp_path / "var" / "lib" / "failstop"
 
 
-def test_the_configured_directory_comes_first(base: Path) -> None:
+def test_the_state_directory_is_the_first_that_is_given(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The order: the settings', systemd's, the system's where it is writable, the user's."""
+    monkeypatch.setenv("HOME", "/home/x")
+    assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
+    assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
+    base.mkdir()
+    for _ in range(2):
+        assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
+        (base / "robot").mkdir(exist_ok=True)
+    assert state_directory("robot", {"STATE_DIRECTORY": "/given:/other"}) == "/given"
     assert state_directory("robot", {"STATE_DIRECTORY": "/given"}, "/chosen") == "/chosen"
 
 
-def test_systemd_s_first_state_directory_comes_second(base: Path) -> None:
-    base.mkdir()
-    assert state_directory("robot", {"STATE_DIRECTORY": "/given:/other"}) == "/given"
-
-
-def test_the_system_s_directory_comes_third_when_it_is_writable(base: Path) -> None:
-    base.mkdir()
-    assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
-    (base / "robot").mkdir()
-    assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
-
-
-def test_the_user_s_directory_comes_last(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", "/home/x")
-    assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
-    assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
-
-
-def test_a_new_file_starts_with_the_header(tmp_path: Path) -> None:
+def test_a_new_file_starts_with_the_header_and_a_torn_line_spoils_no_other(tmp_path: Path) -> None:
+    """A power cut tears one."""
     path = tmp_path / "deep" / "er" / "log.csv"
     append_line(str(path), HEADER, "1,2\n")
     append_line(str(path), HEADER, "3,4\n")
     assert path.read_text() == "a,b\n1,2\n3,4\n"
-
-
-def test_a_line_that_a_power_cut_tore_spoils_no_other(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
     path.write_text("a,b\n1,")
     append_line(str(path), HEADER, "3,4\n")
     assert path.read_text() == "a,b\n1,\n3,4\n"
 
 
-def test_a_line_that_does_not_fit_is_not_written(stage: Stage, module: Any) -> None:
-    module.append_line(LOG, HEADER, "1,2\n")
-    stage.machine.shortened = True
-    with pytest.raises(OSError, match="No space left"):
-        module.append_line(LOG, HEADER, "3,4\n")
-    assert stage.read_text(LOG) == "a,b\n1,2\n"
-
-
-def test_a_full_disk_is_an_os_error(tmp_path: Path) -> None:
-    with longest(2), pytest.raises(OSError, match="No space left"):
-        append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
-    assert (tmp_path / "log.csv").read_bytes() == b""
+def test_a_line_that_the_disk_has_no_room_for_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    for before in (b"", b"a,b\n1,2\n"):
+        with longest(len(before) + 2), pytest.raises(OSError, match="No space left"):
+            append_line(str(path), HEADER, "3,4\n")
+        assert path.read_bytes() == before
+        append_line(str(path), HEADER, "1,2\n")
 
 
 def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
@@ -128,20 +111,14 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
     assert victim.read_text() == "precious\n"
 
 
-def test_a_file_is_replaced_whole(stage: Stage, module: Any) -> None:
-    module.write_whole(CHARGER, "plugged\n")
-    module.write_whole(CHARGER, "unplugged\n")
-    assert stage.read_text(CHARGER) == "unplugged\n"
-    assert stage.os.listdir(FOLDER) == ["charger"]
-
-
-@pytest.mark.parametrize("step", ["fsync", "rename"])
-def test_a_write_that_fails_leaves_the_old_content(stage: Stage, module: Any, step: str) -> None:
+@pytest.mark.parametrize("step", ["fsync", "rename", ""])
+def test_a_file_is_replaced_whole_or_stays_as_it_was(stage: Stage, module: Any, step: str) -> None:
     module.write_whole(CHARGER, "plugged\n")
     stage.machine.at_seam = refused(step, OSError(errno.EIO, "Input/output error"))
-    with pytest.raises(OSError, match="Input/output error"):
+    with pytest.raises(OSError, match="Input/output error") if step else nullcontext():
         module.write_whole(CHARGER, "unplugged\n")
-    assert stage.read_text(CHARGER) == "plugged\n"
+    stage.machine.at_seam = None
+    assert stage.read_text(CHARGER) == ("plugged\n" if step else "unplugged\n")
     assert stage.os.listdir(FOLDER) == ["charger"]
 
 
@@ -196,21 +173,20 @@ def test_a_missing_directory_is_a_note_once_and_its_return_another(stage: Stage,
     assert files.notes() == [("battery log is written again", "")]
 
 
-def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp_path: Path) -> None:
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("make", "said"), [(os.mkdir, "charger state can't be read: "), (os.mkfifo, "a FIFO, not a regular file")]
+)
+def test_a_file_that_is_not_there_is_empty_and_one_that_is_none_a_note(
+    tmp_path: Path, make: Callable[[Path], None], said: str
+) -> None:
+    """A pipe in its place is not waited for."""
     files = StateFiles(str(tmp_path))
     assert files.read("charger state", "charger") == ""
     assert files.notes() == []
-    (tmp_path / "charger").mkdir()
+    make(tmp_path / "charger")
     assert files.read("charger state", "charger") == ""
-    assert files.notes()[0][0].startswith("charger state can't be read: ")
-
-
-@pytest.mark.timeout(20)
-def test_a_pipe_in_a_file_s_place_is_not_waited_for(tmp_path: Path) -> None:
-    files = StateFiles(str(tmp_path))
-    os.mkfifo(tmp_path / "charger")
-    assert files.read("charger state", "charger") == ""
-    assert "a FIFO, not a regular file" in files.notes()[0][0]
+    assert said in files.notes()[0][0]
 
 
 def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:

@@ -56,10 +56,9 @@ def test_still_is_told_after_window_and_hold_and_counts_from_the_first_sample() 
     begun_ns = tested.t_ns + STEP_NS
     tested.feed(FULL + HELD, 0.002)
     assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, 0), "not known yet, which is no shaking"
-    tested.feed(1, 0.002)
-    assert (tested.judge.still_ns, tested.judge.judged_ns) == (begun_ns, tested.t_ns)
-    tested.feed(1000, 0.002)
-    assert (tested.judge.still_ns, tested.judge.judged_ns) == (begun_ns, tested.t_ns)
+    for count in (1, 1000):
+        tested.feed(count, 0.002)
+        assert (tested.judge.still_ns, tested.judge.judged_ns) == (begun_ns, tested.t_ns)
 
 
 def test_nothing_is_judged_before_a_window_is_full() -> None:
@@ -70,40 +69,26 @@ def test_nothing_is_judged_before_a_window_is_full() -> None:
     assert tested.judge.judged_ns == tested.t_ns
 
 
-@pytest.mark.parametrize(("x_radps", "y_radps"), [(0.0036, 0.002), (0.002, 0.0036), (0.0036, 0.0036)])
-def test_shaking_on_either_axis_is_not_still(x_radps: float, y_radps: float) -> None:
+@pytest.mark.parametrize("bias_radps", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("x_radps", "y_radps"), [(0.0036, 0.002), (0.002, 0.0036), (0.0036, 0.0036), (0.0, 0.0036), (0.0036, 0.0)]
+)
+def test_shaking_on_either_axis_is_not_still(x_radps: float, y_radps: float, bias_radps: float) -> None:
+    """A bias hides none. An axis that repeats one value is no sensor that has died while the other shakes: wheels that
+    go on turning after a stop are told of."""
     tested = Shaken()
-    tested.feed(1000, x_radps, y_radps)
+    tested.feed(200, x_radps, y_radps, bias_radps)
     assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
 
 
-@pytest.mark.parametrize(("x_radps", "y_radps"), [(0.0, 0.0036), (0.0036, 0.0)])
-def test_shaking_counts_while_the_other_axis_repeats_one_value(x_radps: float, y_radps: float) -> None:
-    """Wheels that go on turning after a stop are told of, and not taken for a sensor that has died."""
-    tested = Shaken()
-    tested.feed(200, x_radps, y_radps, bias_radps=0.1)
-    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
-
-
-@pytest.mark.parametrize(("x_radps", "y_radps"), [(0.002, 0.0036), (0.0036, 0.002)])
-def test_a_bias_hides_no_shaking_of_either_axis(x_radps: float, y_radps: float) -> None:
-    tested = Shaken()
-    tested.feed(200, x_radps, y_radps, bias_radps=0.1)
-    assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
-
-
-@pytest.mark.parametrize(("std_radps", "still"), [(0.00346, True), (0.0035, False)])
-def test_the_limit_is_the_standard_deviation(std_radps: float, still: bool) -> None:
-    tested = Shaken()
+@pytest.mark.parametrize(
+    ("limit_radps", "std_radps", "still"), [(STD_RADPS, 0.00346, True), (STD_RADPS, 0.0035, False), (0.01, 0.009, True)]
+)
+def test_the_limit_is_the_standard_deviation_of_the_settings(limit_radps: float, std_radps: float, still: bool) -> None:
+    assert Settings()["still.std_radps"] == STD_RADPS
+    tested = Shaken(limit_radps)
     tested.feed(200, std_radps)
     assert tested.still is still
-
-
-def test_the_limit_is_the_settings() -> None:
-    assert Settings()["still.std_radps"] == STD_RADPS
-    tested = Shaken(std_radps=0.01)
-    tested.feed(200, 0.009)
-    assert tested.still
 
 
 @given(bias_radps=st.floats(-1.0, 1.0))
@@ -181,39 +166,20 @@ def test_a_sensor_that_has_died_and_lives_again_must_prove_rest_anew(lived: int,
 
 @pytest.mark.parametrize(("step_ms", "judged"), [(26, True), (27, False)])
 def test_twenty_samples_in_a_window_are_enough_to_prove_a_stop(step_ms: int, judged: bool) -> None:
+    """At 49 Hz, the slowest known, a window has 25."""
     tested = Shaken(step_ns=step_ms * MS)
     tested.feed(100, 0.002)
     assert (tested.judge.judged_ns == tested.t_ns) is judged
     assert tested.still is judged
 
 
-def test_too_slow_an_imu_is_not_judged() -> None:
-    """At 30 Hz a window has 16 samples; at 49 Hz, the slowest known, 25."""
-    slow, known = Shaken(step_ns=S // 30), Shaken(step_ns=S // 49)
-    slow.feed(300, 0.002)
-    known.feed(300, 0.002)
-    assert slow.judge.judged_ns == 0
-    assert known.still
-
-
-@pytest.mark.parametrize("wild_radps", [35.0, 6e36])
-def test_a_wild_sample_leaves_nothing_behind(wild_radps: float) -> None:
+def test_wild_samples_leave_nothing_behind_and_it_judges_as_exactly_as_at_the_start() -> None:
     """The largest rate of a gyro, and the largest that a float32 can say: with sums of floats the second would spoil
-    them forever."""
-    tested = Shaken()
-    tested.feed(200, 0.002)
-    tested.feed(1, wild_radps)
-    tested.feed(FULL + HELD + 2, 0.002)
-    assert tested.still
-    tested.feed(FULL + HELD + 2, 0.0036)
-    assert not tested.still
-
-
-def test_an_hour_later_it_judges_as_exactly_as_at_the_start() -> None:
+    them for ever."""
     random = Random(1)
     old = Shaken()
-    for _ in range(2_000):
-        old.feed(200, random.choice((0.002, 0.005, 35.0, 1e6)), bias_radps=random.uniform(-1, 1))
+    for _ in range(50):
+        old.feed(200, random.choice((0.002, 0.005, 35.0, 1e6, 6e36)), bias_radps=random.uniform(-1, 1))
     old.feed(FULL + HELD + 2, 0.00346)
     assert old.still
     old.feed(FULL, 0.00351)
@@ -240,8 +206,8 @@ def gyro(seed: int, hz: float) -> Callable[[tuple[float, float, float, float], S
 @pytest.mark.parametrize("wheels", [FORWARD, FAST, TURN])
 def test_the_verdict_comes_within_0_9_s_of_the_stop(wheels: tuple[float, float, float, float], hz: float) -> None:
     """1000 seeds each, from the set point's change on (the wheels run down with a time constant of 0.08 s): at the
-    latest after 0.83 s at 110 Hz, 0.88 s at 49 Hz. The supervisor waits for 1.5 s. These are 20 of those seeds."""
-    for seed in range(20):
+    latest after 0.83 s at 110 Hz, 0.88 s at 49 Hz. The supervisor waits for 1.5 s. These are 4 of those seeds."""
+    for seed in range(4):
         judge, step = StillJudge(STD_RADPS), gyro(seed, hz)
         stopped_ns = [step(wheels, judge) for _ in range(round(2 * hz))][-1]
         assert judge.still_ns == 0
@@ -254,17 +220,14 @@ def test_the_verdict_comes_within_0_9_s_of_the_stop(wheels: tuple[float, float, 
 
 @pytest.mark.slow
 def test_it_is_rarely_wrong() -> None:
-    """Ten minutes each: still all the time at rest, never at 0.2 m/s. Turning on the spot at 1.0 rad/s shakes with
+    """Two minutes each: still all the time at rest, never at 0.2 m/s. Turning on the spot at 1.0 rad/s shakes with
     0.0043 rad/s, where some verdict is wrong in 0.014 % of all stretches of 1.5 s, which is 0.1 in ten minutes."""
+    count = 120 * 110
     for wheels, share, tolerance in ((REST, 1.0, 0.0), (FORWARD, 0.0, 0.0), (TURN, 0.0, 0.002)):
         judge, step = StillJudge(STD_RADPS), gyro(3, 110.0)
         for _ in range(110):
             step(wheels, judge)
-        count = 600 * 110
-        found = 0
-        for _ in range(count):
-            step(wheels, judge)
-            found += judge.still_ns > 0
+        found = sum(step(wheels, judge) > 0 and judge.still_ns > 0 for _ in range(count))
         assert abs(found / count - share) <= tolerance, wheels
 
 
@@ -298,13 +261,10 @@ def test_both_words_follow_each_sample_and_another_verdict_rings_the_supervisor(
     last_ns = scene.clock()
     scene.turn(elapsed_ns=S)
     assert words(scene) == (0, last_ns), "nothing is judged without samples"
-
-
-def test_a_successor_begins_with_knowing_nothing(scene: Scene) -> None:
     shake(scene, FULL + HELD + 20, 0.1)
     assert words(scene)[0]
     scene.start_telemetry()
-    assert words(scene) == (0, 0)
+    assert words(scene) == (0, 0), "a successor begins with knowing nothing"
 
 
 def test_on_a_running_service() -> None:

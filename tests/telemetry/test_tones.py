@@ -21,21 +21,17 @@ def sounding() -> Tones:
     return made
 
 
-def test_off_by_default() -> None:
+def test_tones_are_off_by_default() -> None:
     assert not Settings().on("buzzer.tones")
     silent = Tones(on=False)
     seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (pad.LOCKED, pad.DRIVING)]
     assert set(seen) == {None}
 
 
-def test_a_trip_sounds_once(sounding: Tones) -> None:
-    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
-
-
-def test_each_trip_sounds(sounding: Tones) -> None:
-    sounding.follow(True, pad.LOCKED)
-    assert sounding.follow(False, pad.LOCKED) is None
-    assert sounding.follow(True, pad.LOCKED) == pad.LATCH_SOUND
+def test_each_trip_sounds_once(sounding: Tones) -> None:
+    for _ in range(2):
+        assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
+        assert sounding.follow(False, pad.LOCKED) is None
 
 
 def test_each_mode_has_its_tone(sounding: Tones) -> None:
@@ -51,18 +47,15 @@ def test_a_trip_that_locks_the_pad_sounds_as_a_trip(sounding: Tones) -> None:
     assert sounding.follow(False, pad.LOCKED) is None
 
 
-def test_what_was_latched_before_the_start_is_not_told_again() -> None:
-    assert Tones(on=True).follow(True, pad.LOCKED) is None
-
-
-def test_who_stands_near_the_arm_hears_once_that_it_is_about_to_tuck(sounding: Tones) -> None:
+def test_an_arm_that_is_about_to_tuck_is_heard_once(sounding: Tones) -> None:
     tucks = [False, True, True, False, False, True]
     heard = [sounding.follow(False, pad.LOCKED, tucks=each) for each in tucks]
     assert heard == [None, pad.TUCK_SOUND, None, None, None, pad.TUCK_SOUND]
 
 
-def test_a_tuck_that_was_announced_before_the_start_is_heard_all_the_same() -> None:
+def test_a_stop_of_before_the_start_is_not_heard_and_a_tuck_is() -> None:
     """The arm has yet to move."""
+    assert Tones(on=True).follow(True, pad.LOCKED) is None
     assert Tones(on=True).follow(False, pad.LOCKED, tucks=True) == pad.TUCK_SOUND
 
 
