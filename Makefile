@@ -18,10 +18,12 @@ JOBS ?= 3
 # Compiled copies are kept, wherever else they are not wanted: without them every process that a test starts compiles anew.
 PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
+# The files with such tests: to read all others would take longer than to run these.
+ALONE = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 test: $(VENV)/.dev lint
 	$(PYTEST) --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder -m 'not alone and not page' || \
 	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
-	$(PYTEST) --numprocesses 0 -m alone || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
+	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
 campaigns: $(VENV)/.dev

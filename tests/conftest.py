@@ -60,10 +60,25 @@ def _refuse(event: str, _: object) -> None:
         pytest.fail(f"{event}: this test starts a process: mark it `starts`, or see tests/support/starting.py")
 
 
+LONGEST = (
+    *("systemd/test_install.py", "prove/test_prove.py", "machine/test_campaign.py", "test_model.py"),
+    *("systemd/test_removal.py", "systemd/test_service.py", "faults/test_table.py", "prove/test_campaign.py"),
+    *("shm/test_torn.py", "incidents/test_live.py", "ros2/test_ends.py", "web/test_sockets.py"),
+    *("screen/test_teleop.py", "screen/test_commands.py", "e2e/test_hostile_clients.py", "docs/test_docs.py"),
+    *("faults/test_chaos.py", "safety/test_table.py", "e2e/test_package.py", "ros2/test_driving.py"),
+    *("procs/test_gate_arm.py", "ros2/test_arm_live.py", "used/test_used.py", "incidents/test_pictures.py"),
+)
+"""Files of tests by how long they take, as `pytest --durations=0` has it, the longest first."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: a worker that gets one of them last is waited for by all others."""
+    """Long files first, then the others with slow tests: a worker that gets one last is waited for by all others."""
+    here = Path(__file__).parent
+    order = {here / name: place for place, name in enumerate(LONGEST)}
+    if gone := [path for path in order if not path.exists()]:
+        raise pytest.UsageError(f"LONGEST names files that are not there: {gone}")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: order.get(item.path, len(order) + (item.path not in slow)))
 
 
 @pytest.fixture(autouse=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, wait_for
+from tests.support.shared_trial import IMU_HZ, Keeper
 from tests.support.simulated import Simulated
 
 _numbers = itertools.count()
@@ -23,10 +23,24 @@ def name() -> str:
     return f"e2e-{os.getpid()}-{next(_numbers)}"
 
 
+@pytest.fixture(scope="package")
+def keeper() -> Iterator[Keeper]:
+    """It has the service of all tests that leave theirs as they found it."""
+    made = Keeper("e2e-kept")
+    yield made
+    made.end()
+
+
 @pytest.fixture
-def trial(name: str) -> Iterator[Trial]:
-    """Board, service and client with the default settings; the service must end well."""
-    with Trial(name) as running:
+def trial(keeper: Keeper) -> Trial:
+    """Board, service and client with the default settings, whole and at rest, though others may have used them."""
+    return keeper.take()
+
+
+@pytest.fixture
+def fresh(name: str) -> Iterator[Trial]:
+    """A trial of the test's own, which may damage what no state shows; the service must end well."""
+    with Trial(name, imu_hz=IMU_HZ) as running:
         yield running
 
 
@@ -38,10 +52,18 @@ def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
     assert made.failed == []
 
 
-@pytest.fixture
-def hardy_trial(name: str, tmp_path: Path) -> Iterator[Trial]:
-    """A trial in which so many deaths are no crash loop."""
-    config = tmp_path / "many-deaths.toml"
+@pytest.fixture(scope="package")
+def hardy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
+    """A trial in which many deaths are no crash loop."""
+    config = tmp_path_factory.mktemp("hardy") / "many-deaths.toml"
     config.write_text(MANY_DEATHS)
-    with Trial(name, ("--config", str(config))) as running:
+    with Trial(f"e2e-hardy-{os.getpid()}", ("--config", str(config)), imu_hz=IMU_HZ) as running:
         yield running
+
+
+@pytest.fixture
+def hardy_trial(hardy: Trial) -> Iterator[Trial]:
+    """The same, with every process alive: a test may kill them."""
+    wait_for("a service that is whole", hardy.service.ready)
+    yield hardy
+    hardy.leave()

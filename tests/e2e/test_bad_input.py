@@ -17,7 +17,6 @@ import pytest
 
 from failstop import FailstopError
 from failstop.api.client import run
-from failstop.board.burst import BURST
 from failstop.cli.main import main
 from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
@@ -27,7 +26,6 @@ from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
 from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.commands import FAILSTOP, failstop
-from tests.support.ptys import Pty
 from tests.support.simulated import Simulated
 
 
@@ -53,17 +51,6 @@ def limited(files: int, *words: str) -> subprocess.CompletedProcess[str]:
 LACKING = "failstop: RLIMIT_NOFILE is {}, and 64 open files are needed: raise it"
 
 
-@pytest.mark.parametrize("files", [8, 20, 40, 43, 63])
-def test_too_few_descriptors_for_the_service_are_one_line_after_the_stop(name: str, files: int) -> None:
-    board = Pty()
-    result = limited(files, "run", "--name", name, "--device", board.link)
-    assert result.returncode == 1
-    assert _one_line(result).startswith(LACKING.format(files))
-    assert board.read().startswith(BURST), "stop first"
-    assert not [entry for entry in os.listdir("/dev/shm") if name in entry]
-    board.close()
-
-
 def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:
     raised = "import resource; from failstop.procs import rights; rights.take_descriptors();"
     found = subprocess.run(
@@ -84,15 +71,15 @@ def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:
     assert found.stdout == f"{rights.DESCRIPTORS}\n"
 
 
-def test_the_service_needs_no_more_descriptors_than_it_asks_for(trial: Trial) -> None:
+def test_the_service_needs_no_more_descriptors_than_it_asks_for(fresh: Trial) -> None:
     for number in range(MOST_SAVERS):
-        trial.robot.estop(f"number {number}")
-        wait_for("the latch", lambda: trial.robot.state.estop is not None)
-        wait_for("a reset", lambda: _reset(trial))
+        fresh.robot.estop(f"number {number}")
+        wait_for("the latch", lambda: fresh.robot.state.estop is not None)
+        wait_for("a reset", lambda: _reset(fresh))
     wait_for(
-        "the savers", lambda: len(psutil.Process(trial.service.pids()["supervisor"]).children()) == 4 + MOST_SAVERS
+        "the savers", lambda: len(psutil.Process(fresh.service.pids()["supervisor"]).children()) == 4 + MOST_SAVERS
     )
-    most = len(os.listdir(f"/proc/{trial.service.pids()['supervisor']}/fd"))
+    most = len(os.listdir(f"/proc/{fresh.service.pids()['supervisor']}/fd"))
     assert most + len(layout.PROCESS_NAMES) <= rights.DESCRIPTORS, "with those of a dead run's segments"
 
 
@@ -186,14 +173,14 @@ def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
         assert trial.moving()
 
 
-def test_name_already_running_in_another_runtime_directory(trial: Trial) -> None:
-    Path(instance.lock_path(instance.find(trial.name))).unlink()
-    result = failstop("run", "--name", trial.name, "--device", trial.link)
+def test_name_already_running_in_another_runtime_directory(fresh: Trial) -> None:
+    Path(instance.lock_path(instance.find(fresh.name))).unlink()
+    result = failstop("run", "--name", fresh.name, "--device", fresh.link)
     assert result.returncode == 1
     assert "is already running (pid" in _one_line(result)
-    trial.enable()
-    trial.drive(0.1)
-    assert trial.moving()
+    fresh.enable()
+    fresh.drive(0.1)
+    assert fresh.moving()
 
 
 def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
@@ -212,25 +199,6 @@ def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
         assert trial.service.end() == 0
         assert not [found for found in os.listdir("/dev/shm") if name in found]
         assert {found.name for found in runtime.iterdir()} == {"lock", "last"}
-
-
-def test_header_of_another_version_and_exit_code(name: str) -> None:
-    with Trial(name) as trial:
-        memory = os.open(segments.path_of(run(name)[0], layout.SUPERVISOR), os.O_RDWR)
-        raw = os.pread(memory, HEADER_BYTES, 0)
-        entry = cell.check(raw, cell.seed("header", 0))
-        assert entry is not None
-        other = bytearray(entry[2])
-        other[8] ^= 0xFF
-        os.pwrite(memory, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
-        try:
-            result = failstop("status", "--name", name)
-        finally:
-            os.pwrite(memory, raw, 0)
-            os.close(memory)
-        assert result.returncode == 1
-        assert "another layout" in _one_line(result)
-        trial.enable()
 
 
 def test_full_client_table(simulated: Simulated) -> None:
@@ -257,21 +225,6 @@ def test_no_service(simulated: Simulated) -> None:
         simulated.failstop.Robot()
 
 
-def test_bad_names_settings_and_files(name: str, tmp_path: Path) -> None:
-    bad = tmp_path / "bad.toml"
-    cases = (
-        (["run", "--name", "no/slash"], "use 1 to 32 of a-z"),
-        (["run", "--name", name, "--config", str(tmp_path / "missing")], "check the path"),
-        (["run", "--name", name, "--config", str(bad)], "gate.lease_s = 9.0: allowed is 0.04 to 1 s"),
-        (["nonsense"], "no command 'nonsense'"),
-    )
-    bad.write_text("[gate]\nlease_s = 9.0\n")
-    for words, message in cases:
-        result = failstop(*words)
-        assert result.returncode == 1
-        assert message in _one_line(result)
-
-
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
 def test_user_outside_the_group_may_stop_but_not_drive(trial: Trial) -> None:
     code = """
@@ -295,3 +248,21 @@ robot.estop("by nobody")
     while not trial.robot.state.estop and time.monotonic() < until:
         time.sleep(0.005)
     assert "by nobody" in (trial.robot.state.estop or "")
+
+
+def test_a_header_of_another_version_is_one_line(trial: Trial) -> None:
+    memory = os.open(segments.path_of(run(trial.name)[0], layout.SUPERVISOR), os.O_RDWR)
+    raw = os.pread(memory, HEADER_BYTES, 0)
+    entry = cell.check(raw, cell.seed("header", 0))
+    assert entry is not None
+    other = bytearray(entry[2])
+    other[8] ^= 0xFF
+    os.pwrite(memory, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
+    try:
+        result = failstop("status", "--name", trial.name)
+    finally:
+        os.pwrite(memory, raw, 0)
+        os.close(memory)
+    assert result.returncode == 1
+    assert "another layout" in _one_line(result)
+    trial.enable()

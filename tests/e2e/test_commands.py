@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import pty
-import resource
-import tty
-from pathlib import Path
 
 import pytest
 
-from failstop.board.burst import BURST
 from failstop.cli.main import COMMANDS, HIDDEN, main
 from failstop.lab.trial import Trial
 from tests.support.commands import failstop
@@ -70,21 +64,6 @@ def test_status_json_has_what_is_promised(simulated: Simulated) -> None:
     assert state["clients"][0]["name"] == "trial"
 
 
-def test_status_is_quick(trial: Trial) -> None:
-    """The measure is the processor time that it takes, which other programs do not change."""
-
-    def spent_s() -> float:
-        children = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return children.ru_utime + children.ru_stime
-
-    times = []
-    for _ in range(5):
-        before_s = spent_s()
-        assert failstop("status", "--name", trial.name).returncode == 0
-        times.append(spent_s() - before_s)
-    assert min(times) < 0.5, times
-
-
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     text = failstop("--help").stdout
     for command in COMMANDS:
@@ -92,27 +71,6 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         with contextlib.suppress(SystemExit):
             assert main([command, "--help"]) == 0
         assert f"failstop {command}" in capsys.readouterr().out
-
-
-def test_stop_tool(tmp_path: Path) -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    device = tmp_path / "board"
-    os.symlink(os.ttyname(slave), device)
-    result = failstop("stop", "--device", str(device))
-    assert result.stdout == f"stop frame sent (after 0.0 s), directly to {device}\n"
-    assert os.read(master, 4096) == BURST
-    os.close(master)
-    os.close(slave)
-    gone = failstop("stop", "--device", str(tmp_path / "none"), "--wait", "0.1")
-    assert gone.returncode == 1
-    assert "no device" in gone.stderr
-
-
-def test_stop_tool_beside_a_running_service(trial: Trial) -> None:
-    trial.board.events()
-    assert failstop("stop", "--device", trial.link).returncode == 0
-    assert sum(event.is_stop for event in trial.board.events()) >= 4
 
 
 def test_config_lists_every_setting() -> None:

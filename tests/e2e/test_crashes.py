@@ -42,8 +42,9 @@ def test_what_is_started_again_may_take_longer_for_its_start(hardy_trial: Trial)
 
 
 @pytest.mark.parametrize("process", [name for name in PROCESS_NAMES if name != SUPERVISOR])
-def test_an_interrupt_is_an_end_at_once(trial: Trial, process: str) -> None:
+def test_an_interrupt_is_an_end_at_once(hardy_trial: Trial, process: str) -> None:
     """No exception, and no interpreter that is taken down."""
+    trial = hardy_trial
     trial.enable()
     trial.drive(0.2)
     pid = trial.service.pids()[process]
@@ -59,24 +60,24 @@ def test_an_interrupt_is_an_end_at_once(trial: Trial, process: str) -> None:
 @pytest.mark.alone
 @pytest.mark.skipif(bool(ptrace.unfit()), reason=ptrace.unfit())
 @pytest.mark.parametrize("process", PROCESS_NAMES)
-def test_who_loops_on_the_only_core_is_stopped_for(trial: Trial, process: str) -> None:
+def test_who_loops_on_the_only_core_is_stopped_for(fresh: Trial, process: str) -> None:
     """Above everybody who is to stop for it, but for the kernel."""
-    trial.enable()
-    pids = trial.service.pids()
+    fresh.enable()
+    pids = fresh.service.pids()
     core = max(os.sched_getaffinity(0))
     for pid in pids.values():
         for thread in os.listdir(f"/proc/{pid}/task"):
             os.sched_setaffinity(int(thread), {core})
-    trial.drive(0.2)
-    assert trial.moving()
-    trial.board.events()
+    fresh.drive(0.2)
+    assert fresh.moving()
+    fresh.board.events()
     begun_ns = time.monotonic_ns()
     ptrace.spin(pids[process])
-    stop = trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= begun_ns, 10.0)
+    stop = fresh.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= begun_ns, 10.0)
     assert (stop.arrival_ns - begun_ns) / 1e6 < LATEST_MS
     if process == SUPERVISOR:
-        trial.leave()
-        trial.service.kill()
+        fresh.leave()
+        fresh.service.kill()
         return
-    wait_for("another one", lambda: trial.service.pids()[process] not in (0, pids[process]))
-    assert trial.robot.state.estop
+    wait_for("another one", lambda: fresh.service.pids()[process] not in (0, pids[process]))
+    assert fresh.robot.state.estop

@@ -1,25 +1,12 @@
-"""The demo is a promise of the README: it runs, it is quick, it says what it saw."""
+"""The demo's kills; test_package.py runs all of it."""
 
 from __future__ import annotations
-
-import time
 
 import pytest
 
 from failstop.lab.commands import demo
 from failstop.lab.trial import Stopped
 from failstop.messages import layout
-from tests.support.commands import failstop
-
-
-def test_demo() -> None:
-    start_s = time.monotonic()
-    result = failstop("demo", timeout=60)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert time.monotonic() - start_s < 40
-    for process in layout.PROCESS_NAMES:
-        assert f"kill -9 {process} " in result.stdout
-    assert "nothing moved again" in result.stdout
 
 
 class Busy:

@@ -104,16 +104,6 @@ def test_death_of_the_driving_client(simulated: Simulated) -> None:
     assert "mortal" not in [client.name for client in state.clients]
 
 
-def test_enable_is_refused_while_latched_and_reset_does_not_enable(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.robot.estop("test")
-    simulated.robot.wait_for("latched", 1.0)
-    with pytest.raises(simulated.failstop.Refused, match=r"a stop is latched \(stop request: test"):
-        simulated.robot.enable()
-    assert "motion still disabled" in simulated.robot.reset()
-    assert not simulated.robot.state.enabled
-
-
 def test_a_motor_frame_at_least_every_0_2_s_while_driving(simulated: Simulated) -> None:
     simulated.enable()
     simulated.drive(0.5)

@@ -190,84 +190,84 @@ def test_scribbling_over_everyone_s_slots(two_sources: Trial) -> None:
     watch.holds()
 
 
-def test_garbling_the_velocities_that_another_commands(trial: Trial) -> None:
-    watch = Watch(trial)
-    trial.enable()
-    trial.drive(0.5)
-    trial.board.events()
-    with hostile(trial, "garble", 0) as client:
+def test_garbling_the_velocities_that_another_commands(fresh: Trial) -> None:
+    watch = Watch(fresh)
+    fresh.enable()
+    fresh.drive(0.5)
+    fresh.board.events()
+    with hostile(fresh, "garble", 0) as client:
         client.says()
-        trial.drive(1.0)
-        assert trial.robot.state.estop is None
-    events = [event for event in trial.board.events() if event.is_motor]
+        fresh.drive(1.0)
+        assert fresh.robot.state.estop is None
+    events = [event for event in fresh.board.events() if event.is_motor]
     assert len(events) >= 3
     assert all(forward_or_still(event) for event in events)
     # A garbled command that counted would slow the wheels down along the ramp until the next one.
     speeds = [event.speeds[0] for event in events]
     assert all(after == 0 or after > before - 1e-5 for before, after in itertools.pairwise(speeds))
-    trial.drive(0.2)
-    assert trial.moving(), "a whole command counts again"
+    fresh.drive(0.2)
+    assert fresh.moving(), "a whole command counts again"
     watch.holds()
 
 
 @pytest.mark.parametrize("size", [0, 200, 1 << 40])
-def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
-    watch = Watch(trial)
-    trial.enable()
-    trial.drive(0.1)
-    with hostile(trial, "resize", size) as client:
+def test_a_slot_s_memory_of_another_size(fresh: Trial, size: int) -> None:
+    watch = Watch(fresh)
+    fresh.enable()
+    fresh.drive(0.1)
+    with hostile(fresh, "resize", size) as client:
         assert int(client.says()) == 1
-        trial.drive(0.1)
+        fresh.drive(0.1)
         if size > 1000:
-            assert latched(trial).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
+            assert latched(fresh).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
         else:
-            wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
+            wait_for("the gate to see it", lambda: len(fresh.robot.state.clients) == 1)
             # A gate that is held up may greet it before the cut and find its command after it: then that counts.
-            wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving() or trial.robot.state.estop)
-            latch = trial.robot.state.estop
+            wait_for("the wheels to turn", lambda: fresh.drive(0.02) or fresh.moving() or fresh.robot.state.estop)
+            latch = fresh.robot.state.estop
             assert latch is None or latch.startswith("multiple cmd_vel publishers: ")
-    drives_again(trial)
-    later = Client(trial.name, "later")
+    drives_again(fresh)
+    later = Client(fresh.name, "later")
     assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"
     later.close()
     watch.holds()
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
-def test_nothing_can_be_removed_or_replaced_by_the_group(trial: Trial) -> None:
-    trial.enable()
-    before = sorted(os.listdir(instance.find(trial.name)))
-    with hostile(trial, "vandal") as client:
+def test_nothing_can_be_removed_or_replaced_by_the_group(fresh: Trial) -> None:
+    fresh.enable()
+    before = sorted(os.listdir(instance.find(fresh.name)))
+    with hostile(fresh, "vandal") as client:
         assert int(client.says()) > len(layout.SEGMENTS) + 3
         done = set(client.says().split(", "))
     # Its own slots' memory and the claims' content are the group's to write; neither can hurt.
-    assert done <= {f"truncate failstop.{run(trial.name)[0]}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
+    assert done <= {f"truncate failstop.{run(fresh.name)[0]}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
         "truncate claims"
     }
-    assert sorted(os.listdir(instance.find(trial.name))) == before
-    trial.leave()
-    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    assert sorted(os.listdir(instance.find(fresh.name))) == before
+    fresh.leave()
+    fresh.board.wait_wheels(moving=False, timeout_s=2.0)
 
 
-def test_names_removed_by_the_service_s_own_user(trial: Trial) -> None:
-    directory = instance.find(trial.name)
-    trial.enable()
-    trial.drive(0.1)
+def test_names_removed_by_the_service_s_own_user(fresh: Trial) -> None:
+    directory = instance.find(fresh.name)
+    fresh.enable()
+    fresh.drive(0.1)
     os.unlink(instance.bell_path(directory))
     os.unlink(instance.claims_path(directory))
-    trial.drive(0.2)
-    assert trial.moving(), "who is connected goes on"
+    fresh.drive(0.2)
+    assert fresh.moving(), "who is connected goes on"
     with pytest.raises(FailstopError, match="is going away"):
-        Client(trial.name, "late")
-    trial.robot.estop("still heard")
-    assert "still heard" in latched(trial)
+        Client(fresh.name, "late")
+    fresh.robot.estop("still heard")
+    assert "still heard" in latched(fresh)
 
 
-def test_a_slot_s_name_removed_by_the_service_s_own_user(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.1)
-    os.unlink(segments.path_of(run(trial.name)[0], "client.1"))
-    later = Client(trial.name, "later")
+def test_a_slot_s_name_removed_by_the_service_s_own_user(fresh: Trial) -> None:
+    fresh.enable()
+    fresh.drive(0.1)
+    os.unlink(segments.path_of(run(fresh.name)[0], "client.1"))
+    later = Client(fresh.name, "later")
     assert later.slot == 2, "the slot is passed over"
     later.close()
 

@@ -18,9 +18,9 @@ from failstop.messages import layout
 from tests.support.amounts import amount
 
 POLL_S = 0.02
-POLLERS = 10
+POLLERS = 15
 """Programs that poll beside each other, at phases that divide the time between two polls."""
-ROUNDS = amount(3, 30)
+ROUNDS = amount(2, 20)
 FOLLOWS_S = 1.0
 """A Robot notices at its next call."""
 LOAD = "while True: pass"

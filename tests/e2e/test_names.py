@@ -25,33 +25,33 @@ def test_a_client_slot_that_is_gone_costs_that_slot_alone(simulated: Simulated) 
     assert simulated.said.count("client.5 was removed") == 1
 
 
-def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial) -> None:
-    """logind removes it so: the service manager restarts a service that has ended, and the new run makes its own."""
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
-    trial.board.events()
-    pids = trial.service.pids()
+def test_without_its_shared_memory_it_stops_and_ends_with_an_error(fresh: Trial) -> None:
+    """As logind removes it: the service manager restarts a service that has ended, and the new run makes its own."""
+    fresh.enable()
+    fresh.drive(0.2)
+    assert fresh.moving()
+    fresh.board.events()
+    pids = fresh.service.pids()
     removed_ns = time.monotonic_ns()
-    for path in glob.glob(f"/dev/shm/failstop.{trial.name}.*"):
+    for path in glob.glob(f"/dev/shm/failstop.{fresh.name}.*"):
         os.unlink(path)
-    process = trial.service.process
+    process = fresh.service.process
     assert process
-    trial.drive(2.0)
+    fresh.drive(2.0)
     assert process.wait(5) == 1
-    stopped = judge(trial.board.events(), removed_ns, True)
+    stopped = judge(fresh.board.events(), removed_ns, True)
     assert stopped.stop_ns is not None
     assert stopped.stop_ns < 3e9
     assert stopped.motion_after == 0
     wait_for("every process to be gone", lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids.values()))
-    assert "RemoveIPC" in trial.service.said()
-    assert "was removed: restart the service; stop frame written" in trial.service.said()
-    assert re.search("incident .* saved", trial.service.said()), "names or not, its black box is there"
-    trial.leave()
-    trial.service.start()
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
+    assert "RemoveIPC" in fresh.service.said()
+    assert "was removed: restart the service; stop frame written" in fresh.service.said()
+    assert re.search("incident .* saved", fresh.service.said()), "names or not, its black box is there"
+    fresh.leave()
+    fresh.service.start()
+    fresh.enable()
+    fresh.drive(0.2)
+    assert fresh.moving()
 
 
 def test_without_its_stop_pipe_it_ends(simulated: Simulated) -> None:

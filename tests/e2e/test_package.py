@@ -6,10 +6,13 @@ import os
 import subprocess
 import sys
 import tarfile
+import time
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from failstop.messages import layout
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -64,5 +67,10 @@ def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Pat
     where = "next: install failstop-lab (docs/install.md)"
     assert refused.stderr == f"failstop: `failstop demo` is not installed here; {where}\n"
     subprocess.run([*pip, str(next((built / "lab").glob("*.whl")))], check=True, timeout=280)
+    start_s = time.monotonic()
     shown = demo()
     assert shown.returncode == 0, shown.stdout + shown.stderr
+    assert time.monotonic() - start_s < 40, "a promise of the README: it is quick, and says what it saw"
+    for process in layout.PROCESS_NAMES:
+        assert f"kill -9 {process} " in shown.stdout
+    assert "nothing moved again" in shown.stdout

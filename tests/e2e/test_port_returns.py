@@ -89,30 +89,30 @@ class NoNumbers:
 
 
 @pytest.mark.parametrize("process", [layout.STOPPER, layout.PORT_OWNER, layout.SUPERVISOR])
-def test_while_there_is_no_room_for_the_port(trial: Trial, process: str) -> None:
-    lose_while_driving(trial)
-    pids = trial.service.pids()
+def test_while_there_is_no_room_for_the_port(fresh: Trial, process: str) -> None:
+    lose_while_driving(fresh)
+    pids = fresh.service.pids()
     with NoNumbers(pids[process]):
-        event, late_s = stop_at_return(trial)
+        event, late_s = stop_at_return(fresh)
         assert event.is_stop
         assert late_s < LATEST_S
         if process == layout.SUPERVISOR:
             wait_for(
-                "a service that is whole: it has kept a number for it", lambda: trial.robot.state.waiting_for is None
+                "a service that is whole: it has kept a number for it", lambda: fresh.robot.state.waiting_for is None
             )
         else:
             since_s = time.monotonic()
             wait_for("some tries", lambda: time.monotonic() - since_s > 0.3)
-            assert trial.robot.state.waiting_for == "the port", "no motion without the second channel"
-    drives_only_when_enabled(trial)
-    after = trial.service.pids()
+            assert fresh.robot.state.waiting_for == "the port", "no motion without the second channel"
+    drives_only_when_enabled(fresh)
+    after = fresh.service.pids()
     assert after == pids
     # The second channel: nobody else is left to stop.
-    trial.board.events()
+    fresh.board.events()
     for hung in (layout.SUPERVISOR, layout.PORT_OWNER):
         os.kill(after[hung], signal.SIGSTOP)
     hung_ns = time.monotonic_ns()
-    trial.drive(0.6)
-    assert any(e.is_stop and e.arrival_ns > hung_ns for e in trial.board.events())
-    assert not trial.moving()
+    fresh.drive(0.6)
+    assert any(e.is_stop and e.arrival_ns > hung_ns for e in fresh.board.events())
+    assert not fresh.moving()
     os.kill(after[layout.SUPERVISOR], signal.SIGCONT)

@@ -148,19 +148,6 @@ def test_a_request_that_waits_when_the_service_dies_is_told_at_once(simulated: S
         assert 0 <= simulated.now_ns() - dies_ns < 20 * MS
 
 
-def test_the_state_tells_of_the_supervisor_s_death_at_once(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.drive(0.3)
-    robot = simulated.robot
-    assert robot.state.enabled
-    assert any(robot.state.wheels_radps)
-    simulated.die("supervisor")
-    simulated.wait(0.001)
-    state = robot.state
-    stopped(state, "supervisor died", "supervisor hangs: ")
-    assert state.processes["supervisor"].state == "dead"
-
-
 # Closed.
 
 
@@ -296,12 +283,12 @@ def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: T
 # The end of the supervisor, as the state tells it.
 
 
-def test_the_death_of_all_at_once_is_told_by_nobody_and_seen(trial: Trial) -> None:
+def test_the_death_of_all_at_once_is_told_by_nobody_and_seen(fresh: Trial) -> None:
     """Nobody can say anything of it: the lock on the supervisor's memory tells, in whatever container."""
-    reader = StateReader(trial.name)
-    pids = trial.service.pids()
-    trial.enable()
-    trial.drive(0.3)
+    reader = StateReader(fresh.name)
+    pids = fresh.service.pids()
+    fresh.enable()
+    fresh.drive(0.3)
     assert reader.read().enabled
     for number in (signal.SIGSTOP, signal.SIGKILL):
         for pid in pids.values():

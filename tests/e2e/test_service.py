@@ -18,10 +18,10 @@ from tests.support.simulated import MS, Simulated
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
 
 
-def test_first_bytes_are_the_burst_and_early(trial: Trial) -> None:
-    motor = [event for event in trial.board.events() if event.is_motor]
+def test_first_bytes_are_the_burst_and_early(fresh: Trial) -> None:
+    motor = [event for event in fresh.board.events() if event.is_motor]
     assert motor[0].is_stop
-    assert motor[0].arrival_ns - trial.service.started_ns < 1e9
+    assert motor[0].arrival_ns - fresh.service.started_ns < 1e9
     assert BURST.count(bytes.fromhex("AA550316")) == 4
     assert not any(event.is_motion for event in motor)
 
@@ -89,9 +89,9 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_no_process_outlives_a_killed_supervisor_for_long(trial: Trial) -> None:
-    pids = trial.service.pids()
-    trial.service.kill()
+def test_no_process_outlives_a_killed_supervisor_for_long(fresh: Trial) -> None:
+    pids = fresh.service.pids()
+    fresh.service.kill()
     wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids.values()), 2.0)
 
 
@@ -114,21 +114,21 @@ def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
     assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 0}
 
 
-def test_lost_and_returned_port(trial: Trial) -> None:
-    lose_while_driving(trial)
-    wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
-    wait_for("everyone to let the port go", lambda: not _holders(trial))
-    event, seconds = stop_at_return(trial)
+def test_lost_and_returned_port(fresh: Trial) -> None:
+    lose_while_driving(fresh)
+    wait_for("the latch", lambda: fresh.robot.state.estop == "device lost")
+    wait_for("everyone to let the port go", lambda: not _holders(fresh))
+    event, seconds = stop_at_return(fresh)
     assert event.is_stop
     assert seconds < 3.0
-    drives_only_when_enabled(trial)
+    drives_only_when_enabled(fresh)
     # The duplicates of the new port are good for a stop too.
-    trial.board.events()
-    pid = trial.service.pids()["port_owner"]
-    stopped = trial.kill("port_owner", 0.1)
+    fresh.board.events()
+    pid = fresh.service.pids()["port_owner"]
+    stopped = fresh.kill("port_owner", 0.1)
     assert stopped.stop_ns is not None
     assert stopped.motion_after == 0
-    trial.recover("port_owner", pid)
+    fresh.recover("port_owner", pid)
 
 
 def test_a_long_absence_of_a_standing_robot_is_no_motion() -> None:

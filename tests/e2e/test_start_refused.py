@@ -33,9 +33,9 @@ LIMITS = {
     "no file may grow": (resource.RLIMIT_FSIZE, 0),
     "no file may grow to a segment": (resource.RLIMIT_FSIZE, 65536),
     "as many descriptors as Python needs": (resource.RLIMIT_NOFILE, 6),
-    "a few more": (resource.RLIMIT_NOFILE, 8),
-    "40 descriptors": (resource.RLIMIT_NOFILE, 40),
+    **{f"{files} descriptors": (resource.RLIMIT_NOFILE, files) for files in (8, 20, 40, 43, 63)},
 }
+LACKING = "failstop: RLIMIT_NOFILE is {}, and 64 open files are needed: raise it"
 FULL = {
     "/run without a directory more": ("/run", "nr_inodes=1", "", "No space left"),
     "/run without a file more": ("/run", "nr_inodes=3", "", "No space left"),
@@ -51,12 +51,17 @@ OTHERS = 13
 """Descriptors that the supervisor has now and then (rights.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
 
 
-@pytest.fixture
-def board(tmp_path: Path) -> Iterator[SimBoard]:
-    """A board whose wheels turn."""
-    with SimBoard(tmp_path / "board") as made:
-        turn(made)
+@pytest.fixture(scope="module")
+def one_board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
+    with SimBoard(tmp_path_factory.mktemp("refused") / "board") as made:
         yield made
+
+
+@pytest.fixture
+def board(one_board: SimBoard) -> SimBoard:
+    """Its wheels turn."""
+    turn(one_board)
+    return one_board
 
 
 def turn(board: SimBoard) -> None:
@@ -100,6 +105,8 @@ def test_limits_of_the_process(name: str, board: SimBoard, limit: str) -> None:
     which, most = LIMITS[limit]
     said = refused(board, *service(name, board), before=lambda: resource.setrlimit(which, (most, most)))
     assert ("ulimit -n" if which == resource.RLIMIT_NOFILE else "File too large") in said
+    if which == resource.RLIMIT_NOFILE and most >= 8:
+        assert said.startswith(LACKING.format(most))
     if most != 65536:  # else the supervisor says it, in its own words
         assert f"the stop is written to {board.link}" in said
     assert left(name) == []
@@ -170,7 +177,7 @@ def test_a_full_file_system(name: str, board: SimBoard, full: str) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is"),
+        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is 0.04 to 1 s"),
         ("nonsense", "is not TOML"),
         (None, "check the path"),
     ],

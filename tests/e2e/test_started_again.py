@@ -3,6 +3,7 @@ name."""
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -60,9 +61,10 @@ class Started:
         self.board.close()
 
 
-@pytest.fixture
-def started(name: str, tmp_path: Path) -> Iterator[Started]:
-    made = Started(name, tmp_path / "his folder")
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Started]:
+    """Every test leaves it running, by the command that it was told."""
+    made = Started(f"e2e-again-{os.getpid()}", tmp_path_factory.mktemp("again") / "his folder")
     yield made
     made.close()
 
@@ -73,12 +75,11 @@ def told(name: str, word: str) -> list[str]:
     return re.findall(r"`(failstop run[^`]*)`", " ".join((done.stdout + done.stderr).split()))
 
 
-@pytest.mark.parametrize("word", ["why", "status", "reset"])
-def test_the_command_that_is_told_starts_the_same_service(started: Started, word: str, tmp_path: Path) -> None:
+def test_the_command_that_is_told_starts_the_same_service(started: Started, tmp_path: Path) -> None:
     started.kill()
-    command = next(iter(told(started.name, word)), "")
-    assert command == started.expected
-    started.type(command, tmp_path)
+    for word in ("why", "status", "reset"):
+        assert next(iter(told(started.name, word)), "") == started.expected, word
+    started.type(started.expected, tmp_path)
     with Robot(started.name) as robot:
         assert robot.settings["limits.vx_mps"] == 0.11
         with pytest.raises(Exception, match="seat"):
@@ -112,7 +113,7 @@ def test_a_state_of_the_dying_service_tells_it(started: Started) -> None:
 
 def test_the_stop_tool_writes_to_the_port_of_the_service_that_has_died(started: Started, tmp_path: Path) -> None:
     started.kill()
-    port = tmp_path / "his folder" / "the board"
+    port = started.board.link
     started.board.events()
     done = failstop("stop", "--name", started.name)
     assert (done.returncode, done.stderr) == (0, "")

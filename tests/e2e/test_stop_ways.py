@@ -115,6 +115,7 @@ def test_the_port_s_own_service_is_asked_whatever_it_is_called(trial: Trial) -> 
     result = failstop("stop", "--device", trial.link)
     assert (result.returncode, result.stderr) == (0, "")
     assert f"by the service '{trial.name}'" in result.stdout
+    assert sum(event.is_stop for event in trial.board.events()) >= 4
     assert (trial.robot.state.estop or "").startswith("stop request (failstop stop, pid ")
 
 
@@ -142,14 +143,14 @@ def test_on_the_port_itself_without_a_service(name: str, port: tuple[str, int], 
 
 
 @needs_root
-def test_beside_a_service_that_does_not_obey(trial: Trial) -> None:
-    trial.board.events()
-    with frozen(trial):
-        result = failstop("stop", "--name", trial.name)
+def test_beside_a_service_that_does_not_obey(fresh: Trial) -> None:
+    fresh.board.events()
+    with frozen(fresh):
+        result = failstop("stop", "--name", fresh.name)
         assert result.returncode == 0
-        assert result.stdout.endswith(f"directly to {trial.link}\n")
+        assert result.stdout.endswith(f"directly to {fresh.link}\n")
         assert "has not latched it within 1 s: writing to the port itself" in result.stderr
-        trial.board.wait_for(lambda event: event.is_stop, 2.0)
+        fresh.board.wait_for(lambda event: event.is_stop, 2.0)
 
 
 def test_a_service_of_another_layout_is_stopped_by_its_pipe(trial: Trial) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import queue
 import re
 import sys
@@ -14,6 +15,9 @@ from typing import Any
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+LONGEST_S = 0.1
+"""Of a turn in which nothing is heard."""
 
 
 def type_of(name: str) -> Any:
@@ -67,19 +71,24 @@ class Talker:
         self.feedback: list = []
         self.goal: Any = None
         self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
         self.asked: queue.Queue = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
         for line in sys.stdin:
-            self.asked.put(json.loads(line))
-        self.asked.put({"do": "quit"})
+            self._put(json.loads(line))
+        self._put({"do": "quit"})
+
+    def _put(self, asked: dict) -> None:
+        self.asked.put(asked)
+        self.executor.create_task(lambda: None)  # it wakes up
 
     def run(self) -> None:
-        self.executor.add_node(self.node)
         answer({"ready": True})
         while True:
-            self.executor.spin_once(timeout_sec=0.002)
+            due_s = min((repeat["due_s"] for repeat in self.repeats.values()), default=math.inf)
+            self.executor.spin_once(timeout_sec=min(max(due_s - time.monotonic(), 0.0), LONGEST_S))
             self._repeat()
             while not self.asked.empty():
                 asked = self.asked.get()

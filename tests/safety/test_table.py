@@ -17,6 +17,7 @@ from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Attempt
 from tests.safety.table import TABLE, USERS, Row
 from tests.support.children import needs_root, reachable
+from tests.support.shared_trial import IMU_HZ
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def running() -> Iterator[Trial]:
     """One service for all."""
-    with Trial(f"safety-{os.getpid()}") as trial:
+    with Trial(f"safety-{os.getpid()}", imu_hz=IMU_HZ) as trial:
         yield trial
 
 

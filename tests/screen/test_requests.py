@@ -33,10 +33,11 @@ def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsy
 
 
 @pytest.mark.parametrize("percent", ["0", "-5", "3", "101", "nan"])
-def test_a_limit_that_is_none_is_refused_in_percent(trial: Trial, percent: str) -> None:
-    done = failstop("limit", percent, "--name", trial.name)
-    assert done.returncode == 2
-    assert done.stderr == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
+def test_a_limit_that_is_none_is_refused_in_percent(
+    trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["limit", percent, "--name", trial.name]) == 2
+    assert capsys.readouterr().err == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
 
 
 def test_the_limits_of_the_limit_are_the_gate_s() -> None:

@@ -129,23 +129,24 @@ def test_a_tap_is_a_nudge(pilot: Typist, trial: Trial) -> None:
     assert [event.text.partition(":")[0] for event in told if event.kind.startswith("driver")] == [f"{own} let go"]
 
 
-@pytest.mark.parametrize(
-    ("keys", "signs"),
-    [
-        (b"w", (1, 1, -1, -1)),
-        (b"s", (-1, -1, 1, 1)),
-        (b"a", (-1, -1, -1, -1)),
-        (b"\x1b[C", (1, 1, 1, 1)),
-        (b"j", (-1, 1, -1, 1)),
-        (b"L", (1, -1, 1, -1)),
-    ],
-)
-def test_every_direction(pilot: Typist, trial: Trial, keys: bytes, signs: tuple[int, ...]) -> None:
+DIRECTIONS = {
+    b"w": (1, 1, -1, -1),
+    b"s": (-1, -1, 1, 1),
+    b"a": (-1, -1, -1, -1),
+    b"\x1b[C": (1, 1, 1, 1),
+    b"j": (-1, 1, -1, 1),
+    b"L": (1, -1, 1, -1),
+}
+
+
+def test_every_direction(pilot: Typist, trial: Trial) -> None:
     enable(pilot, trial)
-    trial.board.events()
-    pilot.type(keys)
-    moved = trial.board.wait_for(lambda event: event.is_motion, 5.0)
-    assert tuple((speed > 0) - (speed < 0) for speed in moved.speeds) == signs
+    for keys, signs in DIRECTIONS.items():
+        trial.board.events()
+        typed_ns = pilot.type(keys)
+        moved = trial.board.wait_for(lambda event: event.is_motion, 5.0)
+        assert tuple((speed > 0) - (speed < 0) for speed in moved.speeds) == signs, keys
+        stopped_in_time(trial, typed_ns)
 
 
 def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:

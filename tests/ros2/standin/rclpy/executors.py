@@ -19,6 +19,13 @@ class SingleThreadedExecutor:
         self._nodes: list = []
         self._tasks: list = []
         self._ready: list = []
+        self._called: list = []
+
+    def create_task(self, callback: object) -> None:
+        """Have this called by the next turn, which does not wait any longer."""
+        with self._nodes[0].wire.news:
+            self._called.append(callback)
+            self._nodes[0].wire.news.notify_all()
 
     def add_node(self, node: object) -> None:
         self._nodes.append(node)
@@ -51,7 +58,8 @@ class SingleThreadedExecutor:
             # would wake this executor up.
             return []
         found = [lambda task=task: self._go_on(*task) for task in self._tasks]
-        self._tasks = []
+        found += self._called
+        self._tasks, self._called = [], []
         for node in self._nodes:
             found += [lambda c=coroutine: self._go_on(None, None, c) for coroutine in node.begun]
             node.begun.clear()
