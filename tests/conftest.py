@@ -1,7 +1,8 @@
-"""What is every test's own, whatever is installed or runs on the machine; nothing of it is read, nothing left there."""
+"""Options and fixtures of every test: nothing of the machine's own services is read, and nothing is left there."""
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -23,7 +24,7 @@ settings.register_profile("quick", settings.get_profile("failstop"), max_example
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What `make quick` asks for."""
+    """The option of `make quick`."""
     parser.addoption(
         "--quick", action="store_true", help="only the tests that start no process (tests/support/starting.py)"
     )
@@ -40,6 +41,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Leave out what --quick does not want, unread."""
     wanted = not config.getoption("quick") or collection_path.suffix != ".py" or not starting.starts(collection_path)
     return None if wanted else True
+
+
+def pytest_collection_finish() -> None:
+    """Keep the facts of the sources, and take the modules of all tests, which stay, out of the garbage collector."""
+    starting.keep()
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from bench import beside, ratio, stats, visit
 
 MARGIN = 0.1
@@ -111,7 +109,7 @@ def test_the_rounds_share_the_whole() -> None:
 
 
 def told(ms: float, missed: int = 0, **more: float) -> dict[str, object]:
-    """What a visit tells."""
+    """The samples and counts of a visit."""
     values = {"kill gate": ([ms] * 30, "ms"), "processor": ([ms], "%")}
     return {
         "values": {**values, **{measure: ([value], "ms") for measure, value in more.items()}},

@@ -118,7 +118,7 @@ USERS = {
     "command line": "failstop/cli",
     "API": "failstop/api",
 }
-"""Whoever may use the interface, by the words of the page."""
+"""Users of the interface, by the words of the page."""
 
 
 def used(member: str) -> set[str]:
@@ -158,7 +158,7 @@ def test_the_page_on_porting_has_all_of_the_interface_and_no_more() -> None:
 
 
 def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the page allows: nobody divides by their number, waits for an answer, or calls the board deaf."""
+    """The page allows a board without pings: nobody divides by their number, waits for an answer, or calls it deaf."""
     monkeypatch.setattr(Board, "pings", ())
     pings = Pings(len(BOARD.pings), 1, Timer(), 0)
     pings.stopped(0)

@@ -162,7 +162,7 @@ def test_after_any_cut_of_an_own_frame_nothing_but_stops_is_executed(name: str) 
 
 
 def unguarded(speeds: tuple[float, float, float, float]) -> bytes:
-    """The same frame as any other encoder makes it."""
+    """A motor frame as any other encoder makes it."""
     packed = struct.pack("<BfBfBfBf", 0, speeds[0], 1, speeds[1], 2, speeds[2], 3, speeds[3])
     body = bytes((MOTOR, 22, 1, 4)) + packed
     return framing.HEAD + body + bytes((framing.crc8(body),))

@@ -263,7 +263,7 @@ POSES = (
 
 
 def asked(line: bytes) -> Cause:
-    """What is latched for this line, as it is read where it arrives."""
+    """The cause that is latched for this line, as it is read where it arrives."""
     cause = causes.requested(line)
     found = causes.unpack(cause.pack())
     assert found.kind in ASKED
@@ -304,17 +304,16 @@ def literals() -> list[tuple[str, str]]:
     """(file, text) of every string of the code but docstrings, with {} for what an f-string puts in."""
     found = []
     for path in (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))):
-        tree = ast.parse(path.read_text())
-        skipped = set()
-        for node in ast.walk(tree):
+        file, skipped = str(path.relative_to(ROOT)), set()
+        for node in ast.walk(ast.parse(path.read_text())):  # what a string is in comes before the string
             if isinstance(node, ast.Expr):
                 skipped.add(id(node.value))
-            if isinstance(node, ast.JoinedStr):
+            elif isinstance(node, ast.JoinedStr):
                 skipped |= {id(part) for part in node.values}
                 parts = (str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
-                found.append((str(path.relative_to(ROOT)), "".join(parts)))
-        texts = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
-        found += [(str(path.relative_to(ROOT)), str(node.value)) for node in texts if id(node) not in skipped]
+                found.append((file, "".join(parts)))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
+                found.append((file, node.value))
     return found
 
 
@@ -323,7 +322,7 @@ SAID = {str: r".*", int: r"\d+", float: r"[\d.]+"}
 
 
 def wording(kind: Kind) -> re.Pattern[str]:
-    """What finds the text of such a cause, with arguments or with places for them, by itself or in a longer text."""
+    """A pattern of such a cause's text, with arguments or with places for them, by itself or in a longer text."""
     pattern = ""
     for part in re.split(r"(\{[^}]*\}|\[[^\]]*\])", kind.template):
         if part.startswith("["):
@@ -341,7 +340,7 @@ def wording(kind: Kind) -> re.Pattern[str]:
 
 @every_row
 def test_the_words_of_a_cause_are_in_the_code_once(kind: Kind) -> None:
-    """Whoever wants to know of a cause asks for its row, not for its words."""
+    """Code that wants to know of a cause asks for its row, not for its words."""
     pattern = wording(kind)
     assert pattern.search(str(example(kind)))
     assert pattern.search(f"latched: {example(kind)}; and more")

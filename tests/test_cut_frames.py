@@ -1,4 +1,4 @@
-"""What the zeros of a stop burst make of a frame that was cut: nothing, for every frame that is written, at every cut.
+"""The zeros of a stop burst make nothing of a frame that was cut, for every frame that is written, at every cut.
 
 Where a frame is cut decides by its CRC so far: at 0 the zeros go on with it and are its end. That is looked for here
 with the CRC alone, so that many frames can be tried; test_burst.py, test_servos.py and test_cut_aux.py feed the burst

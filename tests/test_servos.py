@@ -41,7 +41,7 @@ def moved(data: bytes) -> dict[int, int]:
 
 
 def judge(stream: bytes, meant: dict[int, int]) -> None:
-    """What the board makes of a stream that ends with the stop's write."""
+    """The commands that the board reads from a stream that ends with the stop's write."""
     motors, last = Motors(SPINNING), b""
     stopped: set[Any] = set()
     for _, func, data in Receiver().feed(stream):

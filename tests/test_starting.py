@@ -1,4 +1,4 @@
-"""What `make quick` leaves out: the tests that may start a process, found by what they import."""
+"""Tests that `make quick` leaves out: those that may start a process, found by their imports."""
 
 import os
 from pathlib import Path

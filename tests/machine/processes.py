@@ -33,7 +33,7 @@ while time.monotonic() < until:
 
 
 class Processes:
-    """What a scenario may do, done to a real service. A context manager."""
+    """Actions of a scenario, done to a real service. A context manager."""
 
     failstop: Any = failstop
     time: Any = time

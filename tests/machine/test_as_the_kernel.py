@@ -27,7 +27,7 @@ Story = list[Any]
 
 
 def tried(call: Callable[..., Any], *arguments: Any, **words: Any) -> Any:
-    """What a call returns, or the number of its error."""
+    """The result of a call, or the number of its error."""
     try:
         return call(*arguments, **words)
     except OSError as error:

@@ -101,7 +101,8 @@ def test_stamps_are_of_the_simulated_clock() -> None:
 
 
 @pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
-def test_a_control_changes_source_that_is_there_once(control: Control) -> None:
-    loader = Loader(Machine(), control.patches)
-    for name in {name for name, _, _ in control.patches}:
-        assert loader.load(name)
+def test_a_control_is_of_a_scenario_and_changes_source_that_is_there_once(control: Control) -> None:
+    assert control.scenario in SCENARIOS
+    loader, names = Loader(Machine(), control.patches), {name for name, _, _ in control.patches}
+    assert names
+    assert all(map(loader.load, names))

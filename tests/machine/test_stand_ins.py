@@ -21,11 +21,11 @@ LEFT_OUT = {
     "failstop.procs.starved": {"starved"},
     "failstop.shm.thread_state": set[str](),
 }
-"""What the service asks of these modules nowhere but in themselves."""
+"""Names that the service uses nowhere but in these modules themselves."""
 
 
 def own(module: ModuleType) -> dict[str, Any]:
-    """What a module defines itself under a public name."""
+    """Public names that a module defines itself."""
     found: set[str] = set()
     for node in ast.parse(inspect.getsource(module)).body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):

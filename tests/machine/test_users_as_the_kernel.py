@@ -32,7 +32,7 @@ def prepare(system: Any, folder: str) -> None:
 
 
 def story(system: Any, folder: str) -> list[object]:
-    """What the calling user may do with all that."""
+    """The answers that the calling user gets to each attempt."""
     told: list[object] = [system.geteuid(), system.getegid()]
 
     def ask(what: Callable[..., Any], *arguments: Any) -> None:
@@ -64,7 +64,7 @@ def story(system: Any, folder: str) -> list[object]:
 
 
 def modes(system: Any, folder: str) -> list[object]:
-    """Whose what is left is."""
+    """Mode and owner of everything that is left."""
     found: list[object] = []
     for place in sorted(system.listdir(folder)):
         for name in sorted(system.listdir(f"{folder}/{place}")):

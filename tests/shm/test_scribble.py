@@ -96,7 +96,7 @@ def test_writers_of_scribbled_segments_go_on(name: str, of: str) -> None:
 
 
 def test_garbage_payloads_are_value_errors_at_most() -> None:
-    """What passes the CRC of a client segment was still written by a client: unpacking it must not do worse."""
+    """A payload that passes the CRC was still written by a client: unpacking it must not do worse."""
     dice = random.Random(5)
     for _ in range(3000):
         payload = dice.randbytes(dice.randrange(0, 330))

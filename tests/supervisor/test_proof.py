@@ -1,4 +1,4 @@
-"""What a stop has proved (acknowledged, observed, told); and the link: unproven, alive, deaf."""
+"""Proofs of a stop (acknowledged, observed, told); and the link: unproven, alive, deaf."""
 
 from __future__ import annotations
 

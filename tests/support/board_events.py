@@ -1,4 +1,4 @@
-"""What a board reports after a fault."""
+"""Events that a board reports after a fault."""
 
 from __future__ import annotations
 

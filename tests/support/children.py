@@ -88,7 +88,7 @@ class Child:
         return data
 
     def result(self) -> Any:
-        """What `work` returned; fails with the traceback when it raised."""
+        """The result of `work`; fails with the traceback when it raised."""
         kind, value = self.receive()
         self.wait()
         if kind == "error":

@@ -1,4 +1,4 @@
-"""What a module imports, asked of a process that does so, and what none of the service may."""
+"""Imports of a module, asked of a process that does so; and those that the service may not have."""
 
 from __future__ import annotations
 

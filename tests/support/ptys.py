@@ -1,4 +1,4 @@
-"""What several tests of the processes need: waiting for a condition, raw ptys, and the board at their other end."""
+"""Raw ptys, and the board at their other end."""
 
 from __future__ import annotations
 

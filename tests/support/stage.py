@@ -29,7 +29,7 @@ class BoardPort(Port):
     room: int | None = None
     """How many bytes it still takes; None: as many as a port does."""
     under_way = 0
-    """What the kernel says that it holds, beside what it does."""
+    """Bytes that the kernel says it holds, beside those it does."""
 
     def takes(self, room: int | None = None) -> None:
         """So many bytes from here on; None: all."""
@@ -102,7 +102,7 @@ class Early:
     def __init__(self, bell: Any) -> None:
         self.bell = bell
         self.armed: list[tuple[int, int, int]] = []
-        """Whose death is waited for, at which futex: pid, block, index."""
+        """Processes whose death is waited for, and the futex: pid, block, index."""
         self.dying: dict[int, int] = {}
         """By its pid: the priority that a thread which stops for it is to run above."""
         self._lives: dict[int, tuple[Any, Callable[[], None] | None]] = {}
@@ -115,7 +115,7 @@ class Early:
         self._lives[life.pid] = (life, stop)
 
     def tell(self, pid: int) -> None:
-        """What the thread does that waits for this one's death, when the news comes early."""
+        """Do what the thread does that waits for this one's death, when the news comes early."""
         life, stop = self._lives[pid]
         life.marked = True
         if stop:
@@ -123,7 +123,7 @@ class Early:
         self.bell.ring()
 
     def watch(self, life: Any, segment: Any, line: int = 0) -> None:
-        """Nor here."""
+        """Nothing to wait for here either."""
 
 
 class Dummy:
@@ -267,7 +267,7 @@ class Stage(PortMachine):
         return self._segment.attach(self.name, name, INCARNATION, write=True)
 
     def news_of(self, dummy: Dummy) -> dict[int, int]:
-        """What a wait returns to which the news of its death has come, and no other."""
+        """The result of a wait that has got the news of its death alone."""
         files = {fd: opened.node for fd, opened in self.me.files.items()}
         return {fd: IN for fd, node in files.items() if isinstance(node, Pidfd) and node.process.pid == dummy.pid}
 

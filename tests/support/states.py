@@ -56,7 +56,7 @@ def state(**changed: Any) -> State:
 
 
 def latched(cause: Cause = KEY, **changed: Any) -> State:
-    """The same with a stop latched."""
+    """A state with a stop latched."""
     told = {"cause": cause, "estop": str(cause), "blocked": f"estop: {cause}", "last_stop": stop(cause)}
     return state(**{**told, **changed})
 
@@ -69,7 +69,7 @@ def arm(*joints: str, **changed: Any) -> ArmState:
 
 
 def driving(**changed: Any) -> State:
-    """The same while a client drives forward."""
+    """A state while a client drives forward."""
     source = Source("cmd_vel", 0, "nav (pid 42)", "drives")
     base = {
         "enabled": True,

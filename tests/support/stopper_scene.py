@@ -34,7 +34,7 @@ class Scene(Stage):
         return min(self.clock() + main.LONGEST_SLEEP_NS, self.stopper.loop.due_ns())
 
     def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
-        """What it writes in the coming milliseconds, asked each millisecond."""
+        """The bytes that it writes in the coming milliseconds, with a turn in each."""
         return [(ms, wrote) for ms in range(1, until_ms + 1) if (wrote := self.turn(MS, alive=alive))]
 
     def port_owner_writes(self) -> None:

@@ -25,7 +25,7 @@ from tests.support.why import said, told, why
 DEVICE = "/dev/ttyACM0"
 RUNTIME_DIR = "/run/failstop/stage"
 NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
-"""What is told of a machine that runs everybody."""
+"""The record of a machine that runs everybody."""
 
 
 class Scene(PortMachine):
@@ -294,7 +294,7 @@ class Scene(PortMachine):
         return found
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """What people are told, at once: kind, level, text and fields of each."""
+        """Events for people, sent at once: kind, level, text and fields of each."""
         self.run.events.flush()
         return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
 

@@ -96,7 +96,7 @@ class Typist:
         self.look()
 
     def screen(self) -> str:
-        """What stands on the screen."""
+        """The text on the screen."""
         return "\n".join(self._lines.get(row, "") for row in range(1, max(self._lines, default=0) + 1))
 
     def wait(self, text: str, timeout_s: float = WAIT_S) -> str:

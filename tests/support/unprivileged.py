@@ -14,7 +14,7 @@ LOADED = (grp, pwd)
 
 
 def unprivileged(work: Callable[[], str]) -> str:
-    """What `work` returns in a child process without privileges."""
+    """The result of `work` in a child process without privileges."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:

@@ -22,11 +22,11 @@ def why(text: str) -> Cause:
 
 
 def said(cause: Cause | None) -> str:
-    """The same text again."""
+    """The text by which a test knows a cause."""
     assert cause is not None
     return str(cause.named()["words"]) if cause.kind is causes.PIPED else str(cause)
 
 
 def told(reply: Reply) -> tuple[bool, str]:
-    """What became of a request, in plain values."""
+    """The outcome of a request, in plain values."""
     return bool(reply.done), str(reply)

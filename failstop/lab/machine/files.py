@@ -121,7 +121,8 @@ class Regular(Node):
     def mapped(self, size: int = 0) -> mmap.mmap:
         """As a map, of at least so many bytes."""
         if not isinstance(self.data, mmap.mmap):
-            before, size = bytes(self.data), max(1, size, len(self.data))
+            # Without the zeros at its end: a new map has them, and they need no memory there.
+            before, size = bytes(self.data).rstrip(b"\0"), max(1, size, len(self.data))
             self.data = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
             if before:
                 self.data[: len(before)] = before
