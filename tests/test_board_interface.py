@@ -21,6 +21,7 @@ from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout
 from failstop.procs.loop import Timer
 from failstop.procs.port_owner.schedule import Pings
+from tests.support.rooms import imports
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -88,13 +89,10 @@ def board_modules(folder: str) -> set[str]:
     """Modules of the board that a room's files import."""
     found: set[str] = set()
     for path in (ROOT / folder).glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module == "failstop.board":
-                found |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("failstop.board."):
-                found.add((node.module or "").split(".")[2])
-            elif isinstance(node, ast.Import):
-                found |= {alias.name.split(".")[2] for alias in node.names if alias.name.startswith("failstop.board.")}
+        for node, _ in imports(path):
+            above = "" if isinstance(node, ast.Import) else f"{node.module}."
+            names = (f"{above}{alias.name}" for alias in node.names)
+            found |= {name.split(".")[2] for name in names if name.startswith("failstop.board.")}
     return found
 
 
@@ -134,9 +132,10 @@ def files(place: str) -> list[Path]:
 @functools.cache
 def names(path: Path) -> set[str]:
     """Of BOARD, in one file."""
+    text = path.read_text()
     return {
         node.attr
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(ast.parse(text if "BOARD" in text else ""))
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "BOARD"
     }
 

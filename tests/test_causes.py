@@ -24,6 +24,7 @@ from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
 from tests.support.incident_parts import Recorder
+from tests.support.starting import nodes
 from tests.support.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
@@ -305,7 +306,7 @@ def literals() -> list[tuple[str, str]]:
     found = []
     for path in (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))):
         file, skipped = str(path.relative_to(ROOT)), set()
-        for node in ast.walk(ast.parse(path.read_text())):  # what a string is in comes before the string
+        for node in nodes(ast.parse(path.read_text())):
             if isinstance(node, ast.Expr):
                 skipped.add(id(node.value))
             elif isinstance(node, ast.JoinedStr):

@@ -95,15 +95,6 @@ def test_where_readers_start(written: int) -> None:
     assert RingReader(memory, AT, CAPACITY, CELLS, SEED).next() is None, "unless told"
 
 
-def test_a_lone_cell_is_a_ring_too() -> None:
-    _, writer, reader = ring(1)
-    put(writer)
-    assert drain(reader) == [1]
-    put(writer, 5)
-    assert drain(reader) == [6]
-    assert reader.lost == 4
-
-
 @pytest.mark.parametrize("written", [0, 1, CELLS - 1, CELLS, CELLS + 3])
 def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
     for cut in range(SIZE + 1):

@@ -126,7 +126,7 @@ def _parsed(path: Path) -> Source:
     imports: dict[str, set[str]] = {}
     names: set[str] = set()
     calls = False
-    for node in _nodes(tree):
+    for node in nodes(tree):
         match node:
             case ast.Import():
                 for alias in node.names:
@@ -148,8 +148,8 @@ def _parsed(path: Path) -> Source:
     return Source(imports, functions, calls, names)
 
 
-def _nodes(tree: ast.AST) -> list[ast.AST]:
-    """All nodes, in half the time of ast.walk(): each worker reads every file of the tests."""
+def nodes(tree: ast.AST) -> list[ast.AST]:
+    """All nodes, each before those within it, in half the time of ast.walk()."""
     found = [tree]
     for node in found:
         for name in node._fields:
