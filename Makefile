@@ -34,7 +34,8 @@ campaigns: $(VENV)/.dev
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
-	$(PYTEST) --quick --quiet --numprocesses 2 -m 'not slow and not alone and not page and not starts'
+	$(PYTEST) --quick --quiet --numprocesses 2 --dist loadfile --no-loadscope-reorder \
+	  -m 'not slow and not alone and not page and not starts'
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -40,6 +41,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Leave out what --quick does not want, unread."""
     wanted = not config.getoption("quick") or collection_path.suffix != ".py" or not starting.starts(collection_path)
     return None if wanted else True
+
+
+def pytest_collection_finish() -> None:
+    """Keep the facts of the sources, and take the modules of all tests, which stay, out of the garbage collector."""
+    starting.keep()
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

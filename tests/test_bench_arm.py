@@ -1,12 +1,8 @@
 """The arm's bench: what is late, lost or unlike its row is seen."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import arm_kills
 from bench.arm_stream import PERIOD_NS, Hops

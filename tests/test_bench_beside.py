@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from bench import beside, ratio, stats, visit
 
 MARGIN = 0.1

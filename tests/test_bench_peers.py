@@ -2,14 +2,11 @@
 
 import glob
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import oneway, peers, stats
 from bench.oneway_peer import CHANNELS, FLOOR, OURS

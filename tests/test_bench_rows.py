@@ -4,13 +4,10 @@ import dataclasses
 import json
 import os
 import signal
-import sys
 import time
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import __main__ as bench_main
 from bench import hangs, kills, latency, report, soak, stalls, stats

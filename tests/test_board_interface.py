@@ -25,6 +25,7 @@ from failstop.policy.settings import BOARDS, Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.port_owner.schedule import Pings
+from tests.support.rooms import imports
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -94,13 +95,10 @@ def board_modules(folder: str) -> set[str]:
     """Modules of the board that a room's files import."""
     found: set[str] = set()
     for path in (ROOT / folder).glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module == "failstop.board":
-                found |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("failstop.board."):
-                found.add((node.module or "").split(".")[2])
-            elif isinstance(node, ast.Import):
-                found |= {alias.name.split(".")[2] for alias in node.names if alias.name.startswith("failstop.board.")}
+        for node, _ in imports(path):
+            above = "" if isinstance(node, ast.Import) else f"{node.module}."
+            names = (f"{above}{alias.name}" for alias in node.names)
+            found |= {name.split(".")[2] for name in names if name.startswith("failstop.board.")}
     return found
 
 

@@ -24,6 +24,7 @@ from failstop.policy.causes import BY_NUMBER, CAUSE_BY_NAME, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
 from tests.support.incident_parts import Recorder
+from tests.support.starting import nodes
 from tests.support.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
@@ -304,17 +305,16 @@ def literals() -> list[tuple[str, str]]:
     """(file, text) of every string of the code but docstrings, with {} for what an f-string puts in."""
     found = []
     for path in (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))):
-        tree = ast.parse(path.read_text())
-        skipped = set()
-        for node in ast.walk(tree):
+        file, skipped = str(path.relative_to(ROOT)), set()
+        for node in nodes(ast.parse(path.read_text())):
             if isinstance(node, ast.Expr):
                 skipped.add(id(node.value))
-            if isinstance(node, ast.JoinedStr):
+            elif isinstance(node, ast.JoinedStr):
                 skipped |= {id(part) for part in node.values}
                 parts = (str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
-                found.append((str(path.relative_to(ROOT)), "".join(parts)))
-        texts = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
-        found += [(str(path.relative_to(ROOT)), str(node.value)) for node in texts if id(node) not in skipped]
+                found.append((file, "".join(parts)))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
+                found.append((file, node.value))
     return found
 
 

@@ -56,14 +56,13 @@ MOTION_REASONS = [
 ]
 
 
-@pytest.mark.parametrize(("frame", "reason"), MOTION_REASONS, ids=[reason for _, reason in MOTION_REASONS])
-def test_motion_is_refused_with_its_reason(frame: bytes, reason: str) -> None:
-    assert check_motion(frame, 1.4) == reason
+def test_motion_is_refused_with_its_reason() -> None:
+    said = [(frame, check_motion(frame, 1.4)) for frame, _ in MOTION_REASONS]
+    assert said == MOTION_REASONS
 
 
-@pytest.mark.parametrize("limit", [NAN, INF, -1.0, 1000.5])
-def test_motion_is_refused_under_an_impossible_limit(limit: float) -> None:
-    assert check_motion(STOP, limit).startswith("limit ")
+def test_motion_is_refused_under_an_impossible_limit() -> None:
+    assert all(check_motion(STOP, limit).startswith("limit ") for limit in (NAN, INF, -1.0, 1000.5))
 
 
 def test_a_speed_over_the_limit_by_more_than_rounding_is_refused() -> None:
@@ -148,16 +147,13 @@ AUX_REASONS = [
 ]
 
 
-@pytest.mark.parametrize(("frame", "reason"), AUX_REASONS)
-def test_aux_is_refused_with_its_reason(frame: bytes, reason: str) -> None:
-    assert check_aux(frame) == reason
+def test_aux_is_refused_with_its_reason() -> None:
+    said = [(frame, check_aux(frame)) for frame, _ in AUX_REASONS]
+    assert said == AUX_REASONS
 
 
-@pytest.mark.parametrize("name", REFUSE)
-def test_published_frames_that_must_not_be_written(name: str) -> None:
-    frame = REFUSE[name]
-    assert check_motion(frame, 1000.0)
-    assert check_aux(frame)
+def test_published_frames_that_must_not_be_written_pass_no_check() -> None:
+    assert all(check_motion(frame, 1000.0) and check_aux(frame) for frame in REFUSE.values())
 
 
 @given(

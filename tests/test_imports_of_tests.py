@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support import starting
+
 TESTS = Path(__file__).parent
 SHARED = "support"
-
-
-def imported(path: Path, tests: Path = TESTS) -> Iterator[str]:
-    """The modules of the tests that a file imports, as names below tests."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.ImportFrom):
-            package = ("tests", *path.relative_to(tests).parts)[: -node.level] if node.level else ()
-            module = ".".join((*package, *([node.module] if node.module else ())))
-            names = [f"{module}.{alias.name}" for alias in node.names]
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        else:
-            continue
-        yield from (name.removeprefix("tests.") for name in names if name.startswith("tests."))
 
 
 def wrong(path: Path, tests: Path = TESTS) -> list[str]:
     """Imports of a file that it should not make."""
     room = path.relative_to(tests).parts[0] if path.parent != tests else ""
     found = []
-    for name in imported(path, tests):
-        parts = name.split(".")
+    for name in sorted(set().union(*starting.read(path).imports.values())):
+        top, *parts = name.split(".")
+        if top != "tests" or not parts:
+            continue
         foreign = (tests / parts[0]).is_dir() and parts[0] not in (room, SHARED)
         if foreign or any(part.startswith("test_") for part in parts[:2]):
-            found.append(name)
+            found.append(".".join(parts))
     return found
 
 
@@ -47,11 +35,11 @@ def test_what_tests_share_is_in_support() -> None:
 @pytest.mark.parametrize(
     ("source", "found"),
     [
-        ("from tests.two.helper import it", ["two.helper.it"]),
-        ("from tests.one.test_it import it", ["one.test_it.it"]),
-        ("from .test_it import it", ["one.test_it.it"]),
+        ("from tests.two.helper import it", ["two.helper", "two.helper.it"]),
+        ("from tests.one.test_it import it", ["one.test_it", "one.test_it.it"]),
+        ("from .test_it import it", ["one.test_it", "one.test_it.it"]),
         ("from . import test_it", ["one.test_it"]),
-        ("from ..two import helper", ["two.helper"]),
+        ("from ..two import helper", ["two", "two.helper"]),
         ("import tests.two.helper", ["two.helper"]),
         ("from .helper import it", []),
         ("from tests.one import helper", []),
@@ -60,8 +48,9 @@ def test_what_tests_share_is_in_support() -> None:
     ],
 )
 def test_the_check_sees_it(source: str, found: list[str], tmp_path: Path) -> None:
+    tests = tmp_path / "tests"
     for room in ("one", "two", "support"):
-        (tmp_path / room).mkdir()
-    path = tmp_path / "one/test_other.py"
+        (tests / room).mkdir(parents=True)
+    path = tests / "one/test_other.py"
     path.write_text(source)
-    assert wrong(path, tmp_path) == found
+    assert wrong(path, tests) == found

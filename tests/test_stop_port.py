@@ -9,14 +9,13 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec
+from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from failstop.lab.machine.kernel import Machine
 from tests.support.ptys import Board, Pty, new_pty
 from tests.support.stage import MS, PortMachine, Wire
-from tests.support.stand_ins import before_write
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 REFUSED = None
@@ -44,7 +43,7 @@ class Kernel:
 @pytest.fixture
 def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
     made = Kernel()
-    before_write(monkeypatch, made.write)
+    monkeypatch.setattr(stop_port, "os", made)
     return made
 
 

@@ -19,6 +19,7 @@ MADE = "build"
 STANDIN = "standin"
 """A folder of what stands in for ROS: its modules say what ROS's do."""
 LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)
+MAY_LEAN = re.compile(rf"#[#: ]*{LEANS.pattern}", LEANS.flags)
 
 
 def paths() -> Iterator[Path]:
@@ -30,18 +31,18 @@ def paths() -> Iterator[Path]:
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Those of attributes too: every string that is a statement."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        for each in getattr(node, "body", []) if isinstance(getattr(node, "body", None), list) else []:
-            if (
-                isinstance(each, ast.Expr)
-                and isinstance(each.value, ast.Constant)
-                and isinstance(each.value.value, str)
-            ):
-                yield each.lineno, each.value.value.strip()
+    left: list[ast.AST] = [ast.parse(path.read_text())]
+    for node in left:
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            left += getattr(node, block, ())
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value.strip()
 
 
 def comments(path: Path) -> Iterator[tuple[int, str]]:
-    """The first line of each: a line that goes on with one is no begin."""
+    """The first line of each: a line that goes on with one is no begin. Only of a file in which one may lean."""
+    if not MAY_LEAN.search(path.read_text()):
+        return
     before = -1
     with path.open("rb") as file:
         for token in tokenize.tokenize(file.readline):

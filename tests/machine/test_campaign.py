@@ -30,12 +30,6 @@ def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down(name: str) -> N
     assert found.runs > 200
 
 
-@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
-def test_a_control_names_code_that_is_there(control: Mutant) -> None:
-    Stage(SCENARIOS[control.scenario], patches=control.patches)
-    assert control.patches
-
-
 @pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
 def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Mutant) -> None:
     found = campaign.explore(Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True))

@@ -3,13 +3,14 @@ seed."""
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 
 import pytest
 
 from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import Loader
+from failstop.lab.machine.loading import HARMLESS, SHARED, Loader
 from failstop.lab.machine.robot import Robot
 from failstop.lab.simulate.controls import CONTROLS, Mutant
 from failstop.lab.simulate.scenarios import SCENARIOS
@@ -41,6 +42,20 @@ def test_every_module_of_the_core_loads_on_it() -> None:
     real = sys.modules["os"], sys.modules["time"], sys.modules["select"]
     for name, module in loaded.items():
         assert not [value for value in vars(module).values() if any(value is each for each in real)], name
+
+
+def test_modules_that_machines_share_ask_none() -> None:
+    """None of their lines may import a module that each machine has of its own."""
+    paths = {name: path for path in rooms.package() if (name := rooms.name_of(path)) in SHARED}
+    assert paths.keys() == SHARED
+    found: set[str] = set()
+    for node, types in (each for path in paths.values() for each in rooms.imports(path)):
+        above = [] if isinstance(node, ast.Import) else [node.module or ""]
+        names = [".".join([*above, name.name]) for name in node.names]
+        found |= set() if types else {*above, *names}
+    own = found - SHARED - {"failstop", *(f"failstop.{room}" for room in ("board", "messages", "policy"))}
+    own = {name for name in own if name.rpartition(".")[0] not in SHARED}
+    assert {name for name in own if name.partition(".")[0] not in HARMLESS} == set()
 
 
 def test_what_is_not_simulated_is_not_there() -> None:
@@ -101,7 +116,8 @@ def test_stamps_are_of_the_simulated_clock() -> None:
 
 
 @pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
-def test_a_control_changes_source_that_is_there_once(control: Mutant) -> None:
-    loader = Loader(Machine(), control.patches)
-    for name in {name for name, _, _ in control.patches}:
-        assert loader.load(name)
+def test_a_control_is_of_a_scenario_and_changes_source_that_is_there_once(control: Mutant) -> None:
+    assert control.scenario in SCENARIOS
+    loader, names = Loader(Machine(), control.patches), {name for name, _, _ in control.patches}
+    assert names
+    assert all(map(loader.load, names))

@@ -48,7 +48,7 @@ def sources(root: str) -> Iterator[str]:
 
 
 def _leading_text(node: ast.AST, constants: dict[str, str]) -> str:
-    """What a format expression starts with, as far as the source says."""
+    """The begin of a format expression, as far as the source says."""
     match node:
         case ast.Constant(value=bytes(value)):
             return value.decode("latin-1")
@@ -74,7 +74,7 @@ def _makes_view(node: ast.AST) -> bool:
 
 
 def _targets(node: ast.AST) -> list[ast.expr]:
-    """What is assigned to, one by one."""
+    """The targets of an assignment, one by one."""
     if isinstance(node, ast.AnnAssign | ast.NamedExpr | ast.AugAssign):
         return [node.target]
     targets = node.targets if isinstance(node, ast.Assign | ast.Delete) else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import select
 import stat
@@ -119,24 +120,23 @@ def test_messages_of_many_writers_do_not_mix(tmp_path: Path, fds: list[int]) -> 
     assert all(len(line) == size and len(set(line)) == 1 for line in lines)
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
-@pytest.mark.parametrize("mode", [0o666, 0o660, 0o622, 0o600])
-def test_the_mode_is_exact_whatever_the_umask_and_until_then_it_is_nobody_else_s(
-    on: SimpleNamespace, mask: int, mode: int
-) -> None:
+def test_the_mode_is_exact_whatever_the_umask_and_until_then_it_is_nobody_else_s(on: SimpleNamespace) -> None:
     before = []
 
     def look(thread: object, call: str, about: tuple[Any, ...]) -> None:
         if call == "chmod":
             before.append(on.machine.root.names["run"].names["stop"].mode)
 
-    on.machine.at_seam, on.own.umask = look, mask
-    on.bell.make_pipe(STOP, mode)
-    assert before == [0o600 & ~mask]
-    found = on.os.lstat(STOP)
-    assert stat.S_ISFIFO(found.st_mode)
-    assert stat.S_IMODE(found.st_mode) == mode
-    assert list(on.own.files) == []
+    on.machine.at_seam = look
+    for mask, mode in itertools.product((0o000, 0o022, 0o077, 0o777), (0o666, 0o660, 0o622, 0o600)):
+        on.own.umask = mask
+        on.bell.make_pipe(STOP, mode)
+        assert before == [0o600 & ~mask]
+        found = on.os.lstat(STOP)
+        assert (stat.S_ISFIFO(found.st_mode), stat.S_IMODE(found.st_mode)) == (True, mode)
+        assert list(on.own.files) == []
+        on.os.unlink(STOP)
+        before.clear()
 
 
 @pytest.mark.parametrize(("own", "gid", "wanted"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
@@ -253,7 +253,7 @@ def test_a_pipe_that_is_kept_open_outlives_a_restarted_reader(on: SimpleNamespac
 
 
 def access(on: Any, path: str) -> list[str]:
-    """What the calling user may do with a pipe."""
+    """The answers that the calling user gets when it opens a pipe in each way."""
     found = []
     for flags in (os.O_WRONLY, os.O_RDONLY, os.O_RDWR):
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import stat
 import struct
@@ -47,21 +48,19 @@ def test_open_of_what_is_not_there(tmp_path: Path) -> None:
         claim.open_claims(str(tmp_path / "absent"))
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
-@pytest.mark.parametrize("mode", [0o660, 0o644, 0o600])
 @pytest.mark.parametrize(("own", "gid", "wanted"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
-def test_the_file_s_mode_and_group_are_exact(
-    on: SimpleNamespace, mask: int, mode: int, own: int, gid: int, wanted: int
-) -> None:
-    on.own.umask = mask
-    words = {"mode": mode, "gid": gid} if gid >= 0 else {"mode": mode}
-    with user(on, 0, own):
-        fd = on.claim.open_claims("/run/new", create=True, **(words if mode != 0o660 else {"gid": gid}))
-    found = on.os.fstat(fd)
-    assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, wanted, mode)
-    on.os.chmod("/run/new", 0o660)
-    with user(on, NOBODY - 1), pytest.raises(PermissionError):
-        on.claim.open_claims("/run/new")  # who may not write the file can't claim
+def test_the_file_s_mode_and_group_are_exact(on: SimpleNamespace, own: int, gid: int, wanted: int) -> None:
+    for mask, mode in itertools.product((0o000, 0o022, 0o077, 0o777), (0o660, 0o644, 0o600)):
+        on.own.umask = mask
+        words = {"mode": mode, "gid": gid} if gid >= 0 else {"mode": mode}
+        with user(on, 0, own):
+            fd = on.claim.open_claims("/run/new", create=True, **(words if mode != 0o660 else {"gid": gid}))
+        found = on.os.fstat(fd)
+        assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, wanted, mode)
+        on.os.chmod("/run/new", 0o660)
+        with user(on, NOBODY - 1), pytest.raises(PermissionError):
+            on.claim.open_claims("/run/new")  # who may not write the file can't claim
+        on.os.unlink("/run/new")
 
 
 def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:

@@ -1,4 +1,4 @@
-"""Whoever opens a terminal may get it as the one that ends the process when it hangs up: the service never does."""
+"""A terminal that a process opens may become the one whose hang-up ends it: this never happens to the service."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the service reads and writes is a regular file of its own, whatever somebody has put in its place."""
+"""Files of the service: each is a regular file of its own, whatever somebody has put in its place."""
 
 from __future__ import annotations
 

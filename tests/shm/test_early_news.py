@@ -99,11 +99,10 @@ def lines_of(on: SimpleNamespace) -> Any:
     return attached(on)
 
 
-@pytest.mark.parametrize("refused", [False, True])
+@pytest.mark.parametrize(("refused", "of_a_service"), [(False, True), (False, False), (True, True)])
 @pytest.mark.parametrize(
     ("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (1, 6, 7), (0, 6, 0), (5, 0, 5), (1, 0, 1)]
 )
-@pytest.mark.parametrize("of_a_service", [True, False])
 def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rights(
     on: SimpleNamespace, own: int, dying: int, found: int, refused: bool, of_a_service: bool
 ) -> None:

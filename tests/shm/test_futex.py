@@ -124,7 +124,7 @@ def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, lines: Se
 
 
 def test_a_truncated_file_is_nobody_s_death(name: str, lines: Segment) -> None:
-    """And no SIGBUS: a client may cut its own slot."""
+    """A client may cut its own slot; nobody gets a SIGBUS for it."""
     word = lines.futex("held", 40)
     with holding(name, 20):
         os.truncate(segments.path_of(name, "lifelines"), 0)
@@ -173,7 +173,7 @@ def test_who_waits_sleeps(lines: Segment) -> None:
 
 
 def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, lines: Segment) -> None:
-    """Which the pidfd waits for. This process may be held up longer than that takes: then it tries again."""
+    """The pidfd waits for the memory. This process may be held up longer than that takes: then it tries again."""
 
     def large(send: Send, wait: Wait) -> None:
         memory = bytearray(os.urandom(1 << 20)) * 200
@@ -265,7 +265,7 @@ def test_a_machine_without_a_thread_to_spare_proves_nothing() -> None:
 
 
 def test_a_word_that_can_t_be_written_is_not_looked_into_later(lines: Segment) -> None:
-    """What the kernel was given to look into is taken back before its memory is."""
+    """The kernel's list of held words is emptied before its memory is given back."""
 
     def attempt() -> tuple[bool, bool]:
         head, size = ctypes.c_void_p(), ctypes.c_size_t()

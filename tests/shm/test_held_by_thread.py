@@ -47,7 +47,7 @@ def test_a_word_that_no_thread_can_hold_keeps_no_descriptor(lines: Segment, monk
 
 
 class Interrupted(Exception):
-    """What a signal's handler of a program raises."""
+    """The exception that a program's signal handler raises."""
 
 
 @contextlib.contextmanager

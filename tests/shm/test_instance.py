@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 from types import SimpleNamespace
 from typing import Any
@@ -21,16 +22,24 @@ from .simulated import OTHER, USER, content, give, kill, living, mode, open_fds,
 MS = 1_000_000
 
 
-@pytest.mark.parametrize("name", ["a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_"])
-def test_good_names(name: str) -> None:
-    assert instance.check_name(name) == name
+@pytest.fixture
+def bases(on: SimpleNamespace) -> list[str]:
+    """The three candidate directories of a user, who is the test; none is made yet, and each can be."""
+    on.os.chmod("/run", 0o1777)
+    on.os.makedirs(f"/run/user/{USER}")
+    on.os.chown(f"/run/user/{USER}", USER, USER)
+    on.own.uid = on.own.gid = USER
+    found: list[str] = on.instance.bases()
+    return found
 
 
-@pytest.mark.parametrize(
-    "name", ["", "a" * 33, "A", "a b", "a/b", "..", ".", "a.b", "ä", "a\n", "a\0", "\u0661", "/", "a:b", "~", "$x"]
-)
-def test_bad_names(name: str) -> None:
-    for use in (instance.check_name, instance.find, instances.make_runtime_dir):
+GOOD = ("a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_")
+BAD = ("", "a" * 33, "A", "a b", "a/b", "..", ".", "a.b", "ä", "a\n", "a\0", "\u0661", "/", "a:b", "~", "$x")
+
+
+def test_a_name_is_of_few_letters() -> None:
+    assert [instance.check_name(name) for name in GOOD] == list(GOOD)
+    for name, use in itertools.product(BAD, (instance.check_name, instance.find, instances.make_runtime_dir)):
         with pytest.raises(InstanceError) as refused:
             use(name)
         assert str(refused.value) == f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -"
@@ -88,20 +97,22 @@ def test_a_runtime_dir_is_taken_over(on: SimpleNamespace, bases: list[str]) -> N
     assert on.os.path.exists(f"{path}/left")
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize(("taken", "rights"), [(0, 0o755), (1, 0o755), (2, 0o700)])
 def test_the_shared_place_is_private_and_others_are_everyone_s_to_read(
-    on: SimpleNamespace, bases: list[str], mask: int, taken: int, rights: int
+    on: SimpleNamespace, bases: list[str], taken: int, rights: int
 ) -> None:
     """So that every local user can reach the stop pipe."""
     for base in bases[:taken]:
         block(on, base)
-    on.own.umask = mask
-    path = on.instances.make_runtime_dir("robot")
-    assert on.own.umask == mask
-    assert (path, mode(on, path), mode(on, bases[taken])) == (f"{bases[taken]}/robot", rights, rights)
-    assert on.os.stat(path).st_uid == on.os.stat(bases[taken]).st_uid == USER
-    assert on.instances.make_runtime_dir("robot") == path
+    for mask in (0o000, 0o022, 0o077, 0o777):
+        on.own.umask = mask
+        path = on.instances.make_runtime_dir("robot")
+        assert on.own.umask == mask
+        assert (path, mode(on, path), mode(on, bases[taken])) == (f"{bases[taken]}/robot", rights, rights)
+        assert on.os.stat(path).st_uid == on.os.stat(bases[taken]).st_uid == USER
+        assert on.instances.make_runtime_dir("robot") == path
+        for made in (path, bases[taken]):
+            on.os.rmdir(made)
 
 
 def test_a_full_disk_is_told_and_not_passed_over(on: SimpleNamespace, bases: list[str]) -> None:
@@ -167,7 +178,7 @@ def holder(on: Any, path: str) -> Process:
 
 
 def pid_told(on: Any, path: str) -> str:
-    """What is in the lock."""
+    """The text in the lock."""
     return content(on, on.instance.lock_path(path)).decode()
 
 

@@ -135,7 +135,7 @@ def test_a_damaged_newest_falls_back_to_the_one_before(damage: str) -> None:
 
 @pytest.mark.parametrize("filler", [b"\0", b"\xff"])
 def test_a_length_that_leads_into_the_other_cell_is_no_value_even_with_a_right_crc(filler: bytes) -> None:
-    """Whichever cell is looked at first: the bytes in the other one's place say a number below or above."""
+    """The bytes in the other cell's place say a number below or above, so that either cell is looked at first."""
     memory = Memory(AT + 2 * cell_bytes(40))
     data = cell.build(2, 1, filler * 80, SEED, 80)
     memory.data[AT : AT + len(data)] = data

@@ -128,7 +128,7 @@ def test_one_whose_number_is_not_known_here_has_the_early_news_alone() -> None:
 
 
 def namespace_told(*command: str) -> int:
-    """What a Python that is started by this command finds."""
+    """The namespace that a Python finds which is started by this command."""
     code = "from failstop.shm.lifeline import pid_namespace; print(pid_namespace())"
     done = subprocess.run([*command, sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     if command and done.returncode:

@@ -33,7 +33,7 @@ def give(on: Any, uid: int, *paths: str) -> None:
 
 
 def refused(on: Any, *ways: str) -> list[str]:
-    """What each of these ways, or every one, in which the program opens what is in there is refused with."""
+    """The refusals of the ways in which the program opens what is in there: of these, or of every one."""
     attempts = {
         "stop": lambda: on.bell.open_pipe_to_write(on.instance.stop_path(FOLDER)),
         "the service's end": lambda: on.bell.open_pipe(on.instance.stop_path(FOLDER)),

@@ -69,16 +69,16 @@ def test_too_large_a_payload_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("read", range(CELLS + 2))
-@pytest.mark.parametrize("ahead", [*range(1, 3 * CELLS + 2), 10 * CELLS])
-def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
-    _, writer, reader = ring()
-    put(writer, read)
-    drained = drain(reader)
-    reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
-    put(writer, ahead)
-    found = drain(reader)
-    assert found == list(range(max(reader_at, writer.seq - CELLS) + 1, writer.seq + 1))
-    assert reader.lost - lost_before == found[0] - reader_at - 1 == max(0, ahead - CELLS)
+def test_lapping_counts_exactly_what_was_lost(read: int) -> None:
+    for ahead in (*range(1, 3 * CELLS + 2), 10 * CELLS):
+        _, writer, reader = ring()
+        put(writer, read)
+        drained = drain(reader)
+        reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
+        put(writer, ahead)
+        found = drain(reader)
+        assert found == list(range(max(reader_at, writer.seq - CELLS) + 1, writer.seq + 1))
+        assert reader.lost - lost_before == found[0] - reader_at - 1 == max(0, ahead - CELLS)
 
 
 @pytest.mark.parametrize("written", [0, 1, CELLS - 1, CELLS, CELLS + 1, 3 * CELLS + 5])
@@ -93,15 +93,6 @@ def test_where_readers_start(written: int) -> None:
     assert drain(latest) == drain(oldest) == [written + 1, written + 2]
     assert latest.lost == oldest.lost == 0
     assert RingReader(memory, AT, CAPACITY, CELLS, SEED).next() is None, "unless told"
-
-
-def test_a_lone_cell_is_a_ring_too() -> None:
-    _, writer, reader = ring(1)
-    put(writer)
-    assert drain(reader) == [1]
-    put(writer, 5)
-    assert drain(reader) == [6]
-    assert reader.lost == 4
 
 
 @pytest.mark.parametrize("written", [0, 1, CELLS - 1, CELLS, CELLS + 3])

@@ -17,6 +17,7 @@ from .segments import NAMES, path_of
 from .written import Written
 
 ROUNDS = amount(120, 1500)
+TAKEN_OVER = amount(8, 80)
 
 
 @pytest.mark.parametrize("of", NAMES)
@@ -75,7 +76,7 @@ def test_writers_of_scribbled_segments_go_on(name: str, of: str) -> None:
     dice = random.Random(of)
     written = Written(name, of, dice)
     try:
-        for _ in range(20):
+        for _ in range(TAKEN_OVER):
             for _ in range(dice.randrange(1, 6)):
                 written.scribble()
             os.pwrite(written.fd, written.image[:128], 0)
@@ -96,7 +97,7 @@ def test_writers_of_scribbled_segments_go_on(name: str, of: str) -> None:
 
 
 def test_garbage_payloads_are_value_errors_at_most() -> None:
-    """What passes the CRC of a client segment was still written by a client: unpacking it must not do worse."""
+    """A payload that passes the CRC was still written by a client: unpacking it must not do worse."""
     dice = random.Random(5)
     for _ in range(3000):
         payload = dice.randbytes(dice.randrange(0, 330))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -48,17 +49,15 @@ def test_a_new_segment_is_empty(name: str) -> None:
                 assert seen.ring_reader(record.name, from_oldest=True).next() is None
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
 def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
-    on: SimpleNamespace, mask: int, own: int, gid: int, group: int
+    on: SimpleNamespace, own: int, gid: int, group: int
 ) -> None:
-    on.own.umask = mask
-    with user(on, 0, own):
-        for of in NAMES:
-            on.segments.create("r", of, RUN, *([gid] if gid >= 0 else []))
-    for of in NAMES:
-        found = on.os.stat(path_of("r", of))
+    for mask, of in itertools.product((0o000, 0o022, 0o077, 0o777), NAMES):
+        on.own.umask = mask
+        with user(on, 0, own):
+            on.segments.create(f"r{mask}", of, RUN, *([gid] if gid >= 0 else []))
+        found = on.os.stat(path_of(f"r{mask}", of))
         assert stat.S_IMODE(found.st_mode) == SEGMENT_BY_NAME[of].mode
         assert (found.st_uid, found.st_gid) == (0, group if SEGMENT_BY_NAME[of].mode & 0o060 == 0o060 else own)
 
@@ -286,7 +285,7 @@ def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
 
 
 def test_instances_do_not_see_each_other(name: str) -> None:
-    """Nor one whose name begins with another's."""
+    """Not even one whose name begins with another's."""
     longer = name + "-2"
     try:
         create_all(name, 1)
@@ -349,7 +348,7 @@ def test_no_descriptor_crosses_an_exec(name: str) -> None:
 
 
 def links() -> list[str]:
-    """What this process's descriptors are."""
+    """The files of this process's descriptors."""
     found = []
     for fd in os.listdir("/proc/self/fd"):
         try:

@@ -1,4 +1,4 @@
-"""What the simulated board's tests share."""
+"""Frames that the simulated board's tests share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `failstop sim --verbose` tells: little, and nothing that matters is left out."""
+"""Lines of `failstop sim --verbose`: few, and nothing that matters is left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the supervisor's tests begin with."""
+"""Fixtures of the supervisor's tests."""
 
 from __future__ import annotations
 

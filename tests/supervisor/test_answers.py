@@ -1,4 +1,4 @@
-"""What the supervisor does about a stop, and what it says of it: written only when somebody has written it."""
+"""The supervisor's answer to a stop, and its words for it: written only when somebody has written it."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_a_turn_does_not_forget_that_it_was_told_to_end(scene: Scene) -> None:
 
 
 def test_the_cause_is_there_before_the_epoch_and_ready_is_not() -> None:
-    """Whoever sees the new epoch finds its cause; and nobody finds the service ready in an epoch of a stop."""
+    """A reader that sees the new epoch finds its cause; none finds the service ready in an epoch of a stop."""
     clear = "self.ready_word.set(0)"
     scene = Scene(patches=(("failstop.supervisor.latch", clear, f"self.look(); {clear}; self.look()"),))
     seen: list[tuple[int, int, int]] = []
@@ -217,7 +217,7 @@ def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
 
 
 def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
-    """Whichever the supervisor hears first, the second stop is latched."""
+    """The supervisor latches the second stop, in whatever order it hears of the two."""
     scene.stops("the first")
     scene.ask_reset()
     scene.notice("the second", written_ns=scene.now_ns + MS)
@@ -290,7 +290,7 @@ def watched(scene: Scene) -> Any:
 
 
 def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(alone: Scene) -> None:
-    """And only while there is a port to write it to."""
+    """It bites only while there is a port to write the stop to."""
     status = watched(alone)
     alone.wire.fill()
     alone.gate_stops()

@@ -40,7 +40,7 @@ def follow(scene: Scene, t_ns: int = T0, *, ready: bool = True) -> None:
 
 
 def savers(scene: Scene) -> list[dict[str, str]]:
-    """What each that was started was told on its command line."""
+    """The words on the command line of each that was started."""
     return [words(process) for process in scene.born]
 
 
@@ -149,7 +149,7 @@ SAVED = ("incident", "notice", "incident 0012 saved; next: `failstop incident sh
 
 
 def lost(why: str) -> tuple[str, str, str, dict[str, Any]]:
-    """What is told of an incident that was not saved."""
+    """The event that tells of an incident which was not saved."""
     return "incident", "warning", f"incident not saved: {why}; next: {STEP}", {"reason": f"{why}; next: {STEP}"}
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop.policy import causes
@@ -97,65 +99,32 @@ T0 = 777 * S
 BACKOFF = 100 * MS
 
 
-def waits(restarts: Child, *times_s: float) -> list[int | None]:
-    return [restarts.restart_wait_ns(T0 + round(t * S)) for t in times_s]
-
-
-@pytest.fixture
-def restarts() -> Child:
-    return child(WAITING, (5, 60 * S, BACKOFF))
-
-
-def test_the_first_at_once_then_doubling_then_not_at_all(restarts: Child) -> None:
-    assert waits(restarts, 0, 1, 2, 3, 4) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF, None]
-
-
-def test_it_stays_down(restarts: Child) -> None:
-    waits(restarts, 0, 1, 2, 3, 4)
-    assert waits(restarts, 5, 59) == [None, None]
-
-
-def test_deaths_beyond_the_window_are_forgotten(restarts: Child) -> None:
-    assert waits(restarts, 0, 1, 2, 3) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF]
-    assert waits(restarts, 61.5) == [2 * BACKOFF], "with two of the four"
-    assert waits(restarts, 200) == [0]
-
-
-def test_the_window_ends_exactly_then(restarts: Child) -> None:
-    assert restarts.restart_wait_ns(T0) == 0
-    assert restarts.restart_wait_ns(T0 + 60 * S - 1) == BACKOFF
-    restarts = child(WAITING, (5, 60 * S, BACKOFF))
-    assert restarts.restart_wait_ns(T0) == 0
-    assert restarts.restart_wait_ns(T0 + 60 * S) == 0
-
-
-def test_one_death_now_and_then_never_counts_up(restarts: Child) -> None:
-    assert waits(restarts, *range(0, 6_000, 61)) == [0] * 99
-
-
-def test_five_in_sixty_seconds_but_not_five_in_sixty_one(restarts: Child) -> None:
-    assert waits(restarts, 0, 15, 30, 45, 60)[-1] is not None
-    assert waits(restarts, 60.5)[-1] is None
-
-
-def test_waits_have_a_longest() -> None:
-    restarts = child(WAITING, (100, 60 * S, BACKOFF))
-    found = waits(restarts, *(n / 100 for n in range(99)))
-    assert max(wait for wait in found if wait is not None) == LONGEST_WAIT_NS
-    assert found[-1] == LONGEST_WAIT_NS
-
-
-def test_a_limit_of_one_never_restarts() -> None:
-    assert waits(child(WAITING, (1, 60 * S, BACKOFF)), 0, 1000) == [None, None]
-
-
-def test_processes_are_counted_each_for_itself() -> None:
-    one, other = child(WAITING, (2, 60 * S, BACKOFF)), child(WAITING, (2, 60 * S, BACKOFF))
-    assert waits(one, 0, 1) == [0, None]
-    assert waits(other, 2) == [0]
+@pytest.mark.parametrize(
+    ("limit", "deaths_s", "waits"),
+    [
+        (5, (0, 1, 2, 3, 4), [0, 1, 2, 4, None]),
+        (5, (0, 1, 2, 3, 61.5, 200), [0, 1, 2, 4, 2, 0]),  # with two of the four, then with none
+        (100, [n / 100 for n in range(99)], [0, *(2**n for n in range(98))]),
+    ],
+)
+def test_a_restart_waits_twice_as_long_each_time(
+    limit: int, deaths_s: Sequence[float], waits: list[int | None]
+) -> None:
+    """Not at all at the first death, in units of the first wait, and up to the longest."""
+    one, other = (child(WAITING, (limit, 60 * S, BACKOFF)) for _ in range(2))
+    for death_s, wait in zip(deaths_s, waits, strict=True):
+        expected = None if wait is None else min(wait * BACKOFF, LONGEST_WAIT_NS)
+        assert one.restart_wait_ns(T0 + round(death_s * S)) == expected
+    assert other.restart_wait_ns(T0) == 0, "each process is counted for itself"
 
 
 @given(limit=st.integers(1, 10), backoff=st.integers(1, 10 * S), gaps=st.lists(st.integers(0, 90 * S), max_size=40))
+@example(5, BACKOFF, [0, S, S, S, S, S, 54 * S])
+@example(5, BACKOFF, [0, 60 * S - 1])
+@example(5, BACKOFF, [0, 60 * S])
+@example(5, BACKOFF, [0, *[61 * S] * 99])
+@example(5, BACKOFF, [0, *[15 * S] * 4, S // 2])
+@example(1, BACKOFF, [0, 1000 * S])
 def test_a_restart_is_refused_when_and_only_when_the_window_is_full(limit: int, backoff: int, gaps: list[int]) -> None:
     restarts = child(WAITING, (limit, 60 * S, backoff))
     deaths: list[int] = []

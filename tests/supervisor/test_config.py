@@ -68,19 +68,10 @@ def test_the_command_line_wins(file: Path) -> None:
         ("gate = 5\n", "gate: no such setting"),
         ("[gate.period_s]\nvalue = 1\n", "gate.period_s.value: no such setting"),
         ('[gate]\nperiod_s = "fast"\n', "gate.period_s = 'fast': a number is expected, 0.005 to 0.05 s"),
-        ("[gate]\nperiod_s = true\n", "gate.period_s = True: a number is expected"),
-        ("[gate]\nperiod_s = [0.02]\n", "gate.period_s = [0.02]: a number is expected"),
         ("[gate]\nperiod_s = 1979-05-27\n", "gate.period_s = datetime.date(1979, 5, 27): a number is expected"),
         ("[gate]\nperiod_s = nan\n", "gate.period_s = nan: allowed is 0.005 to 0.05 s"),
-        ("[gate]\nperiod_s = -inf\n", "gate.period_s = -inf: allowed is"),
-        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is 0.04 to 1 s"),
         ("[restart]\ndeaths = nan\n", "restart.deaths = nan: allowed is 1 to 100000"),
-        ("[restart]\ndeaths = inf\n", "restart.deaths = inf: allowed is 1 to 100000"),
-        ("[restart]\ndeaths = 2.5\n", "restart.deaths = 2.5: a whole number is expected"),
-        ("[device]\npath = 5\n", "device.path = 5: a text is expected"),
-        ('[device]\npath = ""\n', "device.path = '': a text is expected"),
         ("[scan]\ngate = true\n", 'scan.gate = True: allowed is "on" or "off"'),
-        ("[wheels]\nlayout = 'omni'\n", 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'),
         ("[gaet]\n", "gaet: no such setting"),
         ("[[sources]]\npriority = 1\n", "sources = [{'priority': 1}]: a table is expected, [sources.NAME]"),
         ("[sources.teleop]\n", "sources.teleop.priority = 0: sources.cmd_vel.priority is 0 too"),
@@ -88,7 +79,6 @@ def test_the_command_line_wins(file: Path) -> None:
         ("[gate]\nlease_s.x = 1\n", "gate.lease_s.x: no such setting"),
         ("'gate.lease_s' = 0.1\n", '"gate.lease_s": no such setting; write tables as [gate], keys without quotes'),
         ("[gate]\n'' = 0.1\n", 'gate."": no such setting'),
-        ("[gate]\nlease_s = 0.5\n", "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.5 s"),
     ],
 )
 def test_what_is_not_allowed_names_the_key(file: Path, text: str, message: str) -> None:
@@ -105,10 +95,8 @@ def test_broken_toml_names_the_file(file: Path, text: str | bytes) -> None:
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"a = " + b"1" * 5000, "line 1 has more than 1000 characters"),
         (b"a = " + b"[\n" * 5000, "it is nested too deeply"),
         ("gate.period_s = 0.02\n".encode("utf-16"), "it is UTF-16: save it as UTF-8"),
-        (b"a" * 70000, "it has more than 65536 bytes"),
         (b"a." * 450 + b"a = 1\n", ""),
         (b"a = {" * 190, ""),
         (b'"a\\u001b[2J\\n" = 1\n', ""),

@@ -93,7 +93,7 @@ def test_a_board_that_goes_deaf_at_the_end_is_told_of(scene: Scene) -> None:
 
 @pytest.mark.parametrize("full", [True, False])
 def test_a_second_stop_that_the_kernel_does_not_take_or_keeps_is_a_failure(scene: Scene, full: bool) -> None:
-    """What it holds is dropped with the port."""
+    """Bytes that the kernel holds are dropped with the port."""
     scene.wire.fill() if full else scene.wire.hold()
     answer(scene, scene.now_ns)
     well, told = end(scene)

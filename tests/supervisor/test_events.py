@@ -80,7 +80,7 @@ def test_a_journal_that_is_full_holds_nobody_up(tmp_path: Path) -> None:
 
 
 class Journal:
-    """What the journal has got, while it is there."""
+    """Datagrams that the journal has got, while it is there."""
 
     def __init__(self) -> None:
         self.got: list[bytes] = []

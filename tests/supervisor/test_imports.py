@@ -1,4 +1,4 @@
-"""What the processes import: each module costs time at a restart, and memory that the kernel must tear down before it
+"""Imports of the processes: each module costs time at a restart, and memory that the kernel must tear down before it
 reports a death."""
 
 from __future__ import annotations

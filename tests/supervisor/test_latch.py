@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop.messages import records
@@ -22,31 +22,6 @@ def latched(latch: Latch) -> str | None:
     return said(latch.stop.cause) if latch.stop else None
 
 
-def test_the_first_stays() -> None:
-    latch = Latch()
-    latch.add([stop("key1")], 2, 110)
-    latch.add([stop("gate died", 50)], 3, 120)
-    assert latched(latch) == "key1", "even when a later one was noticed sooner"
-    assert latch.since == 2
-    assert latch.newest is not None
-    assert said(latch.newest.cause) == "gate died"
-
-
-def test_of_those_that_come_together_the_one_noticed_first() -> None:
-    latch = Latch()
-    latch.add([stop("supervisor's", 300), stop("port owner's", 100), stop("gate's", 200)], 2, 400)
-    assert latched(latch) == "port owner's"
-
-
-def test_after_a_reset_the_next_is_latched() -> None:
-    latch = Latch()
-    latch.add([stop("key1")], 2, 110)
-    assert told(latch.reset(2, 111)) == (True, "latched stop cleared (was: key1); motion still disabled")
-    assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 2)
-    latch.add([stop("gate died")], 3, 120)
-    assert (latched(latch), latch.since) == ("gate died", 3)
-
-
 def test_who_asked_before_the_last_stop_did_not_know_of_it() -> None:
     latch = Latch()
     latch.add([stop("key1")], 2, 110)
@@ -55,13 +30,6 @@ def test_who_asked_before_the_last_stop_did_not_know_of_it() -> None:
     assert latched(latch) == "key1"
     assert latch.reset_epoch == 0
     assert latch.reset(3, 200).done
-
-
-def test_a_reset_with_nothing_latched_changes_nothing_and_is_one_all_the_same() -> None:
-    latch = Latch()
-    assert told(latch.reset(1, 5)) == (True, "no stop is latched")
-    assert latch.reset(1, 5).cause is None
-    assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 1)
 
 
 def test_a_later_request_of_one_program_completes_the_cause_once() -> None:
@@ -89,15 +57,27 @@ def test_what_everybody_reads() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.lists(st.integers(0, 1000), min_size=1, max_size=4)), max_size=20))
-def test_any_history(history: list[tuple[bool, list[int]]]) -> None:
+@example([(False, [300, 100, 200]), (False, [50]), (True, [7]), (False, [6])])
+@example([(True, [1]), (True, [2])])
+def test_the_first_noticed_of_those_that_came_first_is_latched(history: list[tuple[bool, list[int]]]) -> None:
     """Each step: was there a reset before it, and the times of the stops that come together."""
     latch = Latch()
-    expected = None
+    expected, since = None, 0
     for epoch, (reset, times) in enumerate(history, start=2):
         now_ns = epoch * 10_000
         if reset:
-            assert latch.reset(epoch - 1, now_ns).done
+            assert told(latch.reset(epoch - 1, now_ns)) == (True, answer(expected))
+            assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, epoch - 1)
             expected = None
         latch.add([Stop(t_ns, "gate", why(f"{epoch}:{t_ns}")) for t_ns in times], epoch, now_ns)
-        expected = expected or f"{epoch}:{min(times)}"
-        assert latched(latch) == expected
+        first = f"{epoch}:{min(times)}"
+        expected, since = (expected, since) if expected else (first, epoch)
+        assert (latched(latch), latch.since) == (expected, since), "even when a later one was noticed sooner"
+        assert said(latch.newest.cause if latch.newest else None) == first
+
+
+def answer(was: str | None) -> str:
+    """The reply to a reset of this stop, or of none."""
+    if not was:
+        return "no stop is latched"
+    return f"latched stop cleared (was: {why(was)}); motion still disabled"

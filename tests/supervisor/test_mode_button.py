@@ -13,9 +13,9 @@ from failstop.policy.setting import SettingError
 KEY = "pad.mode_button"
 
 
-@pytest.mark.parametrize("bit", range(16))
-def test_any_one_bit_is_allowed(bit: int) -> None:
-    assert config.checked({KEY: 1 << bit})[KEY] == 1 << bit
+def test_any_one_bit_is_allowed() -> None:
+    for bit in range(16):
+        assert config.checked({KEY: 1 << bit})[KEY] == 1 << bit
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
-"""What a stop has proved (acknowledged, observed, told); and the link: unproven, alive, deaf."""
+"""Proofs of a stop (acknowledged, observed, told); and the link: unproven, alive, deaf."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -69,16 +71,13 @@ def test_the_judgement_from_before_the_stop_does_not_count() -> None:
     assert "no shaking seen" in last.outcome("alive")
 
 
-def test_a_supervisor_that_was_held_up_takes_the_imu_s_word_for_what_it_missed() -> None:
+@pytest.mark.parametrize(("still_ms", "judged_ms", "observed_ms"), [(150, 700, 150.0), (-5_000, 900, 0.0)])
+def test_a_supervisor_that_was_held_up_takes_the_imu_s_word_for_what_it_missed(
+    still_ms: int, judged_ms: int, observed_ms: float
+) -> None:
     last = proof()
-    assert not last.judged(T0 + 150 * MS, T0 + 700 * MS, T0 + 705 * MS)
-    assert last.as_record()["observed_ms"] == 150.0
-
-
-def test_wheels_that_stood_while_the_supervisor_was_held_up_did_not_shake() -> None:
-    last = proof()
-    last.judged(T0 - 5_000 * MS, T0 + 900 * MS, T0 + 905 * MS)
-    assert last.observed_ns == 0
+    assert not last.judged(T0 + still_ms * MS, T0 + judged_ms * MS, T0 + (judged_ms + 5) * MS)
+    assert last.as_record()["observed_ms"] == observed_ms, "wheels that stood all the while did not shake"
 
 
 def test_a_verdict_that_only_began_anew_is_no_shaking() -> None:
@@ -196,7 +195,7 @@ def heard(at_ns: int) -> Link:
     return link
 
 
-def deaf_after_ms(link: Link, pings_ms: list[int], until_ms: int = 5_000) -> int | None:
+def deaf_after_ms(link: Link, pings_ms: Sequence[int], until_ms: int = 5_000) -> int | None:
     """Look every 20 ms, from T0 on, with pings sent at these times; returns when it became deaf."""
     for ms in range(0, until_ms, 20):
         newest = max([T0 + at * MS for at in pings_ms if at <= ms], default=0)
@@ -213,18 +212,25 @@ def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
     assert link.state == LINK_UNASKED
 
 
-def test_a_board_that_never_answers_is_unproven_and_no_cause() -> None:
-    link = Link(DEAF_NS)
-    assert link.state == LINK_UNPROVEN
-    assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
-    assert link.state == LINK_UNPROVEN
-
-
-def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once() -> None:
-    link = heard(T0)
-    assert deaf_after_ms(link, [0, 500, 1_000, 1_500]) == 1_020, "the ping at 1,000 may still be answered"
-    assert link.state == LINK_DEAF
-    assert deaf_after_ms(link, [2_000, 2_500]) is None, "once"
+@pytest.mark.parametrize(
+    ("link_of", "pings_ms", "deaf_ms"),
+    [
+        (lambda: Link(DEAF_NS), range(0, 5_000, 500), None),  # it has never answered
+        (lambda: heard(T0), [0, 500, 1_000, 1_500], 1_020),  # the ping at 1,000 may still be answered
+        (lambda: heard(T0), [3_000], 3_500),  # silence counts from the first question, as after a port owner's hang
+        (lambda: heard(T0), [0, 3_000], 3_500),  # it has answered the last one
+        (lambda: heard(T0), [0, 400], 1_000),  # not before its time from the last answer
+    ],
+)
+def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once(
+    link_of: Callable[[], Link], pings_ms: Sequence[int], deaf_ms: int | None
+) -> None:
+    link = link_of()
+    assert deaf_after_ms(link, pings_ms) == deaf_ms
+    assert link.state == (LINK_DEAF if deaf_ms else LINK_UNPROVEN)
+    assert deaf_after_ms(link, [6_000, 6_500], 9_000) is None, "once"
+    link.answered(T0 + 9_500 * MS)
+    assert link.state == LINK_ALIVE
 
 
 def test_a_board_that_answers_is_alive() -> None:
@@ -235,16 +241,6 @@ def test_a_board_that_answers_is_alive() -> None:
     assert link.state == LINK_ALIVE
 
 
-def test_nobody_is_deaf_who_was_not_asked() -> None:
-    """As when the port owner was held up: silence counts from the first question."""
-    assert deaf_after_ms(heard(T0), [3_000]) == 3_500
-    assert deaf_after_ms(heard(T0), [0, 3_000]) == 3_500, "it has answered the last one"
-
-
-def test_nor_before_its_time_from_the_last_answer() -> None:
-    assert deaf_after_ms(heard(T0), [0, 400]) == 1_000
-
-
 def test_silence_while_nobody_listened_does_not_count() -> None:
     link = heard(T0)
     assert not link.silent(T0 + 500 * MS, T0 + 990 * MS)
@@ -252,13 +248,6 @@ def test_silence_while_nobody_listened_does_not_count() -> None:
     assert not link.silent(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
     assert not link.silent(T0 + 2_500 * MS, T0 + 2_510 * MS)
     assert link.silent(T0 + 2_500 * MS, T0 + 3_010 * MS)
-
-
-def test_a_deaf_board_that_answers_again_is_alive() -> None:
-    link = heard(T0)
-    assert deaf_after_ms(link, [500, 1_000]) == 1_020
-    link.answered(T0 + 1_500 * MS)
-    assert link.state == LINK_ALIVE
 
 
 def test_another_port_is_another_board() -> None:

@@ -1,4 +1,4 @@
-"""What clients and the service manager are told of the service as a whole."""
+"""Records of the service as a whole, for clients and the service manager."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
 
 
 def heard(scene: Scene) -> list[str]:
-    """What a service manager hears from now on."""
+    """Messages that a service manager gets from now on."""
     said: list[str] = []
     notify = scene.load("failstop.notify").Notify("/nowhere")
     notify.say = lambda message: not said.extend(message.split("\n"))

@@ -1,4 +1,4 @@
-"""What a run makes, with which rights, that nothing of it is left, and what is told of a name that is taken away."""
+"""A run makes files with exact rights, leaves nothing of them, and tells of a name that is taken away."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_a_start_that_fails_keeps_the_black_box_of_the_run_before(ended: Scene) 
 
 
 def test_a_run_takes_nothing_from_one_that_lives(scene: Scene) -> None:
-    """Whatever has become of the lock's file."""
+    """The lock's file may have been replaced or removed."""
     before = scene.os.listdir(RUNTIME_DIR), segments(scene)
     with pytest.raises(scene.load("failstop.files.instance").InstanceError, match="already running"):
         scene.new_run()

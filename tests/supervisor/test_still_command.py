@@ -52,7 +52,7 @@ def stop_unheeded(scene: Scene) -> None:
 
 
 def commands(scene: Scene) -> list[tuple[str, str, dict[str, object]]]:
-    """What was told of the command since the last call: level, text and fields."""
+    """Events of the command since the last call: level, text and fields."""
     return [(level, text, fields) for kind, level, text, fields in scene.said() if kind == "command"]
 
 
@@ -156,7 +156,7 @@ def test_clients_are_told_of_a_stop_that_the_kernel_still_holds() -> None:
 
 
 def test_clients_are_told_once_of_a_stop_of_which_nothing_more_is_learnt() -> None:
-    """What became of it is told to people; nothing of what clients read has changed."""
+    """People are told what became of it; nothing of what clients read has changed."""
     scene = unheeded(ends)
     stop(scene)
     written = scene.number("stop")

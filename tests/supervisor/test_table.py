@@ -19,13 +19,12 @@ def test_every_process_of_the_layout_but_the_supervisor_has_its_row() -> None:
 
 
 @each
-def test_its_module_can_be_run(row: Process) -> None:
+def test_a_row_says_what_its_process_is_and_how_it_is_woken_and_watched(row: Process) -> None:
     assert callable(importlib.import_module(row.module).run)
-
-
-@each
-def test_it_says_what_it_is(row: Process) -> None:
     assert row.role
+    assert {"bell", "supervisor_bell"} <= set(row.descriptors)
+    assert len(set(row.descriptors)) == len(row.descriptors)
+    assert 50_000_000 <= row.deadline_ns <= 500_000_000, "a hang is noticed well within a second"
 
 
 @each
@@ -34,17 +33,6 @@ def test_who_may_write_to_the_port_is_given_it_and_outlives_the_supervisor_to_st
     assert ("port" in row.descriptors) is writes
     assert ("control" in row.descriptors) is writes
     assert row.outlives_supervisor is writes
-
-
-@each
-def test_it_can_be_woken_and_can_wake_the_supervisor(row: Process) -> None:
-    assert {"bell", "supervisor_bell"} <= set(row.descriptors)
-    assert len(set(row.descriptors)) == len(row.descriptors)
-
-
-@each
-def test_a_hang_is_noticed_well_within_a_second(row: Process) -> None:
-    assert 50_000_000 <= row.deadline_ns <= 500_000_000
 
 
 def test_on_the_stop_path_comes_before_what_is_not() -> None:

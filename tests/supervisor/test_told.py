@@ -35,7 +35,7 @@ def status(scene: Scene) -> Any:
 
 
 def told(scene: Scene) -> list[tuple[str, str, object, str]]:
-    """What people were told: kind, text, fields, and the level that is not the kind's."""
+    """Events that people got: kind, text, fields, and the level that is not the kind's."""
     return [
         (kind, text, fields, "" if level == EVENT_BY_NAME[kind].level else level)
         for kind, level, text, fields in scene.said()

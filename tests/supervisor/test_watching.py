@@ -98,13 +98,13 @@ def fence(scene: Scene, *names: str) -> None:
 
 
 def stories(scene: Scene) -> dict[str, tuple[str, dict[str, Any]]]:
-    """What was told of those that were fenced."""
+    """Events of those that were fenced."""
     told = [event for event in scene.events() if event["kind"] == "fenced"]
     return {event["fields"]["process"]: (event["text"], event["fields"]) for event in told}
 
 
 def test_a_fenced_port_owner_is_stopped_for_again_first_when_it_is_gone(scene: Scene) -> None:
-    """What it had begun to write as it was killed may have come after the first burst."""
+    """Bytes that it had begun to write as it was killed may have come after the first burst."""
     fence(scene, layout.PORT_OWNER)
     seen = epochs(scene)
     assert scene.pass_time(MS) == BURST

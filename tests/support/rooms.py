@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from failstop.lab.pages.rooms import LINKED, PACKAGE, ROOT, folder, imported, modules
+from failstop.lab.pages.rooms import LINKED, PACKAGE, ROOT, folder, imported, imports, modules
 
-__all__ = ["CORE", "LINKED", "PACKAGE", "ROOT", "folder", "imported", "modules", "name_of", "package"]
+__all__ = ["CORE", "LINKED", "PACKAGE", "ROOT", "folder", "imported", "imports", "modules", "name_of", "package"]
 CORE = ("files", "notify", "shm", "messages", "board", "policy", "procs", "supervisor")
 
 

@@ -3,16 +3,22 @@
 A file starts processes when it, or a helper that it imports from the tests, or what its conftest.py imports for the
 fixtures that it uses, imports one of STARTERS or calls one of CALLS. That is read from the source, so that what is not
 wanted is not even imported. A single test that starts one though its file does not look like it is marked `starts`.
+
+What a file says is kept in `.pytest_cache` until the file changes: else each worker would parse all files of the tests.
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
 import functools
+import os
+import pickle
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+KEPT = ROOT / ".pytest_cache" / "sources"
 STARTERS = frozenset(
     {
         *("multiprocessing", "subprocess"),
@@ -21,6 +27,8 @@ STARTERS = frozenset(
     }
 )
 """Modules that are there to start processes."""
+TOPS = ("tests", "bench")
+"""Folders whose files are read."""
 CALLS = frozenset({"fork", "forkpty", "popen", "posix_spawn", "posix_spawnp", "spawnv", "system"})
 """Functions of os and pty that start a process."""
 EVENTS = frozenset({"os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"})
@@ -46,7 +54,7 @@ def starts(path: Path) -> bool:
     seen = set(left)
     while left:
         file = left.pop()
-        source = _read(file)
+        source = read(file)
         modules = set().union(*source.imports.values()) | _fixtures(file.with_name("conftest.py"), source.names)
         if source.calls or modules & STARTERS:
             return True
@@ -60,7 +68,7 @@ def _fixtures(conftest: Path, asked: set[str]) -> set[str]:
     """Imports of a conftest.py for the fixtures that are asked for, and for those that these ask for."""
     if not conftest.exists():
         return set()
-    source = _read(conftest)
+    source = read(conftest)
     used: set[str] = set()
     left = asked & set(source.functions)
     while left:
@@ -69,19 +77,62 @@ def _fixtures(conftest: Path, asked: set[str]) -> set[str]:
     return {module for name in used for module in source.imports.get(name, ())}
 
 
+Stamp = tuple[int, int, int]
+"""When a file and this module were changed, and how long the file is."""
+
+
+def _stamp(path: Path) -> Stamp:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size, Path(__file__).stat().st_mtime_ns
+
+
 @functools.cache
-def _read(path: Path) -> Source:
+def _kept() -> dict[str, tuple[Stamp, Source]]:
+    """The facts of each file that are known, by its path."""
+    with contextlib.suppress(Exception):  # whatever is in that file: it is made again
+        found: dict[str, tuple[Stamp, Source]] = pickle.loads(KEPT.read_bytes())
+        return found
+    return {}
+
+
+_new: list[str] = []
+"""Files that this process has parsed."""
+
+
+def keep() -> None:
+    """Write down what this process has parsed, for the next ones."""
+    if _new:
+        KEPT.parent.mkdir(exist_ok=True)
+        draft = KEPT.with_name(f"{KEPT.name}.{os.getpid()}")
+        draft.write_bytes(pickle.dumps(_kept()))
+        draft.replace(KEPT)
+        _new.clear()
+
+
+@functools.cache
+def read(path: Path) -> Source:
+    """The facts of this file."""
+    stamp, (known, source) = _stamp(path), _kept().get(str(path), (None, None))
+    if source is None or known != stamp:
+        source = _parsed(path)
+        _kept()[str(path)] = stamp, source
+        _new.append(str(path))
+    return source
+
+
+def _parsed(path: Path) -> Source:
     tree = ast.parse(path.read_text("utf-8"))
+    top = max(at for at, part in enumerate(path.parts) if part in TOPS)
     imports: dict[str, set[str]] = {}
     names: set[str] = set()
     calls = False
-    for node in _nodes(tree):
+    for node in nodes(tree):
         match node:
             case ast.Import():
                 for alias in node.names:
                     imports.setdefault(alias.asname or alias.name.partition(".")[0], set()).add(alias.name)
             case ast.ImportFrom():
-                package = ".".join(path.parents[node.level - 1].relative_to(ROOT).parts) if node.level else ""
+                package = ".".join(path.parts[top : -node.level]) if node.level else ""
                 module = ".".join(part for part in (package, node.module) if part)
                 for alias in node.names:
                     imports.setdefault(alias.asname or alias.name, set()).update((module, f"{module}.{alias.name}"))
@@ -97,8 +148,8 @@ def _read(path: Path) -> Source:
     return Source(imports, functions, calls, names)
 
 
-def _nodes(tree: ast.AST) -> list[ast.AST]:
-    """All nodes, in half the time of ast.walk(): each worker reads every file of the tests."""
+def nodes(tree: ast.AST) -> list[ast.AST]:
+    """All nodes, each before those within it, in half the time of ast.walk()."""
     found = [tree]
     for node in found:
         for name in node._fields:
@@ -119,7 +170,7 @@ def _used(function: ast.FunctionDef) -> set[str]:
 @functools.cache
 def _files(module: str) -> list[Path]:
     """The files of a module of the tests or of the bench; of any other, none."""
-    if not module.startswith(("tests.", "bench.")):
+    if module.partition(".")[0] not in TOPS:
         return []
     place = ROOT.joinpath(*module.split("."))
     return [file for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()]

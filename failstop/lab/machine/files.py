@@ -105,30 +105,36 @@ class Regular(Node):
     def __init__(self, mode: int = 0o600) -> None:
         super().__init__(mode)
         self.data: bytearray | mmap.mmap = bytearray()
+        """The first bytes; those that are not here, up to the length, are zeros."""
+        self._length = 0
 
     def size(self) -> int:
-        return len(self.data)
+        return self._length
 
     def resize(self, size: int) -> None:
-        now = len(self.data)
-        if size == now:
+        if size == self._length:
             return
         if isinstance(self.data, mmap.mmap):
             raise OSError(errno.EBUSY, "a mapped file keeps its size here")
-        self.data[size:] = b""
-        self.data.extend(bytes(max(0, size - now)))
+        self._length = size
+        del self.data[size:]
 
     def mapped(self, size: int = 0) -> mmap.mmap:
         """As a map, of at least so many bytes."""
         if not isinstance(self.data, mmap.mmap):
-            before, size = bytes(self.data), max(1, size, len(self.data))
-            self.data = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            before, self._length = bytes(self.data), max(1, size, self._length)
+            self.data = mmap.mmap(-1, self._length, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
             if before:
                 self.data[: len(before)] = before
         return self.data
 
+    def get(self, at: int, most: int) -> bytes:
+        """So many bytes from a place on, or those that there are."""
+        found = bytes(self.data[at : at + most])
+        return found + bytes(max(0, min(most, self._length - at) - len(found)))
+
     def read(self, opened: Open, most: int) -> bytes:
-        found = bytes(self.data[opened.offset : opened.offset + most])
+        found = self.get(opened.offset, most)
         opened.offset += len(found)
         return found
 
@@ -139,8 +145,10 @@ class Regular(Node):
         return len(data)
 
     def put(self, data: bytes, at: int) -> None:
-        if at + len(data) > self.size():
+        if at + len(data) > self._length:
             self.resize(at + len(data))
+        if not isinstance(self.data, mmap.mmap) and at > len(self.data):
+            self.data.extend(bytes(at - len(self.data)))
         self.data[at : at + len(data)] = data
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import builtins
 import functools
+import importlib
 import importlib.util
 import os
 import sys
@@ -29,6 +30,16 @@ HARMLESS = {
     *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
 }
 """Modules that ask no machine: Python's own, and those of a tool that changes what is loaded."""
+SHARED = frozenset(
+    f"failstop.{name}"
+    for name in (
+        *("data", "version", "messages.blocks", "messages.box", "messages.records"),
+        *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "processes", "proofs", "reply")),
+        *("policy.setting", "policy.settings"),
+        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos")),
+    )
+)
+"""Modules that ask no machine and import none that does: each machine has this process's own, which are loaded once."""
 _CODE: dict[str, tuple[CodeType, bool]] = {}
 
 
@@ -65,6 +76,7 @@ class Loader:
     def __init__(self, machine: Machine, patches: Patches = ()) -> None:
         self.machine = machine
         self._patches = patches
+        self._shared = SHARED if SHARED.isdisjoint(module for module, _, _ in patches) else frozenset()
         calls = Calls(machine)
         self.system = modules(calls)
         """The simulated modules, by name."""
@@ -85,6 +97,10 @@ class Loader:
             setattr(parent, last, self._loaded[name])
         if name in self._loaded:
             return self._loaded[name]
+        if name in self._shared:
+            shared = self._loaded[name] = importlib.import_module(name)
+            setattr(parent, last, shared)
+            return shared
         code, package = _compiled(name, self._patches)
         module = ModuleType(name)
         module.__dict__.update(

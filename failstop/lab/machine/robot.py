@@ -139,7 +139,7 @@ class Robot:
         above, _, name = path.rpartition("/")
         file = self.machine.root.folder(above).names[name]
         assert isinstance(file, Regular)
-        return bytes(file.data).decode()
+        return file.get(0, file.size()).decode()
 
     def _child(self, process: Process, argv: list[str]) -> int:
         process.argv = argv

@@ -266,7 +266,7 @@ class Descriptors(Module):
 
     def pread(self, fd: int, most: int, at: int) -> bytes:
         node = self._calls.begin("pread", fd).node
-        return bytes(node.data[at : at + most]) if isinstance(node, Regular) else b""
+        return node.get(at, most) if isinstance(node, Regular) else b""
 
     def pwrite(self, fd: int, data: bytes, at: int) -> int:
         node = self._calls.begin("pwrite", fd).node

@@ -74,13 +74,38 @@ def modules(room: str) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place]
 
 
+class Import(NamedTuple):
+    """An import statement of a module."""
+
+    node: ast.Import | ast.ImportFrom
+    types: bool
+    """Whether it is for types alone: in `if TYPE_CHECKING`."""
+
+
+@cache
+def imports(path: Path) -> tuple[Import, ...]:
+    """Every import of a module, within functions too."""
+    return tuple(_imports(ast.parse(path.read_text()), types=False))
+
+
+def _imports(node: ast.AST, *, types: bool) -> Iterator[Import]:
+    """Of the statements within this one: no expression holds an import."""
+    types = types or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for each in getattr(node, block, ()):
+            if isinstance(each, ast.Import | ast.ImportFrom):
+                yield Import(each, types)
+            else:
+                yield from _imports(each, types=types)
+
+
 def imported(path: Path) -> Iterator[str]:
     """The names after `failstop.` of all that a module imports, for types too."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
-        elif isinstance(node, ast.Import):
+    for node, _ in imports(path):
+        if isinstance(node, ast.Import):
             names = [name.name for name in node.names]
+        elif node.module:
+            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
         else:
             continue
         yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
