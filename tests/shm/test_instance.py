@@ -435,7 +435,7 @@ def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str
         assert remembered(on, "robot")[0] == base
 
 
-@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0one", b"\0" * 99])
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0ugv\0one", b"\0" * 99])
 def test_nonsense_is_no_run(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
     put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), junk)
     assert remembered(on, "robot") == NO_RUN
