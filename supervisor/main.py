@@ -194,7 +194,7 @@ class Supervisor:
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         self._repeat.wait(self._port.free_ns)
         if served:
-            self._repeat.set(NEVER)  # who stops itself, and may have been told to move again
+            self._repeat.set(NEVER)  # it stops itself, and may have been told to move again
         elif self._repeat.take(now_ns):
             self._port.burst()
         elif now_ns - self._tried_ns >= ALONE_EVERY_NS:

@@ -17,6 +17,7 @@ from failstop.board.framing import FrameError
 from failstop.board.interface import Board
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.rrc.board import BOARD
+from failstop.board.tap import Tap
 from failstop.doctor import stop_path
 from failstop.doctor.look import OK
 from failstop.lab.sim.receiver import Receiver
@@ -208,9 +209,7 @@ def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.
     pings = Pings(len(BOARD.pings), 1, Timer(), 0)
     pings.stopped(0)
     assert not pings.due(10**12)
-    (found,) = stop_path.judged(
-        "stopper's duplicate", BOARD, stop_path.Tap(-1, BOARD).answered_ms(0.0), "failstop doctor"
-    )
+    (found,) = stop_path.judged("stopper's duplicate", BOARD, Tap(-1, BOARD).answered_ms(0.0), "failstop doctor")
     assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board acknowledges nothing")
     unasked = Device("/dev/ttyACM0", "open", "unasked")
     (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))

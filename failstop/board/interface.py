@@ -96,7 +96,7 @@ class Board:
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:
-        """The same of another frame. No motion passes, and no servo's frame."""
+        """Like check_motion, of another frame. No motion passes, and no servo's frame."""
         raise NotImplementedError
 
     def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:

@@ -300,7 +300,7 @@ class Settings:
         }
 
     def board(self) -> tuple[str, float, float]:
-        """Which board it is: its kind, the wheels' diameter in m, and a turn a second in its unit (0: as usual)."""
+        """The board: its kind, the wheels' diameter in m, and a turn a second in its unit (0: as usual)."""
         return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"]
 
     def servos(self) -> tuple[int, ...]:

@@ -43,7 +43,6 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("port", look(node=but(NODE, resolved="/nowhere/dev/failstop")), WARN, "that number may be another"),
     ("identity", look(usb_id="0403:6001"), FAIL, "0403:6001"),
     ("identity", look(usb_id=""), SKIP, "no USB device"),
-    ("identity", look(usb_id="0403:6001", settings=("", Settings({"board.kind": "ugv"}), "")), OK, "board.kind ugv"),
     ("permission", look(node=but(NODE, accessible=False), service=NOBODY), FAIL, "anna may not open"),
     ("holders", look(holders=((Holder(7, "python3"),), 0)), FAIL, "python3 (pid 7)"),
     ("holders", look(holders=((Holder(7, "driver", "old.service"),), 0)), FAIL, "old.service"),
@@ -242,6 +241,12 @@ def test_what_is_wrong_is_found(check: str, given: Look, level: str, says: str) 
     assert any(says in finding.text for finding in found), examine(given)
     assert all(finding.fix or finding.advice or level == SKIP for finding in found), "every one has a remedy"
     assert all("\n" not in finding.text for finding in found)
+
+
+def test_another_kind_of_board_has_no_usb_identity_of_its_own() -> None:
+    given = look(usb_id="0403:6001", settings=("", Settings({"board.kind": "ugv"}), ""))
+    (found,) = (finding for name, finding in examine(given) if name == "identity")
+    assert (found.level, found.text) == (OK, "USB 0403:6001; board.kind ugv may be at any port")
 
 
 def test_every_check_can_fail_or_warn() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.files import instance
 
-from .simulated import USER, give, mode, open_fds, put, refusing
+from .simulated import USER, mode, open_fds, put, refusing
 
 
 def test_paths_lie_in_the_runtime_dir_by_their_own_names() -> None:
@@ -65,13 +65,13 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(on: SimpleNamespace, ba
     assert open_fds(on) == before
 
 
-def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...]]:
+def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...], str]:
     """How the last run of this name was started."""
     found = on.instance.last(name)
-    return found.device, found.command, found.servos
+    return found.device, found.command, found.servos, found.board
 
 
-NO_RUN = ("", "", ())
+NO_RUN = ("", "", (), "")
 
 
 def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: list[str]) -> None:
@@ -79,7 +79,7 @@ def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: li
         assert remembered(on, name) == NO_RUN
     path = on.instances.make_runtime_dir("robot")
     for servos in ((), (1, 2, 10)):
-        words = ("/dev/my board", "failstop run --device '/dev/my board'", servos)
+        words = ("/dev/my board", "failstop run --device '/dev/my board'", servos, "ugv")
         before = open_fds(on)
         on.instance.remember(path, on.instance.Last(*words))
         assert remembered(on, "robot") == words
@@ -92,7 +92,7 @@ def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: li
     with pytest.raises(on.instance.NoService, match=r"start it with `failstop run --device '/dev/my board'`$"):
         on.instance.find("robot")
     on.instance.remember(path, on.instance.Last("/dev/x", "failstop run --config '\x1b[2J'"))
-    assert remembered(on, "robot") == ("/dev/x", "", ()), "what would write on the terminal is not shown"
+    assert remembered(on, "robot") == ("/dev/x", "", (), ""), "what would write on the terminal is not shown"
 
 
 def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str]) -> None:
@@ -103,7 +103,7 @@ def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str
         assert remembered(on, "robot")[0] == base
 
 
-@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0one", b"\0" * 99])
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"/dev/x", b"/dev/x\0failstop run\0ugv\0one", b"\0" * 99])
 def test_nonsense_is_no_run(on: SimpleNamespace, bases: list[str], junk: bytes) -> None:
     put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), junk)
     assert remembered(on, "robot") == NO_RUN

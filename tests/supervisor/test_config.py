@@ -271,7 +271,7 @@ def test_readable_in_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
     _, text, _ = run(capsys)
     assert max(map(len, text.splitlines())) <= 80
     groups = [block.split(".")[0] for block in text.split("\n\n")]
-    assert groups[:4] == ["device", "gate", "limits", "wheels"], "an empty line between two groups"
+    assert groups[:5] == ["device", "board", "gate", "limits", "wheels"], "an empty line between two groups"
 
 
 def test_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

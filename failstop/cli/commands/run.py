@@ -9,6 +9,7 @@ from argparse import ArgumentParser, Namespace
 
 from failstop import config, instances
 from failstop.api.errors import FailstopError
+from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
@@ -18,10 +19,6 @@ from failstop.policy.settings import BY_KEY
 from failstop.procs import rights
 from failstop.supervisor import starter
 from failstop.supervisor.port_handover import OwnPort
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
 
 DEVICE, KIND = "device.path", "board.kind"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)

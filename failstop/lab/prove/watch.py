@@ -15,7 +15,7 @@ from failstop.board import servos
 from failstop.board.interface import IMU, PAD, PONG, SERVO
 from failstop.board.port import PortError, open_port
 from failstop.board.rrc.board import BOARD
-from failstop.doctor.stop_path import Tap
+from failstop.board.tap import Tap
 from failstop.lab.prove.shake import GyroSample
 from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
