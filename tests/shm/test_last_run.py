@@ -10,7 +10,7 @@ import pytest
 
 from failstop.files import instance
 
-from .simulated import USER, mode, open_fds, put, refusing
+from .simulated import USER, give, mode, open_fds, put, refusing
 
 
 def test_paths_lie_in_the_runtime_dir_by_their_own_names() -> None:

@@ -109,8 +109,8 @@ def test_the_first_wait_before_a_restart_is_no_longer_than_the_longest() -> None
 
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
 def test_a_number_is_of_the_right_type_and_in_a_range_with_both_its_ends(setting: Setting) -> None:
-    value: object
-    for value in ("0.02", None, [0.02], {}, True, False, b"1"):
+    others: tuple[object, ...] = ("0.02", None, [0.02], {}, True, False, b"1")
+    for value in others:
         assert refusal({setting.key: value}) == f"{setting.key} = {value!r}: a number is expected, {setting.range()}"
     assert setting.low is not None
     assert setting.high is not None
@@ -124,8 +124,8 @@ def test_a_number_is_of_the_right_type_and_in_a_range_with_both_its_ends(setting
 @pytest.mark.parametrize("setting", TEXTS, ids=lambda setting: setting.key)
 def test_a_text_is_one_line_of_text_and_empty_only_where_its_default_is(setting: Setting) -> None:
     text = f"a text is expected, {int(bool(setting.default))} to 255 characters of one line"
-    value: object
-    for value in (1, 1.5, None, True, [], *[""] * bool(setting.default), "two\nlines", "a\0b", "tab\t", "\u2028"):
+    others: tuple[object, ...] = (1, 1.5, None, True, [], "two\nlines", "a\0b", "tab\t", "\u2028")
+    for value in (*others, *[""] * bool(setting.default)):
         assert refusal({setting.key: value}) == f"{setting.key} = {value!r}: {text}"
     assert setting.default or setting.check("") == ""
 
@@ -139,8 +139,8 @@ def test_a_text_has_an_end() -> None:
 def test_a_choice_is_one_of_its_words_which_a_refusal_names(setting: Setting) -> None:
     for word in setting.allowed:
         assert Settings.from_lines(Settings({setting.key: word}).lines()).values[setting.key] == word
-    value: object
-    for value in (0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {}):
+    others: tuple[object, ...] = (0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {})
+    for value in others:
         assert refusal({setting.key: value}) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
 
 
