@@ -105,7 +105,7 @@ def rebuild(built: list[str], shared_place: Place, tmp_path_factory: pytest.Temp
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_text(text)
         out = shared_place.packages / f"failstop_{version}.deb"
-        subprocess.run(["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(place), str(out)], check=True)
+        subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", str(place), str(out)], check=True)
         return f"/packages/{out.name}"
 
     return build
