@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop.board import codec
@@ -128,6 +128,11 @@ def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
 
 
 @given(st.lists(epochs), epochs, epochs)
+@example([], 0, 0)
+@example([], 1, 2)
+@example([], 2, 1)
+@example([4], 4, 4)
+@example([4], 5, 5)
 def test_a_frame_of_another_epoch_or_one_that_was_stopped_in_is_dropped(
     stops: list[int], frame_epoch: int, epoch: int
 ) -> None:

@@ -22,6 +22,28 @@ def scene() -> Scene:
     return Scene()
 
 
+def test_pings_take_their_indices_in_turn() -> None:
+    due = Timer()
+    pings = Pings(4, PERIOD, due, T0, quick=0)
+    found = []
+    for turn in range(6):
+        assert pings.due(T0 + turn * PERIOD)
+        found.append(pings.index)
+        pings.sent(T0 + turn * PERIOD)
+        assert not pings.due(T0 + (turn + 1) * PERIOD - 1)
+        assert due.ns == T0 + (turn + 1) * PERIOD
+    assert found == [0, 1, 2, 3, 0, 1]
+
+
+@pytest.mark.parametrize(("after_ns", "due_ns"), [(200 * MS, 200 * MS), (MS, PING_GAP_NS)], ids=["", "a flood"])
+def test_a_ping_is_due_right_after_a_stop_but_for_the_gap(after_ns: int, due_ns: int) -> None:
+    pings = Pings(4, PERIOD, Timer(), T0)
+    pings.sent(T0)
+    pings.stopped(T0 + after_ns)
+    assert not pings.due(T0 + due_ns - 1)
+    assert pings.due(T0 + due_ns)
+
+
 def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
     pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
@@ -196,3 +218,13 @@ def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) 
 def test_overdue_bursts_are_each_written(repeats: Schedule) -> None:
     late = BEGIN + 1_000 * MS
     assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, ZERO, 0]
+
+
+def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
+    found: list[tuple[int, int]] = []
+    now_ns = BEGIN
+    while len(found) < 5:
+        assert repeats.next.ns > now_ns, "a wake-up that is over already would spin"
+        now_ns = repeats.next.ns
+        found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
+    assert found == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]

@@ -57,6 +57,18 @@ def test_bytes_that_the_port_has_drained_are_no_backlog(board: Wire, wire: Any) 
     assert wire.frame(OTHER, backlog=128)
 
 
+def test_a_ping_follows_a_burst_that_is_under_way_and_motion_a_ping_alone(board: Wire, wire: Any) -> None:
+    wire.burst()
+    board.port.under_way = URB
+    assert not wire.frame(MOTION, backlog=MOTION_BACKLOG)
+    assert wire.frame(BOARD.pings[0], backlog=PING_BACKLOG)
+    assert board.read() == BURST + BOARD.pings[0]
+    board.port.under_way = 0
+    assert wire.frame(BOARD.pings[0])
+    board.port.under_way = URB
+    assert wire.frame(MOTION, backlog=MOTION_BACKLOG)
+
+
 # A port that does not drain.
 
 
