@@ -17,11 +17,14 @@ from hypothesis import strategies as st
 from failstop import config, instances, stopping
 from failstop.api import ask
 from failstop.board.burst import BURST, burst_with
+from failstop.board.interface import SUPERVISOR, Board
+from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.board.rrc.board import BOARD
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root
+from failstop.policy.settings import BOARDS, Settings
 from tests.support.commands import FAILSTOP, failstop
 
 
@@ -117,7 +120,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
     tries: list[str] = []
     asked: list[str] = []
 
-    def busy(path: str, servos: tuple[int, ...] = ()) -> None:
+    def busy(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
         tries.append(path)
         raise PortError("busy", f"{path} is held")
 
@@ -136,7 +139,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
 
 
 def test_the_setting_is_declared_once() -> None:
-    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
+    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0, "board.kind": "rrc"}
 
 
 def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Path) -> None:
@@ -175,12 +178,24 @@ BAD_FILES: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("bad", BAD_FILES)
 def test_no_file_keeps_the_stop_from_the_wire(bad: str, board: tuple[str, int], file: Path) -> None:
-    """Named with --device, the port is written to before the file is looked at."""
+    """The file says which board it is that is named with --device; a bad one keeps nothing back."""
     link, master = board
     BAD_FILES[bad](file)
     result = failstop("stop", "--config", str(file), "--device", link)
-    assert (result.returncode, result.stderr) == (0, "")
+    assert result.returncode == 0
+    assert result.stderr.startswith(f"failstop: configuration {file}")
+    assert result.stderr.endswith("; going on without it\n")
+    assert result.stderr.count("\n") == 1
     assert os.read(master, 4096) == BURST
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_the_stop_is_the_one_of_the_file_s_board(kind: str, board: tuple[str, int], file: Path) -> None:
+    link, master = board
+    file.write_text(f'board.kind = "{kind}"\n')
+    assert failstop("stop", "--config", str(file), "--device", link).returncode == 0
+    own = board_of(*Settings({"board.kind": kind}).board())
+    assert os.read(master, 4096) == own.burst * (1 + len(own.repeats_ns[SUPERVISOR]))
 
 
 @pytest.mark.parametrize("bad", BAD_FILES)
@@ -189,7 +204,7 @@ def test_no_file_keeps_the_stop_from_the_default_port(
     bad: str, file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
-    monkeypatch.setattr(stopping, "write", asked.append)
+    monkeypatch.setattr(stopping, "write", lambda path, board: asked.append(path))
     BAD_FILES[bad](file)
     assert cli.main(["stop", "--config", str(file)]) == 1
     assert asked == ["/dev/ttyACM0"]
