@@ -12,6 +12,7 @@ from tests.support.deb import tree
 from .installing import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+BRIDGE = "failstop-ros2@daemon.service"
 
 
 def completes(place: Place, script: str) -> bool:
@@ -128,36 +129,49 @@ def test_a_setting_that_the_new_version_refuses_is_named(place: Place, package: 
     assert place.settings() == "[gate]\nperiod = 1\n"
 
 
-def test_a_second_robot(place: Place, package: str) -> None:
+def test_a_second_robot_page_fleet_and_bridge_live_and_go_with_the_package(place: Place, package: str) -> None:
     place.plug()
     place.dpkg("-i", package)
+    front, more = "failstop@front.service", ("failstop-web.service", "failstop-fleet.service", BRIDGE)
+    start_a_second_robot(place, front)
+    switch_on(place, more)
+    kept = [f"/var/lib/private/{unit.removesuffix('.service')}" for unit in more[:2]]
+    wait_for("their folders", lambda: all(place.box.path(path).is_dir() for path in kept))
+    place.box.write(f"{kept[0]}/failstop/devices.json", "{}")
+    pid = place.pid(front)
+    place.dpkg("-i", package)
+    assert place.active(front), "an upgrade starts it again"
+    assert place.pid(front) not in (0, pid)
+    place.dpkg("-r", "failstop")
+    assert not any(place.active(unit) for unit in (front, *more))
+    assert not [path for path in place.files() if path.endswith((front, *more))]
+    assert all(place.box.path(path).is_dir() for path in kept), "a removal keeps what they remember"
+    place.dpkg("-P", "failstop")
+    links = [path.replace("private/", "") for path in kept]
+    assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
+    place.box.run("rm", "-r", "/opt/ros", OPERATES)
+
+
+def start_a_second_robot(place: Place, unit: str) -> None:
+    """On the only board there is: the first one is switched off."""
     place.box.ctl("disable", "--now", UNIT)
     place.box.path("/etc/failstop/front.toml").write_text(f'[device]\npath = "{LINK}"\n')
-    place.box.ctl("enable", "--now", "failstop@front")
-    assert place.active("failstop@front.service")
+    place.box.ctl("enable", "--now", unit)
+    assert place.active(unit)
     assert "front" in place.box.run("failstop", "status", "--name", "front").stdout
-    pid = place.pid("failstop@front.service")
-    place.dpkg("-i", package)
-    assert place.active("failstop@front.service"), "an upgrade starts it again"
-    assert place.pid("failstop@front.service") not in (0, pid)
-    place.dpkg("-r", "failstop")
-    assert not place.active("failstop@front.service")
-    assert not [path for path in place.files() if path.endswith("failstop@front.service")]
 
 
-def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, package: str) -> None:
-    place.plug()
-    place.dpkg("-i", package)
-    more = ("failstop-web.service", "failstop-fleet.service", "failstop-ros2@daemon.service")
-    for unit in more:
+def switch_on(place: Place, units: tuple[str, ...]) -> None:
+    """Page, fleet and bridge, which are off after an installation."""
+    for unit in units:
         assert not place.active(unit)
     place.box.run("failstop", "fleet", "key")
     place.box.write(f"{OPERATES}/override.conf", "[Service]\nSupplementaryGroups=failstop\n")
     place.box.write("/opt/ros/humble/setup.sh", "sleep 1000\n")
     place.box.ctl("daemon-reload")
-    place.box.ctl("enable", "--now", *more)
+    place.box.ctl("enable", "--now", *units)
     group = place.box.run("getent", "group", "failstop").stdout.split(":")[2]
-    for unit in more:
+    for unit in units:
         assert place.active(unit)
         [groups] = [
             line.split()[1:]
@@ -165,15 +179,11 @@ def test_page_fleet_and_bridge_are_switched_on_by_systemctl(place: Place, packag
             if line.startswith("Groups:")
         ]
         assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
-    assert place.box.show(more[2], "User") == {"User": "daemon"}
+    assert place.box.show(BRIDGE, "User") == {"User": "daemon"}
     fleet = "failstop-fleet.service"
     wait_for("the publisher's word", lambda: place.box.show(fleet, "StatusErrno") == {"StatusErrno": "107"}, 20.0)
     assert place.box.show(fleet, "StatusText")["StatusText"].startswith("obeys no fleet stop: no broker at 127.0.0.1")
     assert "obeys no fleet stop: no broker" in place.box.run("failstop", "doctor", "--quick", check=False).stdout
-    place.dpkg("-r", "failstop")
-    assert not any(place.active(unit) for unit in more)
-    assert not [path for path in place.files() if path.endswith(more)]
-    place.box.run("rm", "-r", "/opt/ros", OPERATES)
 
 
 def test_the_package_does_not_go_over_an_older_installation(place: Place, package: str) -> None:

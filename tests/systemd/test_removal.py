@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -69,22 +68,6 @@ def test_a_service_that_was_started_by_hand_outlives_a_removal(place: Place, pac
     place.dpkg("-i", package)
     place.dpkg("-r", "failstop")
     assert not place.box.path("/run/failstop").exists()
-
-
-def test_a_purge_takes_the_page_s_keys_and_devices_and_what_the_fleet_remembers(place: Place, package: str) -> None:
-    place.plug()
-    place.dpkg("-i", package)
-    place.box.run("failstop", "fleet", "key")
-    units = ("failstop-web.service", "failstop-fleet.service")
-    place.box.ctl("enable", "--now", *units)
-    kept = [f"/var/lib/private/{unit.removesuffix('.service')}" for unit in units]
-    wait_for("their folders", lambda: all(place.box.path(path).is_dir() for path in kept))
-    place.box.write(f"{kept[0]}/failstop/devices.json", "{}")
-    place.dpkg("-r", "failstop")
-    assert all(place.box.path(path).is_dir() for path in kept), "a removal keeps them"
-    place.dpkg("-P", "failstop")
-    links = [path.replace("private/", "") for path in kept]
-    assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
 
 
 def test_an_installation_without_systemd_says_that_nothing_stops_the_wheels(place: Place, package: str) -> None:
