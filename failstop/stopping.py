@@ -15,7 +15,7 @@ import os
 import select
 import time
 
-from failstop.board.interface import SUPERVISOR
+from failstop.board.interface import SUPERVISOR_ROW
 from failstop.board.port import PortError, open_port
 from failstop.board.stop_port import StopPort
 
@@ -67,7 +67,7 @@ def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port), board, servos)
     try:
         stop_port.burst()
-        stop_port.repeat(board.repeats_ns[SUPERVISOR])
+        stop_port.repeat(board.repeats_ns[SUPERVISOR_ROW])
         if not stop_port.drain():
             gone = f"went away while writing ({os.strerror(stop_port.errno)})"
             why = gone if stop_port.lost else "takes no bytes: use the POWER SWITCH"

@@ -12,7 +12,7 @@ from time import monotonic_ns, sleep
 
 import msgpack
 
-from failstop.board.interface import SUPERVISOR as ITS_REPEATS
+from failstop.board.interface import SUPERVISOR_ROW
 from failstop.messages import layout, records
 from failstop.notify import Notify
 from failstop.policy import causes
@@ -168,7 +168,7 @@ class Supervisor:
         return self._wrote(self._tried_ns) if written else 0
 
     def _plan_repeats(self, now_ns: int) -> None:
-        if after_ns := self._port.board.repeats_ns[ITS_REPEATS]:
+        if after_ns := self._port.board.repeats_ns[SUPERVISOR_ROW]:
             self._repeat.set(*(now_ns + after for after in after_ns))
 
     def _wrote(self, written_ns: int) -> int:
@@ -367,7 +367,7 @@ class Supervisor:
             child.kill(END_S)
         self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
-        self._port.repeat(self._port.board.repeats_ns[ITS_REPEATS])
+        self._port.repeat(self._port.board.repeats_ns[SUPERVISOR_ROW])
         sent = written and self._port.drain()
         self.monitor.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()

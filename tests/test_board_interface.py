@@ -138,7 +138,7 @@ def files(place: str) -> list[Path]:
 
 @functools.cache
 def names(path: Path) -> set[str]:
-    """What is asked of a board in one file."""
+    """Members of a board that one file uses."""
     return {
         node.attr
         for node in ast.walk(ast.parse(path.read_text()))
@@ -204,7 +204,7 @@ def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:
 
 
 def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the page allows: nobody divides by their number, waits for an answer, or calls the board deaf."""
+    """The page allows it: nobody divides by their number, waits for an answer, or calls the board deaf."""
     monkeypatch.setattr(type(BOARD), "pings", ())
     pings = Pings(len(BOARD.pings), 1, Timer(), 0)
     pings.stopped(0)

@@ -36,7 +36,7 @@ class Usb:
         return str(self.nodes / path.removeprefix("/dev/")) if path.startswith("/dev/") else path
 
     def finder(self, name: str = "ttyACM0") -> Finder:
-        return Finder(str(self.nodes / name), port.USUAL, str(self.sysfs))
+        return Finder(str(self.nodes / name), port.ROSORIN_PORT, str(self.sysfs))
 
     def plug(self, name: str, device: tuple[str, str, str]) -> None:
         master, slave = os.openpty()

@@ -19,7 +19,6 @@ EVERYWHERE = {
     "TICK_NS": "of each process that has one, its own",
     "run": "the program of each process",
     "from_settings": "what a room makes of the settings, under the name of the module",
-    "unpack": "the inverse of pack, under the name of the module",
 }
 """Names that several modules of the core define, and why they may."""
 ALONE = {

@@ -75,7 +75,7 @@ def serve(connection: socket.socket) -> None:
         accept = base64.b64encode(hashlib.sha1(key + MAGIC, usedforsecurity=False).digest())
         connection.sendall(UPGRADE % accept)
         while frame := connection.recv(1 << 16):
-            if frame[0] & OPCODE == TEXT:  # and no end of the connection
+            if frame[0] & OPCODE == TEXT:  # the end of the connection is none
                 print(time.monotonic_ns(), flush=True)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 
 from failstop.board.framing import FrameError, number
-from failstop.board.interface import BATTERY, IMU, OBEYED, PONG, WHEELS, Board, Hearing
+from failstop.board.interface import HEARD_BATTERY, HEARD_IMU, HEARD_OBEYED, HEARD_PONG, HEARD_WHEELS, Board, Hearing
 from failstop.board.wire import Battery, Imu, Obeyed, Sample, Wheels
 
 TYPE_CHECKING = False
@@ -37,7 +37,9 @@ class Samples(Hearing):
         for sample in self._reader.feed(chunk):
             found += _said(sample)
             found += [
-                (PONG, (index,)) for index, question in enumerate(self._wire.questions) if question.answered_by(sample)
+                (HEARD_PONG, (index,))
+                for index, question in enumerate(self._wire.questions)
+                if question.answered_by(sample)
             ]
         return found
 
@@ -48,14 +50,14 @@ class Samples(Hearing):
 
 def _said(sample: Sample) -> list[Said]:
     if isinstance(sample, Wheels):
-        return [(WHEELS, (sample.speeds, sample.positions))]
+        return [(HEARD_WHEELS, (sample.speeds, sample.positions))]
     if isinstance(sample, Obeyed):
-        return [(OBEYED, sample.speeds)]
+        return [(HEARD_OBEYED, sample.speeds)]
     if isinstance(sample, Battery):
-        return [(BATTERY, (round(sample.volts * 1000),))]
+        return [(HEARD_BATTERY, (round(sample.volts * 1000),))]
     if isinstance(sample, Imu):
         accel = (value / _GRAVITY for value in sample.accel)
-        return [(IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]
+        return [(HEARD_IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]
     return []
 
 

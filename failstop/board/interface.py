@@ -17,19 +17,19 @@ if TYPE_CHECKING:
     Said = tuple[int, Value]
     """A kind, and what is said of it."""
 
-PORT_OWNER, STOPPER, SUPERVISOR = range(3)
+PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 """The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
-IMU, BATTERY, PAD, KEY, SERVO, PONG, WHEELS, OBEYED = range(8)
+HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED = range(8)
 """The kinds of what a board says, as a Hearing tells them."""
 
 
 class Hearing:
     """Bytes from the board, in; what they say, out: pairs of a kind and its value.
 
-    IMU: acceleration x y z in g, turn rate x y z in degrees a second. BATTERY: mV. PAD: the gamepad's buttons, hat, lx,
-    ly, rx, ry, and the raw frame. KEY: id and event. SERVO: id, what was asked, its answer. PONG: the index of the ping
-    that is answered. WHEELS: (speeds, positions), what is not reported empty. OBEYED: the speeds of the command that it
-    follows now.
+    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV. HEARD_PAD: the gamepad's
+    buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id, what was asked, its
+    answer. HEARD_PONG: the index of the ping that is answered. HEARD_WHEELS: (speeds, positions), what is not reported
+    empty. HEARD_OBEYED: the speeds of the command that it follows now.
     """
 
     __slots__ = ()
@@ -53,8 +53,8 @@ class Board:
     idle_ns: int
     """How long the line has to be silent after a write before anything but a stop may be written; 0: no time."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """For PORT_OWNER, STOPPER and SUPERVISOR: how long after a stop it is written again. Writers that can't see each
-    other's bytes have different times, so that no two of them touch twice in a row."""
+    """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
+    each other's bytes have different times, so that no two of them touch twice in a row."""
     stop: bytes
     """The frame that sets every wheel to zero: the very bytes of motor_speeds with zeros."""
     burst: bytes

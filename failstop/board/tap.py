@@ -6,7 +6,7 @@ import os
 import select
 import time
 
-from failstop.board.interface import PONG, Board
+from failstop.board.interface import HEARD_PONG, Board
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -56,6 +56,6 @@ class Tap:
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
             for now_ns, kind, said in self.read():
-                if kind == PONG and said == (index,):
+                if kind == HEARD_PONG and said == (index,):
                     return (now_ns - asked_ns) / 1e6
         return None

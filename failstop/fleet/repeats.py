@@ -1,16 +1,16 @@
-"""Repeats: when a stop of the fleet is sent anew. Pure; times are monotonic seconds."""
+"""Repeats: when a stop of the fleet is sent again. Pure; times are monotonic seconds."""
 
 from __future__ import annotations
 
 AGAIN_S = 0.5
-"""Between two sendings of the same stop, dated anew."""
+"""Time between two sendings of one stop, each with its own date."""
 MANY_AGAIN_S = 1.5
-"""The same while many are missing: what all are told again, all answer again."""
+"""Time between two sendings while many are missing: every robot answers each of them."""
 MANY = 100
 """Missing robots above which they are many."""
 LATEST_S = 4.5
-"""The longest time between two sendings. Until then a fleet whose answers still come in is not asked anew: a thousand
-robots that take two seconds to answer would answer twice, and take four."""
+"""The longest time between two sendings. Until then a fleet whose answers still come in is not asked again: a
+thousand robots that take two seconds to answer would answer twice, and take four."""
 
 
 class Repeats:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
-from failstop.board.interface import PORT_OWNER
+from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
@@ -18,7 +18,7 @@ from failstop.procs.port_owner import admission, requests, schedule
 from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
 from failstop.procs.port_owner.asking import Asking
 from failstop.procs.port_owner.port import OpenPort
-from failstop.procs.port_owner.requests import StopPipe
+from failstop.procs.port_owner.requests import RequestPipe
 from failstop.procs.port_owner.schedule import Repeats
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
@@ -44,7 +44,7 @@ class PortOwner:
         self.board = board
         self.admission = Admission(board, settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = ServoBus(board, settings.servos())
-        self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER], monotonic_ns())
+        self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._motion_backlog = max((len(ping) for ping in board.pings), default=0)
         """A ping (70 us of wire) is no backlog that motion has to stay behind."""
         self._held: Motion | None = None
@@ -92,7 +92,7 @@ class PortOwner:
         self._frames = context.segment("gate").ring_reader("frames")
         self._causes = context.segment("telemetry").ring_reader("causes")
         self._bells = (context.bell("bell"), context.early.bell)
-        self._requests = StopPipe(context.fd("stop"), self.loop)
+        self._requests = RequestPipe(context.fd("stop"), self.loop)
         self._parent = Parent(context, self.loop, 0, self.wire)
         names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
         self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 REST_NS = 20_000_000
 
 
-class StopPipe:
+class RequestPipe:
     """The port owner's end of it."""
 
     def __init__(self, fd: int, loop: Loop) -> None:

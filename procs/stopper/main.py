@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
-from failstop.board.interface import STOPPER
+from failstop.board.interface import STOPPER_ROW
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout, records
 from failstop.procs import starved
@@ -43,7 +43,7 @@ class Stopper:
         self.loop = Loop()
         self._epoch_word = supervisor.word("epoch")
         self._port = StopPort(context.fd("port"), context.board, context.settings.servos())
-        self._repeats_ns = context.board.repeats_ns[STOPPER]
+        self._repeats_ns = context.board.repeats_ns[STOPPER_ROW]
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")

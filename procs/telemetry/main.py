@@ -159,16 +159,16 @@ class Telemetry:
         self._port_record = port_owner.latest_reader("port")
         self._gate = GateState(context.segment("gate").latest_reader("state"))
         self._handlers = {
-            interface.IMU: self._on_imu,
-            interface.BATTERY: self._on_battery,
-            interface.PAD: self._on_pad,
-            interface.KEY: self._on_key,
-            interface.PONG: self._on_pong,
-            interface.WHEELS: self._on_wheels,
-            interface.OBEYED: self._on_obeyed,
+            interface.HEARD_IMU: self._on_imu,
+            interface.HEARD_BATTERY: self._on_battery,
+            interface.HEARD_PAD: self._on_pad,
+            interface.HEARD_KEY: self._on_key,
+            interface.HEARD_PONG: self._on_pong,
+            interface.HEARD_WHEELS: self._on_wheels,
+            interface.HEARD_OBEYED: self._on_obeyed,
         }
         if context.settings.servos():
-            self._handlers[interface.SERVO] = self._on_servo
+            self._handlers[interface.HEARD_SERVO] = self._on_servo
         self._bell = context.bell("bell")
         self.loop.watch(self._bell.fd, READ)
 

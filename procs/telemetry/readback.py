@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 AT_REST = 1e-6
 """A speed below this is none, in whatever unit."""
-APART_NS = 40_000_000
+READS_APART_NS = 40_000_000
 """Two odometer readings closer than this say little of a slow wheel."""
 
 
@@ -40,7 +40,7 @@ class ReadBack:
         if not positions:
             return True if speeds else None
         before = self._before
-        if before is None or t_ns - before[0] < APART_NS:
+        if before is None or t_ns - before[0] < READS_APART_NS:
             self._before = before or (t_ns, positions)
             return None
         self._before = (t_ns, positions)

@@ -63,7 +63,7 @@ def hardy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
 
 @pytest.fixture
 def hardy_trial(hardy: Trial) -> Iterator[Trial]:
-    """The same, with every process alive: a test may kill them."""
+    """A trial of many deaths, with every process alive: a test may kill them."""
     wait_for("a service that is whole", hardy.service.ready)
     yield hardy
     hardy.leave()

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from failstop import config, instances, stopping
 from failstop.api import ask
 from failstop.board.burst import BURST, burst_with
-from failstop.board.interface import SUPERVISOR, Board
+from failstop.board.interface import SUPERVISOR_ROW, Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.board.rrc.board import BOARD
@@ -195,7 +195,7 @@ def test_the_stop_is_the_one_of_the_file_s_board(kind: str, board: tuple[str, in
     file.write_text(f'board.kind = "{kind}"\n')
     assert failstop("stop", "--config", str(file), "--device", link).returncode == 0
     own = board_of(*Settings({"board.kind": kind}).board())
-    assert os.read(master, 4096) == own.burst * (1 + len(own.repeats_ns[SUPERVISOR]))
+    assert os.read(master, 4096) == own.burst * (1 + len(own.repeats_ns[SUPERVISOR_ROW]))
 
 
 @pytest.mark.parametrize("bad", BAD_FILES)

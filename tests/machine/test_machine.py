@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import HARMLESS, SHARED, Loader
+from failstop.lab.machine.loading import HARMLESS, SHARED_MODULES, Loader
 from failstop.lab.machine.robot import Robot
 from failstop.lab.simulate.controls import CONTROLS, Mutant
 from failstop.lab.simulate.scenarios import SCENARIOS
@@ -46,15 +46,15 @@ def test_every_module_of_the_core_loads_on_it() -> None:
 
 def test_modules_that_machines_share_ask_none() -> None:
     """None of their lines may import a module that each machine has of its own."""
-    paths = {name: path for path in rooms.package() if (name := rooms.name_of(path)) in SHARED}
-    assert paths.keys() == SHARED
+    paths = {name: path for path in rooms.package() if (name := rooms.name_of(path)) in SHARED_MODULES}
+    assert paths.keys() == SHARED_MODULES
     found: set[str] = set()
     for node, types in (each for path in paths.values() for each in rooms.imports(path)):
         above = [] if isinstance(node, ast.Import) else [node.module or ""]
         names = [".".join([*above, name.name]) for name in node.names]
         found |= set() if types else {*above, *names}
-    own = found - SHARED - {"failstop", *(f"failstop.{room}" for room in ("board", "messages", "policy"))}
-    own = {name for name in own if name.rpartition(".")[0] not in SHARED}
+    own = found - SHARED_MODULES - {"failstop", *(f"failstop.{room}" for room in ("board", "messages", "policy"))}
+    own = {name for name in own if name.rpartition(".")[0] not in SHARED_MODULES}
     assert {name for name in own if name.partition(".")[0] not in HARMLESS} == set()
 
 

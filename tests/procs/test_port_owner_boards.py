@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.interface import PORT_OWNER
+from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
 from tests.support.port_scene import TICK, Scene
 from tests.support.stage import MS
@@ -43,7 +43,7 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
     scene.raise_epoch(2)
     assert scene.turn().startswith(scene.board.burst)
     again = [at_ns for at_ns, data in writes(scene, 150 * MS) if scene.board.burst in data]
-    assert again == list(scene.board.repeats_ns[PORT_OWNER])
+    assert again == list(scene.board.repeats_ns[PORT_OWNER_ROW])
 
 
 def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:

@@ -158,7 +158,7 @@ def test_a_burst_after_a_cut_motion_frame_stops(machine: PortMachine, frame: byt
     """Wherever it was cut. The rest of it is dropped, but for that of a zero frame."""
     made = machine.load(MODULE).Wire
     for cut in range(1, len(frame)):
-        wire, board = made(machine.open(machine.wire)), machine.wire
+        wire, board = made(machine.open(machine.wire), BOARD), machine.wire
         board.port.takes(cut)
         assert wire.frame(frame)
         assert wire.unsent == frame[cut:]
@@ -190,7 +190,7 @@ def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(board: Wire, wire:
 def test_a_cut_burst_is_finished_also_by_a_stop_after_it(machine: PortMachine, before: bytes, again: bool) -> None:
     made = machine.load(MODULE).Wire
     for cut in (0, 1, 31, 32, 33, 45, 58, 59, 60, 200, 315, 316, 330, 343, 396):
-        wire, board = made(machine.open(machine.wire)), machine.wire
+        wire, board = made(machine.open(machine.wire), BOARD), machine.wire
         board.receive(before)
         board.port.takes(cut)
         wire.burst()

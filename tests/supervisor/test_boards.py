@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.interface import SUPERVISOR
+from failstop.board.interface import SUPERVISOR_ROW
 from failstop.messages import layout
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
@@ -29,7 +29,7 @@ def test_the_stop_for_the_port_owner_is_written_at_once_and_again_at_its_own_tim
     scene.turn()
     scene.dies(layout.PORT_OWNER)
     assert scene.port.board.burst in scene.pass_time()
-    assert stops(scene, 150 * MS) == list(scene.port.board.repeats_ns[SUPERVISOR])
+    assert stops(scene, 150 * MS) == list(scene.port.board.repeats_ns[SUPERVISOR_ROW])
 
 
 def test_a_port_owner_that_serves_repeats_its_own_stop() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.procs.telemetry.readback import APART_NS, ReadBack
+from failstop.procs.telemetry.readback import READS_APART_NS, ReadBack
 
 MS = 1_000_000
 T0 = 1_000 * MS
@@ -23,17 +23,17 @@ def test_speeds_of_zero_are_rest_since_the_first_such_report() -> None:
 def test_odometers_that_stay_are_rest_and_one_reading_is_none() -> None:
     judge = ReadBack()
     assert not judge.take((), (1.0, 2.0), T0)
-    assert not judge.take((), (1.0, 2.0), T0 + APART_NS - 1), "too close to say anything"
-    assert judge.take((), (1.0, 3.0), T0 + APART_NS)
+    assert not judge.take((), (1.0, 2.0), T0 + READS_APART_NS - 1), "too close to say anything"
+    assert judge.take((), (1.0, 3.0), T0 + READS_APART_NS)
     assert judge.still_ns == 0
-    assert judge.take((), (1.0, 3.0), T0 + 2 * APART_NS)
-    assert judge.still_ns == judge.judged_ns == T0 + 2 * APART_NS
+    assert judge.take((), (1.0, 3.0), T0 + 2 * READS_APART_NS)
+    assert judge.still_ns == judge.judged_ns == T0 + 2 * READS_APART_NS
 
 
 def test_a_speed_of_zero_while_the_odometers_go_on_is_no_rest() -> None:
     judge = ReadBack()
     for at in range(3):
-        judge.take((0.0, 0.0), (float(at), 0.0), T0 + at * APART_NS)
+        judge.take((0.0, 0.0), (float(at), 0.0), T0 + at * READS_APART_NS)
     assert judge.judged_ns
     assert judge.still_ns == 0
 

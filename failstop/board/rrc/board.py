@@ -6,8 +6,17 @@ from __future__ import annotations
 from failstop.board import codec, decoder, framing
 from failstop.board import servos as bus
 from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
-from failstop.board.interface import BATTERY, IMU, KEY, PAD, PONG, SERVO, Board, Hearing
-from failstop.board.port import USUAL
+from failstop.board.interface import (
+    HEARD_BATTERY,
+    HEARD_IMU,
+    HEARD_KEY,
+    HEARD_PAD,
+    HEARD_PONG,
+    HEARD_SERVO,
+    Board,
+    Hearing,
+)
+from failstop.board.port import ROSORIN_PORT
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -42,12 +51,12 @@ def _pong(data: bytes) -> Value | None:
 
 
 _SAID: dict[int, tuple[int, Callable[[bytes], Value | None]]] = {
-    framing.IMU_FUNC: (IMU, _imu),
-    framing.SYS: (BATTERY, _battery),
-    framing.GAMEPAD: (PAD, _pad),
-    framing.KEY_FUNC: (KEY, decoder.key),
-    framing.BUS_SERVO: (SERVO, _servo),
-    framing.PWM_SERVO: (PONG, _pong),
+    framing.IMU_FUNC: (HEARD_IMU, _imu),
+    framing.SYS: (HEARD_BATTERY, _battery),
+    framing.GAMEPAD: (HEARD_PAD, _pad),
+    framing.KEY_FUNC: (HEARD_KEY, decoder.key),
+    framing.BUS_SERVO: (HEARD_SERVO, _servo),
+    framing.PWM_SERVO: (HEARD_PONG, _pong),
 }
 """The kind of each function's frames, and what they say; None: nothing that makes sense.
 
@@ -58,7 +67,7 @@ has not seen that yet.
 """
 
 
-class Frames(Hearing):
+class FrameHearing(Hearing):
     """Its frames, decoded."""
 
     __slots__ = ("_decoder",)
@@ -86,7 +95,7 @@ class Rrc(Board):
 
     __slots__ = ()
 
-    port = USUAL
+    port = ROSORIN_PORT
     idle_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
     """Its receiver takes glued stops, so writers may have the same times. A supervisor's stop is not repeated: the
@@ -106,7 +115,7 @@ class Rrc(Board):
 
     def hearing(self) -> Hearing:
         """Its frames."""
-        return Frames()
+        return FrameHearing()
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
         """The frame for four wheels."""

@@ -30,7 +30,7 @@ HARMLESS = {
     *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
 }
 """Modules that ask no machine: Python's own, and those of a tool that changes what is loaded."""
-SHARED = frozenset(
+SHARED_MODULES = frozenset(
     f"failstop.{name}"
     for name in (
         *("data", "version", "messages.blocks", "messages.box", "messages.records"),
@@ -76,7 +76,7 @@ class Loader:
     def __init__(self, machine: Machine, patches: Patches = ()) -> None:
         self.machine = machine
         self._patches = patches
-        self._shared = SHARED if SHARED.isdisjoint(module for module, _, _ in patches) else frozenset()
+        self._shared = SHARED_MODULES if SHARED_MODULES.isdisjoint(module for module, _, _ in patches) else frozenset()
         calls = Calls(machine)
         self.system = modules(calls)
         """The simulated modules, by name."""

@@ -12,7 +12,7 @@ from struct import Struct
 
 from failstop.api.client import attach
 from failstop.board import servos
-from failstop.board.interface import IMU, PAD, PONG, SERVO
+from failstop.board.interface import HEARD_IMU, HEARD_PAD, HEARD_PONG, HEARD_SERVO
 from failstop.board.port import PortError, open_port
 from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
@@ -140,16 +140,16 @@ class Watch:
             self.let_go()
 
     def _take(self, t_ns: int, kind: int, said: Value) -> None:
-        if kind == IMU:
+        if kind == HEARD_IMU:
             self.samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
-        elif kind == PAD:
+        elif kind == HEARD_PAD:
             if said[0]:
                 self.buttons.append((t_ns, said[0]))
-        elif kind == SERVO:
+        elif kind == HEARD_SERVO:
             servo, what, value = said
             if what == servos.POSITION and value:  # 0 is what a late answer makes of the next (docs/arm.md)
                 self.readings.append((t_ns, servo, value))
-        elif kind == PONG:
+        elif kind == HEARD_PONG:
             asked_ns = self._asked.get(said[0], 0) if self._tap else self._pings[said[0]].get()
             if 0 < asked_ns <= t_ns:
                 self.answers.append((asked_ns, t_ns))
