@@ -20,6 +20,10 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 LOOP_US = 100_000
 """Processor time at real-time priority without a pause after which the kernel ends this process: a loop there takes the
 core from all of lower priority, with the last core from those who are to stop for it."""
+SUPERVISOR_LOOP_US = 500_000
+"""The supervisor's: a loop of the lowest of the stop path keeps nobody from stopping, and its end is the service's. The
+kernel counts whole ticks, those of a core that a virtual machine's host withholds too. It is less than the time after
+which the kernel pauses all real-time processes of a core (sched_rt_runtime_us)."""
 
 DESCRIPTORS = 64
 """Descriptors that the supervisor has open at most: 47 with every process, segment and bell, 5 of a dead run's, 2 for
@@ -86,13 +90,13 @@ def take_rights(priority: int) -> int:
     return granted
 
 
-def settle() -> None:
+def settle(loop_us: int = LOOP_US) -> None:
     """End of the start-up: collect once, freeze what is there and leave reference counting to do the rest; from here on
-    an endless loop is the end."""
+    a loop of `loop_us` is the end."""
     gc.collect()
     gc.freeze()
     gc.disable()
-    _limit(resource.RLIMIT_RTTIME, LOOP_US)
+    _limit(resource.RLIMIT_RTTIME, loop_us)
 
 
 def _limit(which: int, soft: int | None) -> None:

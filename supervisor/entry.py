@@ -73,7 +73,7 @@ def _serve(supervisor: Supervisor) -> int:
     for child in supervisor.children:
         supervisor.processes.start(child)
     supervisor.blackbox.begin()
-    rights.settle()
+    rights.settle(rights.SUPERVISOR_LOOP_US)
     ready: dict[int, int] = {}
     while not supervisor.ending:
         supervisor.turn(ready)

@@ -11,7 +11,7 @@ import pytest
 from failstop.lab.faults import ptrace
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
-from failstop.procs.rights import LOOP_US
+from failstop.procs.rights import LOOP_US, SUPERVISOR_LOOP_US
 from failstop.shm.futex import NO_DUMP
 
 LATEST_MS = 1500.0
@@ -29,7 +29,7 @@ def test_every_process_ends_without_a_dump_and_when_it_loops(trial: Trial) -> No
     for name, pid in trial.service.pids().items():
         found = limits(pid)
         assert int(found["Max core file size"]) <= NO_DUMP, name
-        assert int(found["Max realtime timeout"]) == LOOP_US, name
+        assert int(found["Max realtime timeout"]) == (SUPERVISOR_LOOP_US if name == SUPERVISOR else LOOP_US), name
 
 
 def test_what_is_started_again_may_take_longer_for_its_start(hardy_trial: Trial) -> None:

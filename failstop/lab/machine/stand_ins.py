@@ -146,6 +146,7 @@ def make_rights(calls: Calls) -> ModuleType:
         no_descriptors=str,
         DESCRIPTORS=rights.DESCRIPTORS,
         LOOP_US=rights.LOOP_US,
+        SUPERVISOR_LOOP_US=rights.SUPERVISOR_LOOP_US,
     )
 
 
