@@ -7,11 +7,14 @@ returns a frame the board handles as meant, or raises FrameError.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from struct import Struct
 
 from failstop.board import framing
 from failstop.board.framing import BUZZER, CRC_TABLE, HEAD, MOTOR_HEAD, PWM_SERVO, WHEELS, FrameError, crc8, frame
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 # Above any wheel there is: a limit beyond this is a mistake in the limit, and would switch the check off.
 RPS_CEILING = 1000.0

@@ -7,7 +7,10 @@ covers func, len and data (vendor protocol description).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
 
 SYS, LED, BUZZER, MOTOR, PWM_SERVO, BUS_SERVO, KEY_FUNC, IMU_FUNC, GAMEPAD, SBUS, OLED, RGB = range(12)
 

@@ -10,11 +10,14 @@ What writes a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) has 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from struct import Struct
 
 from failstop.board import framing
 from failstop.board.framing import BUS_SERVO, HEAD, FrameError, crc8, frame
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
 
 SERVO_MOVE = 0x01
 SERVO_STOP = 0x03

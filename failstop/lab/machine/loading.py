@@ -33,8 +33,8 @@ HARMLESS = {
 SHARED_MODULES = frozenset(
     f"failstop.{name}"
     for name in (
-        *("data", "version", "messages.blocks", "messages.box", "messages.records"),
-        *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "processes", "proofs", "reply")),
+        *("data", "version", "messages.box", "messages.records"),
+        *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "processes", "proofs")),
         *("policy.setting", "policy.settings"),
         *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos")),
     )

@@ -68,7 +68,8 @@ class Stage:
 
     def _watch_stores(self) -> None:
         machine, load = self.machine, self.robot.loader.load
-        for where, name in ((load("failstop.shm.words").Word, "set"), (load("failstop.shm.cell")._Cells, "_store")):
+        word, cell = load("failstop.shm.words"), load("failstop.shm.cell")
+        for where, name in ((word.Word, "set"), (cell.RingWriter, "put"), (cell.LatestWriter, "write")):
             store = getattr(where, name)
 
             def told(*arguments: Any, _store: Any = store) -> None:
