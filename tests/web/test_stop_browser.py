@@ -139,6 +139,22 @@ def test_opened_cards_take_one_connection_and_give_it_up_for_a_stop(trial: Trial
     wait_for("the connection to be given up", lambda: not front.held)
 
 
+def test_a_state_from_before_a_stop_that_comes_after_the_word_of_it_ends_nothing(trial: Trial, tab: Tab) -> None:
+    tab.run("window.faces = 0; addEventListener('face', ({detail}) => { window.face = detail; faces++; })")
+    tab.run("window.over = 0; addEventListener('unstopped', () => { over++; })")
+    driving(trial)
+    tab.until("window.face && face.enabled")
+    tab.run("dispatchEvent(new Event('stopping'))")
+    tab.run("dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, face}}))")
+    seen = tab.run("faces")
+    tab.until(f"faces > {seen} + 3")
+    assert tab.run("over") == 0
+    trial.robot.estop("somebody's")
+    tab.until("face.latched")
+    trial.robot.reset()
+    tab.until("over === 1")
+
+
 def test_stop_is_tried_until_it_is_written_however_long(trial: Trial, front: Front, browser: Browser) -> None:
     """A network that delivers nothing, and then does."""
     tab = browser.tab()

@@ -14,7 +14,7 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
 const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
-let face = null, paired = false, heard = -Infinity, behind = 0, asked = null, waits = false, spoken = "";
+let face = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -79,12 +79,17 @@ function showStop() {
     item.dataset.said = said;
     item.replaceChildren(level, node("b", said || "not known"));
   }
-  if (asked === null) return;
-  if (!face.latched) { asked = null; dispatchEvent(new Event("unstopped")); return; }
-  const own = stop.t >= asked - 0.5;
-  const levels = own ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
+  if (own === null) return;
+  own.latched ||= face.latched;
+  if (!face.latched) {
+    // It is over when a reset is seen; a state from before the stop, which may come after the word of it, is none.
+    if (own.latched || face.epoch > own.before) { own = null; dispatchEvent(new Event("unstopped")); }
+    return;
+  }
+  const first = stop.t >= own.asked - 0.5;
+  const levels = first ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
   const said = levels.map((level) => `\u2713 ${level}`).join("  ");
-  text("stop-said", own ? said || "written" : `${said}; it was stopped already`);
+  text("stop-said", first ? said || "written" : `${said}; it was stopped already`);
   $("stop").dataset.phase = levels.at(-1) || "written";
 }
 
@@ -156,10 +161,11 @@ function news(message) {
   if (face) text("since", face.since ? `Since ${clock(face.since)}, ${ago(face.since)}` : "");
 }
 
+addEventListener("stopping", () => { before = face ? face.epoch : 0; });
 addEventListener("stopped", (event) => {
   speak("STOP is written", "");
-  asked = event.detail.asked;
-  if (event.detail.face) { face = event.detail.face; heard = performance.now(); show(); }
+  own = {asked: event.detail.asked, before, latched: false};
+  if (event.detail.face && !(face && event.detail.face.epoch < face.epoch)) { face = event.detail.face; heard = performance.now(); show(); }
 });
 addEventListener("device", ({detail}) => {
   paired = !!detail.device;
