@@ -80,10 +80,10 @@ function showStop() {
     item.replaceChildren(level, node("b", said || "not known"));
   }
   if (own === null) return;
-  own.latched ||= face.latched;
-  if (!face.latched) {
+  if (face.latched) own.epoch = face.epoch;
+  else {
     // It is over when a reset is seen; a state from before the stop, which may come after the word of it, is none.
-    if (own.latched || face.epoch > own.before) { own = null; dispatchEvent(new Event("unstopped")); }
+    if (face.epoch >= own.epoch) { own = null; dispatchEvent(new Event("unstopped")); }
     return;
   }
   const first = stop.t >= own.asked - 0.5;
@@ -164,7 +164,7 @@ function news(message) {
 addEventListener("stopping", () => { before = face ? face.epoch : 0; });
 addEventListener("stopped", (event) => {
   speak("STOP is written", "");
-  own = {asked: event.detail.asked, before, latched: false};
+  own = {asked: event.detail.asked, epoch: before + 1};
   if (event.detail.face && !(face && event.detail.face.epoch < face.epoch)) { face = event.detail.face; heard = performance.now(); show(); }
 });
 addEventListener("device", ({detail}) => {
