@@ -37,8 +37,7 @@ WORKERS = 4
 REST_S = 3.0
 """Between two stops: the robots are reset and drive again."""
 IDLE_S = 10.0
-OVER_BARE = 8.0, 5.0
-"""Bars of the p50 and p99 of a stop that all have confirmed, as multiples of what bare clients take in the same run."""
+BAR_S = 2.0
 CONNECT_S = 120.0
 WAIT_S = 10.0
 MEMORY = "/dev/shm"
@@ -160,19 +159,8 @@ def bare_stops(port: int, count: int, number: int) -> list[int]:
         return found
 
 
-def over_bare(confirmed: list[int], bare: list[int], count: int) -> list[stats.Row]:
-    """The stops that all have confirmed, in ns, beside what bare clients took, before and after."""
-    stop = f"fleet stop -> confirmed by all {count}"
-    floor = f"a message -> answered by {count} bare clients (the floor)"
-    least = stats.percentiles(bare)
-    return [
-        stats.over_floor(stop, confirmed, least, p50=OVER_BARE[0], p99=OVER_BARE[1]),
-        stats.timing(floor, bare, p50_ms=None, p99_ms=None),
-    ]
-
-
-def stops(settings: FleetSettings, count: int, number: int) -> tuple[list[int], list[stats.Row]]:
-    """Stops of the whole fleet, while they are watched: the ns until all have confirmed each, and the other rows."""
+def stops(settings: FleetSettings, count: int, number: int) -> list[stats.Row]:
+    """Stops of the whole fleet, while they are watched."""
     each: dict[str, list[int]] = {level: [] for level in levels.PROOFS}
     last: list[int] = []
     missing = 0
@@ -187,7 +175,8 @@ def stops(settings: FleetSettings, count: int, number: int) -> tuple[list[int], 
         if times_s := sender.tally.times_s(levels.ACKNOWLEDGED):
             last.append(round(times_s[-1] * 1e9))
     rows = [stats.timing(f"fleet stop -> {level}, each robot", each[level], p50_ms=None, p99_ms=None) for level in each]
-    return last, [*rows, stats.count("robots that did not confirm", missing, count * number)]
+    confirmed = stats.timing(f"fleet stop -> confirmed by all {count}", last, p50_ms=None, p99_ms=BAR_S * 1e3)
+    return [confirmed, *rows, stats.count("robots that did not confirm", missing, count * number)]
 
 
 def main() -> int:
@@ -213,10 +202,11 @@ def main() -> int:
             wait_for("the view to show them", lambda: view.shows(f"{arguments.robots} robots"), CONNECT_S)
             progress("watching")
             rows = idle({"broker": psutil.Process(mosquitto), "view": view.process}, arguments.robots)
-            confirmed, proven = stops(settings, arguments.robots, arguments.stops)
+            rows = [*stops(settings, arguments.robots, arguments.stops), *rows]
             view.end()
         bare += bare_stops(port, arguments.robots, arguments.stops // 2)
-        rows = [*over_bare(confirmed, bare, arguments.robots), *proven, *rows]
+        floor = f"a message -> answered by {arguments.robots} bare clients (the floor)"
+        rows.append(stats.timing(floor, bare, p50_ms=None, p99_ms=None))
     return report.end(rows, arguments.json)
 
 
