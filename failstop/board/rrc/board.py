@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 _REPEATS_NS = (20_000_000, 100_000_000)
 
 
-def _imu(data: bytes) -> Value | None:
-    return decoder.imu(data)
-
-
 def _battery(data: bytes) -> Value | None:
     millivolts = decoder.battery_mv(data)
     return (millivolts,) if millivolts else None
@@ -51,7 +47,7 @@ def _pong(data: bytes) -> Value | None:
 
 
 _SAID: dict[int, tuple[int, Callable[[bytes], Value | None]]] = {
-    framing.IMU_FUNC: (HEARD_IMU, _imu),
+    framing.IMU_FUNC: (HEARD_IMU, decoder.imu),
     framing.SYS: (HEARD_BATTERY, _battery),
     framing.GAMEPAD: (HEARD_PAD, _pad),
     framing.KEY_FUNC: (HEARD_KEY, decoder.key),

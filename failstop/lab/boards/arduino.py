@@ -47,7 +47,7 @@ def atoi(text: bytes) -> int:
 class Arduino:
     """At rest between lines, or in the state of `cmd`, `arg` and `args`."""
 
-    def __init__(self, answer_ns: int = BYTE_NS) -> None:
+    def __init__(self, answer_ns: int = BYTE_NS, *, turns: bool = False) -> None:
         self.cmd = 0
         self.arg = 0
         self.args = [bytearray(), bytearray()]
@@ -61,7 +61,7 @@ class Arduino:
         """By a raw line, which switches the controllers off."""
         self.counts = (0, 0)
         """Of its encoders, which it answers."""
-        self.turns = False
+        self.turns = turns
         """Whether its encoders count as its wheels turn."""
         self._way = [0.0, 0.0]
         self._turned_ns = 0
@@ -174,14 +174,8 @@ def _receivers() -> Iterator[Arduino]:
     yield Arduino()
 
 
-def _live() -> Arduino:
-    board = Arduino()
-    board.turns = True
-    return board
-
-
 MODEL = ReceiverModel(
-    live=_live,
+    live=lambda: Arduino(turns=True),
     any_state=_longest_answers,
     every_state=_receivers,
     before=(),

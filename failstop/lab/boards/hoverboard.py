@@ -33,7 +33,9 @@ _NEVER = 1 << 62
 class Hoverboard:
     """`first_loop_ns`: when the main loop runs first, which sends feedback; `at`: the position in the ring."""
 
-    def __init__(self, first_loop_ns: int = _NEVER, at: int = 0, loop_ns: int = LOOP_NS) -> None:
+    def __init__(
+        self, first_loop_ns: int = _NEVER, at: int = 0, loop_ns: int = LOOP_NS, *, turns: bool = False
+    ) -> None:
         self.ring = bytearray(BUFFER)
         self.at = at
         self.looked_at = at
@@ -46,7 +48,7 @@ class Hoverboard:
         """Its own watchdog has acted, by the last main loop: the motors get no current."""
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
-        self.turns = False
+        self.turns = turns
         """Whether its wheels turn as they are told, in rpm, and its feedback says so."""
         self._timed_out = False
         self._now_ns = 0
@@ -138,15 +140,9 @@ def _every_state() -> Iterator[Hoverboard]:
             yield Hoverboard(phase, at)
 
 
-def _live() -> Hoverboard:
-    board = Hoverboard(LOOP_NS)
-    board.turns = True
-    return board
-
-
 _MS = 1_000_000
 MODEL = ReceiverModel(
-    live=_live,
+    live=lambda: Hoverboard(LOOP_NS, turns=True),
     any_state=_any_state,
     every_state=_every_state,
     # Any number of bytes may have come since the last look.

@@ -34,7 +34,7 @@ _MS = 1_000_000
 class Ugv:
     """`loop_ns`: how often it looks for bytes."""
 
-    def __init__(self, loop_ns: int = LOOP_NS) -> None:
+    def __init__(self, loop_ns: int = LOOP_NS, *, turns: bool = False) -> None:
         self.line = bytearray()
         self.speeds = [0.0, 0.0]
         """Goals of the speed controllers."""
@@ -45,8 +45,8 @@ class Ugv:
         """How often an arm lost its torque."""
         self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
-        self.reports = False
-        """Whether it reports every 50 ms, and its wheels turn as they are told."""
+        self.turns = turns
+        """Whether its wheels turn as they are told, and it reports every 50 ms."""
         self._odometers = [0.0, 0.0]
         self._report_ns = REPORT_NS
         self._compared = [0.0, 0.0]
@@ -79,7 +79,7 @@ class Ugv:
             came, self._came = bytes(self._came), []
             self.take(came)
             self.beat()
-        if self.reports and at_ns >= self._report_ns:
+        if self.turns and at_ns >= self._report_ns:
             self._report(at_ns)
 
     def _report(self, at_ns: int) -> None:
@@ -183,14 +183,8 @@ def _every_state() -> Iterator[Ugv]:
     yield from (Ugv(loop_ns) for loop_ns in (_MS // 2, _MS, 3 * _MS))
 
 
-def _live() -> Ugv:
-    board = Ugv()
-    board.reports = True
-    return board
-
-
 MODEL = ReceiverModel(
-    live=_live,
+    live=lambda: Ugv(turns=True),
     any_state=_any_state,
     every_state=_every_state,
     # Some are JSON by themselves, or become it by the line feed of the stop.
