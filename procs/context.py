@@ -73,4 +73,5 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
+        """Every client's segment, as the service reads it; one that is gone is out of use."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

@@ -66,6 +66,7 @@ class Peer:
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
         """`port`: on which the thread stops that the early news of its death comes to."""
         self.death = causes.DIED(name)
+        """The cause of a stop for its death."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")

@@ -25,6 +25,7 @@ class EventBell:
 
     @classmethod
     def create(cls) -> EventBell:
+        """A new bell, closed on exec unless passed on."""
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:

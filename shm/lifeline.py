@@ -59,6 +59,7 @@ class Lifeline:
         self.early: Futex | None = None
         """Once it is armed: where a thread waits for the early news."""
         self.marked = False
+        """The early news has come."""
 
     def died(self, ready: dict[int, int]) -> bool:
         """True when this wake-up, or the early news before it, says that the process has died."""

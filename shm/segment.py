@@ -25,6 +25,7 @@ class Record(Data):
     cells: int = 1
 
     def size(self) -> int:
+        """Bytes the record takes in its segment."""
         if self.kind == "word":
             return LINE_BYTES
         if self.kind == "futexes":

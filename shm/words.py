@@ -14,6 +14,8 @@ LINE_BYTES = 64
 
 
 class Word:
+    """One u64 in shared memory."""
+
     __slots__ = ("_index", "_words")
 
     def __init__(self, mapped: mmap, offset: int) -> None:

@@ -35,13 +35,13 @@ STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = r
 NO = None
 NEXT: dict[str, tuple[str | None, ...]] = {
     #          STARTED   RUNS     SPARED    BEATS     KILLED  TERMINATED  REAPED   GIVEN_UP  RECALLED
-    WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,   NO,      DOWN,     NO),
-    DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,   NO,      NO,       WAITING),
-    STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD, NO,      NO,       NO),
-    RUNNING:  (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD, NO,      NO,       NO),
-    HUNG:     (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD, NO,      NO,       NO),
-    FENCED:   (NO,       NO,      NO,       FENCED,   NO,     DEAD, NO,      NO,       NO),
-    DEAD:     (NO,       NO,      NO,       DEAD,     NO,     NO,   WAITING, NO,       NO),
+    WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,         NO,      DOWN,     NO),
+    DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,         NO,      NO,       WAITING),
+    STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD,       NO,      NO,       NO),
+    RUNNING:  (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
+    HUNG:     (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
+    FENCED:   (NO,       NO,      NO,       FENCED,   NO,     DEAD,       NO,      NO,       NO),
+    DEAD:     (NO,       NO,      NO,       DEAD,     NO,     NO,         WAITING, NO,       NO),
 }  # fmt: skip
 """The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
 the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
@@ -92,10 +92,12 @@ class Child:
         self._limits = limits
         self._deadline_ns = max(row.deadline_ns, lease_ns)
         self._deaths: list[int] = []
+        """Times of its deaths, as long as they count."""
         self.state = WAITING
         self.pid = 0
         """0: there is none, since it waits or is down."""
         self.block = 0
+        """The block of futexes that it holds."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart

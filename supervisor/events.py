@@ -100,6 +100,7 @@ class Events:
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
         self._spent: Counter[FloodSort] = Counter()
+        """Bytes of each sort in it."""
         self._left_out: Counter[FloodSort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 

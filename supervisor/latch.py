@@ -25,6 +25,7 @@ class Latch:
         """The epoch that was raised for it; 0: nothing is latched."""
         self.newest: Stop | None = None
         self.reset_epoch = 0
+        """The epoch in which the last reset was made."""
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:

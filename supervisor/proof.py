@@ -49,6 +49,7 @@ class Proof:
         self.held = False
         """Its bytes were still in the kernel when it was told of: the board takes none."""
         self.told = False
+        """True when all that can be known of it was told."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns

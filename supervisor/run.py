@@ -60,6 +60,7 @@ class Run:
         """The command line that starts such a run."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segments.memory(name, self.incarnation)
+        """The name that the segments share."""
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}

@@ -124,6 +124,7 @@ class Decoder:
 
 
 def battery_mv(data: bytes) -> int | None:
+    """Of SYS: the battery's voltage in mV."""
     if len(data) != _BATTERY.size or data[0] != 0x04:
         return None
     millivolts: int = _BATTERY.unpack(data)[1]

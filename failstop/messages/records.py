@@ -118,6 +118,7 @@ def life(pid: int, block: int) -> int:
 
 
 def unpack_life(word: int) -> tuple[int, int]:
+    """Return (pid, block)."""
     return word & 0xFFFFFFFF, word >> 32
 
 

@@ -74,6 +74,7 @@ class Cause:
         self.arguments = arguments
 
     def named(self) -> dict[str, Value]:
+        """The arguments by name."""
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def as_map(self) -> dict[str, Value]:

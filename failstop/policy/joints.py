@@ -50,6 +50,7 @@ class Joint:
         return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
+        """An angle in rad, as pulses."""
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
@@ -57,6 +58,7 @@ class Joint:
         return self.sign * angle_rad * PULSES_PER_RAD
 
     def rad(self, pulses: float) -> float:
+        """Pulses, as an angle in rad."""
         return (pulses - self.zero) * self.sign / PULSES_PER_RAD
 
     def range_rad(self) -> tuple[float, float]:

@@ -321,6 +321,7 @@ class Settings:
 
     @classmethod
     def from_lines(cls, text: str) -> Settings:
+        """The inverse of lines()."""
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)

@@ -88,6 +88,7 @@ class Slot:
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
+        """The newest record of this name, once."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -104,6 +105,7 @@ class Slot:
         return (entry[1], *values) if writer == self.session else None
 
     def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
+        """The values of a command as one of this session."""
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:

@@ -40,6 +40,7 @@ class ScanGate:
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
+        """The time at which the last delivery stops counting."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:

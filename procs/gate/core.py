@@ -198,6 +198,7 @@ class GateCore:
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
+        """Percent of the settings' speeds."""
         self._limits = tuple(most * percent / 100 for most in self._most)
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 

@@ -38,6 +38,7 @@ class GateBox:
         self._count = 0
 
     def command(self, command: Command) -> None:
+        """Record that a command came, good or bad."""
         self._newest = command
         self._count += 1
 

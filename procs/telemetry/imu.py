@@ -30,6 +30,7 @@ class Accelerometer:
         self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
+        """The acceleration in m/s2, of a sample in g."""
         (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
         return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
 

@@ -63,6 +63,7 @@ class GateState:
         self.tucks = False
         """The arm has announced that it goes to its tuck pose."""
         self.velocity = STANDSTILL  # m/s forward, m/s left, rad/s counter-clockwise
+        """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""
 

@@ -76,6 +76,7 @@ class Pad:
         self._hold_spent = False
         self._chose = False
         self.joint = 0
+        """The chosen joint, by its place in the settings."""
         self.mode = LOCKED
 
     def follow(self, latched: bool, now_ns: int) -> None:

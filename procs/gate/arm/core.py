@@ -57,10 +57,12 @@ class ArmCore:
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
         self.letting_go: list[Joint] = []
+        """Joints whose torque is still to be switched off."""
         self.active_ns = 0
         """When it was last moved, or asked to; 0: never, or let go since."""
         self.released = False
         self.refused = ""
+        """The reason why the last goal of a stream was not taken."""
 
     # Goals.
 

@@ -43,6 +43,7 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
+        """The targets or rates that hold until then."""
         return self.ends
 
 
@@ -78,6 +79,7 @@ class Journey:
 
     @property
     def length_s(self) -> float:
+        """The time that it takes, once it has begun."""
         return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
@@ -101,6 +103,7 @@ class Journey:
         return {joint: a + share * (end[joint] - a) for joint, a in begin.items()}
 
     def left_s(self, now_ns: int) -> float:
+        """The time until its end."""
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
