@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -63,6 +63,13 @@ simulate: $(VENV)/.dev
 
 model:
 	model/check
+
+# A board in a folder of your own (docs/dev/porting.md): make board BOARD=/etc/failstop/boards/tank
+BOARD ?=
+board: $(VENV)/.dev
+	@[ -n "$(BOARD)" ] || { echo "which folder? make board BOARD=/path/to/folder"; exit 1; }
+	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards -k $(notdir $(abspath $(BOARD)))
+	$(BIN)/failstop demo --board $(abspath $(BOARD))
 
 # All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
 ROOMS ?=

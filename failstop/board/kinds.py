@@ -1,4 +1,4 @@
-"""Kinds: the boards that failstop knows, each by the folder of this room that describes it."""
+"""Kinds: the boards that failstop knows, each by the folder that describes it: one of this room, or the user's own."""
 
 from __future__ import annotations
 
@@ -8,11 +8,20 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 KINDS = ("arduino", "hoverboard", "ugv")
-"""Those that a Wire describes."""
+"""Those of this room that a Wire describes."""
+
+
+def is_own(kind: str) -> bool:
+    """A path is a folder of the user's own, which a Wire describes."""
+    return kind.startswith("/")
 
 
 def wire_of(kind: str) -> Wire:
-    """The description of one of KINDS. Nothing of another board is imported."""
+    """The description of one of KINDS, or of an own board. Nothing of another board is imported. Raises ValueError."""
+    if is_own(kind):
+        from failstop.board import own
+
+        return own.wire(kind)
     if kind not in KINDS:
         raise ValueError(f"no board {kind!r}: it must be one of {', '.join(KINDS)}")
     wire: Wire = __import__(f"failstop.board.{kind}.wire", fromlist=["WIRE"]).WIRE
@@ -21,8 +30,8 @@ def wire_of(kind: str) -> Wire:
 
 def board_of(kind: str, diameter_m: float, per_rps: float) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it. Nothing of another board is imported."""
-    if kind in KINDS:
+    boards usually have it. Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
+    if is_own(kind) or kind in KINDS:
         from failstop.board.described import Described
 
         wire = wire_of(kind)

@@ -28,7 +28,8 @@ def shown(value: object) -> str:
 
 
 class Setting(Data):
-    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
+    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words,
+    and beside them be the path of a folder.
 
     A text whose default is empty may be empty.
     """
@@ -40,6 +41,7 @@ class Setting(Data):
     high: float | None
     doc: str
     allowed: tuple[int, ...] | tuple[str, ...] = ()
+    or_folder: bool = False
 
     def check(self, value: object, key: str = "") -> float | str:
         """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
@@ -49,7 +51,7 @@ class Setting(Data):
 
     def _problem(self, value: object) -> str:
         if self.allowed:
-            fits = type(value) is type(self.default) and value in self.allowed
+            fits = type(value) is type(self.default) and (value in self.allowed or self._is_folder(value))
             return "" if fits else f"allowed is {self.range()}"
         if isinstance(self.default, str):
             fits = isinstance(value, str) and value.isprintable() and len(value) <= LONGEST_TEXT
@@ -62,10 +64,15 @@ class Setting(Data):
             return f"a whole number is expected, {self.range()}"
         return ""
 
+    def _is_folder(self, value: object) -> bool:
+        fits = self.or_folder and isinstance(value, str) and value.startswith("/")
+        return fits and str(value).isprintable() and len(str(value)) <= LONGEST_TEXT
+
     def range(self) -> str:
         """The allowed values, in words."""
         if self.allowed:
-            return " or ".join(f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed)
+            words = [f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed]
+            return " or ".join((*words, "the path of a folder") if self.or_folder else words)
         if isinstance(self.default, str):
             return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()

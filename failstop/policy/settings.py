@@ -32,7 +32,7 @@ WEB_TLS = ("auto", "on", "off")
 
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
-    _word("board.kind", BOARDS[0], "the motor board", BOARDS),
+    Setting("board.kind", BOARDS[0], "", None, None, "the motor board", BOARDS, or_folder=True),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),

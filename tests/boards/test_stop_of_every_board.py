@@ -10,7 +10,7 @@ from itertools import combinations, cycle, islice
 import pytest
 
 from failstop.board.hoverboard import codec
-from failstop.board.kinds import KINDS, wire_of
+from failstop.board.kinds import wire_of
 from failstop.board.wire import Stop, Wire
 from failstop.lab.boards.hoverboard import Hoverboard
 from failstop.lab.boards.line import (
@@ -25,6 +25,7 @@ from failstop.lab.boards.line import (
     stop_writes,
 )
 from tests.support.amounts import LONG, amount
+from tests.support.boards import EVERY_KIND
 
 MS = 1_000_000
 BEGIN_NS = 20 * MS
@@ -39,7 +40,7 @@ ADAPTER_NS = MS
 STALL_NS = 300 * MS
 END_NS = BEGIN_NS + 2 * STALL_NS
 
-every_board = pytest.mark.parametrize("kind", KINDS)
+every_board = pytest.mark.parametrize("kind", EVERY_KIND)
 
 
 class Trial:

@@ -12,15 +12,16 @@ from failstop.board.arduino import codec as arduino
 from failstop.board.framing import FrameError
 from failstop.board.hoverboard import codec as hoverboard
 from failstop.board.hoverboard import feedback
-from failstop.board.kinds import KINDS, wire_of
+from failstop.board.kinds import wire_of
 from failstop.board.ugv import codec as ugv
 from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels
 from failstop.lab.boards.line import arrivals, model_of, play
 from tests.support.amounts import amount
+from tests.support.boards import EVERY_KIND
 from tests.support.rooms import PACKAGE
 
 MS = 1_000_000
-every_board = pytest.mark.parametrize("kind", KINDS)
+every_board = pytest.mark.parametrize("kind", EVERY_KIND)
 
 
 def fields(samples: list[Sample]) -> list[tuple]:
@@ -125,11 +126,10 @@ def test_glued_arduino_lines_never_fuse_into_a_larger_speed() -> None:
 @every_board
 def test_a_reader_takes_any_pieces_and_any_bytes(kind: str) -> None:
     rng = random.Random(kind)
-    said = {
-        "arduino": b"OK\r\n-12 7\r\n57600\r\n",
-        "hoverboard": feedback.seal(100, 200, -50, 40, 3650, 30) * 2,
-        "ugv": b'{"T":1001,"L":0.1,"R":0.2,"odl":3,"odr":4,"v":1200}\r\n{"T":139,"L":1,"R":1}\r\n',
-    }[kind]
+    wire, receiver = wire_of(kind), model_of(kind).live()
+    asks = [(1 + at * 50 * MS, question.ask) for at, question in enumerate(wire.questions * 3)]
+    play(receiver, arrivals(asks, wire.port.byte_ns), 400 * MS)
+    said = b"".join(data for _, data in receiver.said)
     whole = fields(wire_of(kind).reader().feed(said))
     assert len(whole) > 2
     reader = wire_of(kind).reader()

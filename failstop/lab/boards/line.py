@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from failstop.board import own
+from failstop.board.kinds import is_own
 from failstop.board.wire import Stop
 
 TimedWrite = tuple[int, bytes]
@@ -56,7 +58,11 @@ class ReceiverModel:
 
 
 def model_of(kind: str) -> ReceiverModel:
-    """The model of one of the board room's KINDS."""
+    """The model of one of the board room's KINDS, or of a folder of the user's own, by its receiver.py. Raises
+    ValueError."""
+    if is_own(kind):
+        own_model: ReceiverModel = own.load(kind, "receiver", "MODEL")
+        return own_model
     model: ReceiverModel = __import__(f"failstop.lab.boards.{kind}", fromlist=["MODEL"]).MODEL
     return model
 

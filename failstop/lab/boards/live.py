@@ -29,7 +29,7 @@ def _command(speeds: Speeds) -> bytes:
 
 
 class LiveModel(BoardModel):
-    """One of KINDS."""
+    """One of KINDS, or a board of the user's own."""
 
     def __init__(self, kind: str, start_ns: int, seed: int = 0) -> None:
         super().__init__(start_ns, imu_hz=0.0, seed=seed)

@@ -9,9 +9,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.cli import style
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
+from failstop.lab.sim.options import add_board
 from failstop.lab.trial import Stopped, Trial
 from failstop.messages import layout
-from failstop.policy.settings import BOARDS
 from failstop.ros2.command import find_rclpy
 
 TYPE_CHECKING = False
@@ -44,7 +44,7 @@ failstop demo --ros2         # and ROS 2 nodes, where there is rclpy
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--ros2", action="store_true", help="ROS 2 nodes drive too, and their bridge is killed")
-    parser.add_argument("--board", choices=BOARDS, default=BOARDS[0], help="its kind (default: %(default)s)")
+    add_board(parser)
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed (default: 1)")
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 from dataclasses import dataclass
 
+from failstop.board.kinds import is_own, wire_of
+from failstop.lab.boards.line import model_of
 from failstop.lab.sim.usb.port import VHCI
-from failstop.policy.settings import BOARDS
+from failstop.policy.settings import BOARDS, BY_KEY
 
 IMU_HZ = 110.0
 BATTERY_MV = 12_000
@@ -42,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=LINK,
         help="where to place the link to the simulated port (default: %(default)s)",
     )
-    add("--board", choices=BOARDS, default=BOARDS[0], help="its kind (default: %(default)s)")
+    add_board(parser)
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(
         "--imu-hz",
@@ -69,10 +72,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until-eof", action="store_true", help="end when standard input is closed")
 
 
+def add_board(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says which board."""
+    parser.add_argument(
+        "--board",
+        type=_kind,
+        metavar="KIND",
+        default=BOARDS[0],
+        help=f"{', '.join(BOARDS)}, or the path of a folder of your own (default: %(default)s)",
+    )
+
+
 def from_arguments(args: argparse.Namespace) -> Options:
     """The options that a parser with add_arguments() has read."""
     names = set(Options.__dataclass_fields__) - {"link"}
     return Options(link=args.device, **{name: getattr(args, name) for name in names})
+
+
+def _kind(text: str) -> str:
+    try:
+        kind = str(BY_KEY["board.kind"].check(os.path.abspath(text) if os.sep in text else text))
+        if is_own(kind):
+            wire_of(kind)
+            model_of(kind)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return kind
 
 
 def _rate_hz(text: str) -> float:

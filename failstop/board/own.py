@@ -1,0 +1,80 @@
+"""Own: a board that a folder of the user's describes, by a module wire.py with a Wire named WIRE.
+
+Its modules import each other with a dot (`from . import codec`) and failstop's as any program does. They run in every
+process of the service, so whoever may write them may drive: the folder and everything above it belongs to root or to
+the service's user, and nobody else may write there.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from failstop.board.wire import Wire
+
+OWN_PACKAGE = "failstop_own_board"
+"""The name under which Python knows it."""
+
+
+class OwnBoardError(ValueError):
+    """The folder can't be used; the message names it, and what to do."""
+
+
+def wire(folder: str) -> Wire:
+    """The description of that board. Raises OwnBoardError."""
+    from failstop.board.wire import Wire
+
+    found = load(folder, "wire", "WIRE")
+    if not isinstance(found, Wire):
+        raise OwnBoardError(f"board.kind = {folder!r}: WIRE of {folder}/wire.py is no failstop.board.wire.Wire")
+    if len(found.stop.writes) != 1:
+        raise OwnBoardError(f"board.kind = {folder!r}: its stop has {len(found.stop.writes)} writes; one can be driven")
+    return found
+
+
+def load(folder: str, name: str, value: str) -> Any:
+    """A value of a module of that folder. Raises OwnBoardError."""
+    path = os.path.join(folder, f"{name}.py")
+    _check(path)
+    try:
+        module = __import__(f"{_package(folder).__name__}.{name}", fromlist=[value])
+    except Exception as error:
+        raise OwnBoardError(f"board.kind = {folder!r}: {path}: {type(error).__name__}: {error}") from error
+    found = getattr(module, value, None)
+    if found is None:
+        raise OwnBoardError(f"board.kind = {folder!r}: {path} has no {value}")
+    return found
+
+
+def _package(folder: str) -> ModuleType:
+    """The folder as a package. A process has one such board."""
+    known = sys.modules.get(OWN_PACKAGE)
+    if known is None or list(known.__path__) != [folder]:
+        for name in [name for name in sys.modules if name.partition(".")[0] == OWN_PACKAGE]:
+            del sys.modules[name]
+        known = sys.modules[OWN_PACKAGE] = type(sys)(OWN_PACKAGE)
+        known.__path__ = [folder]
+    return known
+
+
+def _check(path: str) -> None:
+    """Refuse what another user may change, at any place on the way."""
+    here = os.path.realpath(path)
+    while True:
+        try:
+            found = os.stat(here)
+        except OSError as error:
+            raise OwnBoardError(f"board.kind: {here}: {error.strerror}") from None
+        if found.st_uid not in (0, os.geteuid()):
+            raise OwnBoardError(f"board.kind: {here} belongs to another user: sudo chown root {here}")
+        if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX:
+            raise OwnBoardError(f"board.kind: others may write {here}: sudo chmod go-w {here}")
+        if here == os.path.dirname(here):
+            return
+        here = os.path.dirname(here)

@@ -1,0 +1,99 @@
+"""A board in a folder of the user's own: it is driven and stopped like any other, and who may write it may drive."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from failstop.board import own
+from failstop.board.kinds import board_of, wire_of
+from failstop.board.own import OwnBoardError
+from failstop.lab.boards.line import model_of
+from failstop.lab.trial import Trial
+from failstop.messages import layout
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
+from tests.support import commands
+from tests.support.boards import own_folder
+from tests.support.pages import ROOT
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> str:
+    return own_folder(tmp_path / "tank")
+
+
+@pytest.mark.starts
+def test_a_board_of_the_users_own_is_stopped_for_every_process(folder: str) -> None:
+    with Trial(f"own-{os.getpid()}", kind=folder) as trial:
+        for process in layout.PROCESS_NAMES:
+            trial.enable()
+            pid = trial.service.pids()[process]
+            stopped = trial.kill(process, 0.2)
+            assert (stopped.was_moving, stopped.motion_after) == (True, 0), process
+            assert stopped.still_ns is not None, process
+            trial.recover(process, pid)
+
+
+def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:
+    assert wire_of(folder).stop.writes[0].data == wire_of("arduino").stop.writes[0].data
+    assert type(model_of(folder).live()).__module__ == f"{own.OWN_PACKAGE}.receiver"
+    assert board_of(folder, 0.08, 0.0).motor_speeds((0.0,) * 4, 1.0) == board_of(folder, 0.08, 0.0).stop
+
+
+def test_it_takes_two_speeds(folder: str) -> None:
+    settings = Settings({"board.kind": folder})
+    assert (settings.text("wheels.layout"), settings["wheels.sign_3"]) == ("differential", 1)
+    with pytest.raises(SettingError, match="has no servos"):
+        Settings({"board.kind": folder, "joints.base.servo": 1})
+
+
+WRONG = {
+    "no such folder": (lambda at: shutil.rmtree(at), "wire.py: No such file or directory"),
+    "no WIRE": (lambda at: (at / "wire.py").write_text("wire = 1\n"), "wire.py has no WIRE"),
+    "not a Wire": (lambda at: (at / "wire.py").write_text("WIRE = 1\n"), "is no failstop.board.wire.Wire"),
+    "an error of its own": (
+        lambda at: (at / "wire.py").write_text("import nothing_like_that\n"),
+        "ModuleNotFoundError",
+    ),
+    "others may write it": (lambda at: (at / "wire.py").chmod(0o666), "others may write"),
+    "others may write the folder": (lambda at: at.chmod(0o777), "sudo chmod go-w"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_folder_that_can_not_be_used_is_named_with_the_reason(folder: str, wrong: str) -> None:
+    change, said = WRONG[wrong]
+    change(Path(folder))
+    with pytest.raises(OwnBoardError, match=said) as refused:
+        board_of(folder, 0.08, 0.0)
+    assert folder in str(refused.value)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
+def test_a_folder_of_another_user_is_not_run(folder: str) -> None:
+    os.chown(f"{folder}/wire.py", 65534, 65534)
+    with pytest.raises(OwnBoardError, match="belongs to another user: sudo chown root"):
+        board_of(folder, 0.08, 0.0)
+
+
+@pytest.mark.starts
+@pytest.mark.parametrize("words", [("config", "--check"), ("run", "--config"), ("stop", "--config")], ids=" ".join)
+def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path) -> None:
+    """A stop that can't be written says so."""
+    file = tmp_path / "robot.toml"
+    file.write_text(f'[board]\nkind = "{tmp_path}/none"\n[device]\npath = "{tmp_path}/port"\n')
+    done = commands.failstop(*words, str(file))
+    assert done.returncode == 1
+    [line] = done.stderr.splitlines()
+    assert f"{tmp_path}/none/wire.py: No such file or directory" in line
+    assert ("no stop was written: use the POWER SWITCH" in line) == (words[0] != "config")
+
+
+def test_the_page_says_how_large_the_smallest_is() -> None:
+    lines = sum(len(path.read_text().splitlines()) for path in (ROOT / "failstop/board/arduino").glob("*.py"))
+    assert lines < 200
+    assert f"{lines} lines" in (ROOT / "docs/dev/porting.md").read_text()

@@ -1,0 +1,27 @@
+"""Boards: the kinds that tests are run for, and a folder of a user's own."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from failstop.board.kinds import KINDS
+from tests.support.pages import ROOT
+
+EVERY_KIND = (*KINDS, *filter(None, [os.environ.get("FAILSTOP_BOARD")]))
+"""`make board BOARD=FOLDER` names a folder of one's own."""
+
+
+def own_folder(at: Path) -> str:
+    """The smallest board of failstop's, as a user would have it: the same modules, in a folder that failstop does not
+    know."""
+    at.mkdir()
+    for name, source in (
+        ("codec", "board/arduino/codec"),
+        ("wire", "board/arduino/wire"),
+        ("receiver", "lab/boards/arduino"),
+    ):
+        text = (ROOT / "failstop" / f"{source}.py").read_text()
+        text = text.replace("from failstop.board.arduino import", "from . import")
+        (at / f"{name}.py").write_text(text.replace("from failstop.board.arduino.", "from ."))
+    return str(at)
