@@ -41,6 +41,7 @@ class Monitor:
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._pong = telemetry.word("pong")
         self._obeyed, self._echo_ns = telemetry.word("obeyed_ns"), board.echo_ns
+        self._by = board.acknowledged_by, board.observed_by
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
@@ -119,7 +120,7 @@ class Monitor:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        self._last = Proof(stop, self._after_ns, monotonic_ns(), time())
+        self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by)
         self._publish(self._last)
 
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:

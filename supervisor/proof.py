@@ -1,8 +1,8 @@
 """The proof of a stop: what can be known of it once it was answered; and the link, which is what the board's answers
 prove. Pure.
 
-    acknowledged   the board answered a ping that was written after it: its receiver was in step by then
-    observed       the IMU says that the wheels are still (unstill: they are not)
+    acknowledged   the board answered a ping that was written after it, or reports that it obeys zeros
+    observed       the IMU, or the board's reports of its wheels, say that they are still (unstill: they are not)
     told           nothing more will be known of it
 
 Levels of proof are kept apart everywhere: the board may be silent while the IMU sees the wheels come to rest.
@@ -10,7 +10,15 @@ Levels of proof are kept apart everywhere: the board may be silent while the IMU
 
 from __future__ import annotations
 
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT, wheels_seen
+from failstop.policy.proofs import (
+    ACKNOWLEDGED_BY,
+    LINK_ALIVE,
+    LINK_DEAF,
+    LINK_UNASKED,
+    LINK_UNPROVEN,
+    NOT_SENT,
+    wheels_seen,
+)
 from failstop.supervisor.stops import Stop
 
 # The wheels after a stop, as the IMU sees them.
@@ -35,10 +43,12 @@ LATE_LOOK_NS = 200_000_000
 class Proof:
     """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
 
-    def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float) -> None:
+    def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
         """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. Where that is late, board
-        and wheels have the usual time from now on."""
+        and wheels have the usual time from now on. `by`: what can acknowledge it, and what can observe it, in the words
+        of the board's interface."""
         self.stop = stop
+        self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
         """The wall clock when its cause was noticed, for people."""
         self.acknowledged_ns: int | None = None
@@ -104,12 +114,14 @@ class Proof:
 
     def outcome(self, link: str) -> str:
         """The outcome, for the journal; `link`: what the board's answers prove."""
-        heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
-        heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
+        if self.acknowledged_ns:
+            heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms"
+        else:
+            heard = f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})"
         if self.observed_ns is None:
             seen = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
         else:
-            seen = wheels_seen(self.observed_ns / 1e9)
+            seen = wheels_seen(self.observed_ns / 1e9, self._by[1])
         return f"{self.stop.cause}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:
@@ -137,10 +149,12 @@ class Proof:
             **self._proofs(),
         }
 
-    def _proofs(self) -> dict[str, float | None]:
+    def _proofs(self) -> dict[str, str | float | None]:
         return {
             "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
+            "acknowledged_by": self._by[0],
             "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
+            "observed_by": self._by[1],
         }
 
 

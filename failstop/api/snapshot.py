@@ -76,13 +76,18 @@ class Stop:
     written_s: float | None
     """Written: from noticing the cause until the kernel had the bytes, s. None: they could not be written."""
     acknowledged_s: float | None
-    """Acknowledged: until the board answered a ping that was written after the stop, s."""
+    """Acknowledged: until the board answered a ping that was written after the stop, or reported to obey it, s."""
     observed_s: float | None
-    """Observed: until the gyro showed the wheels still, s; 0: it saw no shaking before the stop either."""
+    """Observed: until the wheels were seen still, s; 0: they were not seen moving before the stop either."""
     epoch: int = 0
     """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
     sent: bool = True
     """False: its bytes were found to be still in the kernel; the board takes none."""
+    acknowledged_by: str = "answer"
+    """The proof by which this board acknowledges: its answer (to a ping), or its echo (of the command that it obeys);
+    empty: it acknowledges nothing."""
+    observed_by: str = "IMU"
+    """Source of `observed_s`: IMU, or wheels (the board's own reports of them)."""
 
 
 @dataclasses.dataclass(frozen=True)

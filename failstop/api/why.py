@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.policy.proofs import LINK_UNASKED, NOT_SENT, wheels_seen
+from failstop.policy.proofs import ACKNOWLEDGED_BY, NOT_SENT, SEEN_BY, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -124,7 +124,7 @@ def _proof(state: State, now_s: float) -> str:
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
-        told = ", ".join(text for text, _ in proofs(stop, now_s, state.device.link))
+        told = ", ".join(text for text, _ in proofs(stop, now_s))
         if stop.written_s is None and not verdict.doubt(state):
             told += " at first; the port is open now, and the board is told zero"
         return f"{which}{told}"
@@ -132,23 +132,23 @@ def _proof(state: State, now_s: float) -> str:
     return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 
-def proofs(stop: Stop, now_s: float, link: str) -> list[tuple[str, bool | None]]:
+def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
     """Its three proofs in words, each with whether it is one (None: there was nothing to see, as the wheels did not
     shake before the stop either, or as this board acknowledges nothing); of a stop that was not written, that alone."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
-    heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by the IMU{yet}"
-    if link == LINK_UNASKED:
+    heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by {SEEN_BY[stop.observed_by]}{yet}"
+    if not stop.acknowledged_by:
         heard = "this board acknowledges nothing"
     elif stop.acknowledged_s is not None:
-        heard = f"acknowledged by the board after {words.took(stop.acknowledged_s)}"
+        heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
     if stop.observed_s is not None:
-        seen = wheels_seen(stop.observed_s)
+        seen = wheels_seen(stop.observed_s, stop.observed_by)
     return [
         (written if stop.sent else NOT_SENT, stop.sent),
-        (heard, None if link == LINK_UNASKED else stop.acknowledged_s is not None),
+        (heard, stop.acknowledged_s is not None if stop.acknowledged_by else None),
         (seen, None if stop.observed_s == 0 else stop.observed_s is not None),
     ]
 

@@ -5,8 +5,20 @@ from __future__ import annotations
 from math import pi
 
 from failstop.board.framing import FrameError, number
-from failstop.board.interface import HEARD_BATTERY, HEARD_IMU, HEARD_OBEYED, HEARD_PONG, HEARD_WHEELS, Board, Hearing
-from failstop.board.wire import Battery, Imu, Obeyed, Sample, Wheels
+from failstop.board.interface import (
+    BY_ANSWER,
+    BY_ECHO,
+    BY_IMU,
+    BY_WHEELS,
+    HEARD_BATTERY,
+    HEARD_IMU,
+    HEARD_OBEYED,
+    HEARD_PONG,
+    HEARD_WHEELS,
+    Board,
+    Hearing,
+)
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,8 +77,8 @@ class Described(Board):
     """Left and right, in the unit of the wire's motion."""
 
     __slots__ = (
-        "_motion", "_per_rps", "_wire", "burst", "echo_ns", "first_stop", "idle_ns", "most_rps", "ping_ns", "pings",
-        "port", "refresh", "repeats_ns", "stop",
+        "_motion", "_per_rps", "_wire", "acknowledged_by", "burst", "echo_ns", "first_stop", "idle_ns", "most_rps",
+        "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop",
     )  # fmt: skip
 
     def __init__(self, wire: Wire, per_rps: float) -> None:
@@ -80,6 +92,8 @@ class Described(Board):
         self.burst = self.first_stop = self.refresh = write.data
         self.pings = tuple(question.ask for question in wire.questions)
         self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
+        self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
+        self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
 
     def burst_with(self, servos: Sequence[int]) -> bytes:

@@ -21,6 +21,10 @@ PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 """The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED = range(8)
 """The kinds of what a board says, as a Hearing tells them."""
+BY_ANSWER, BY_ECHO = "answer", "echo"
+"""Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
+BY_IMU, BY_WHEELS = "IMU", "wheels"
+"""The proofs that the wheels stand: the IMU's, or the board's reports of their speeds or positions."""
 
 
 class Hearing:
@@ -71,6 +75,10 @@ class Board:
     echo_ns: int
     """A command of zeros that the board says it obeys was written this long before at least; 0: it says nothing of
     it."""
+    acknowledged_by: str
+    """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
+    observed_by: str
+    """BY_IMU or BY_WHEELS."""
     most_rps: float
     """The fastest wheel that it can be told."""
 

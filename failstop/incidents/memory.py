@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
 NOT_KNOWN = "not known"
-PROOF_WORDS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
+_LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by")
+PROOF_WORDS = ("noticed_by", "written_by", "written_us", *_LATER)
 _WORD = struct.Struct("<Q")
 
 
@@ -133,7 +134,7 @@ def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}
             found = told | {"written_us": fields.get("latency_us")} | found
         elif event.get("kind") == "stop_outcome":
-            found |= {key: fields[key] for key in ("acknowledged_us", "observed_ms", "wheels") if key in fields}
+            found |= {key: fields[key] for key in (*_LATER, "wheels") if key in fields}
     return dict.fromkeys(PROOF_WORDS) | {"wheels": "unknown"} | found if found else None
 
 
@@ -164,7 +165,7 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
         found[1] = f"acknowledged after {took(heard_us / 1e6)}", True
     if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        found[2] = seen_after(seen_ms / 1e3), True
+        found[2] = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU"), True
     elif stop.get("wheels") == "unstill":
         found[2] = "wheels NOT seen still", False
     return found

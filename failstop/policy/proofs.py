@@ -8,6 +8,12 @@ LINK_DEAF = "deaf"
 LINK_UNASKED = "unasked"
 NOT_SENT = "NOT sent: the board takes no bytes"
 """For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
+ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo", "": "nothing"}
+"""For people: what acknowledges a stop, by the word of the board's interface."""
+SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
+"""For people: what observes that the wheels stand, likewise."""
+NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
+"""For people: what observes saw nothing to come to rest."""
 RESOLUTION_S = 0.2
 """The IMU's word of when the wheels came to rest is no better than this."""
 WINDOW_NS = 500_000_000
@@ -21,11 +27,11 @@ def still_after(seconds: float, less: str = "less than") -> str:
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
-def still_or_unseen(seconds: float, less: str = "less than") -> str:
-    """The IMU's word for people, where the wheels were named before; 0: it saw no shaking before the stop either."""
-    return f"still after {still_after(seconds, less)}" if seconds else "no shaking seen before or after"
+def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
+    """For people, where the wheels were named before; 0: what observes saw nothing move before the stop either."""
+    return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
 
 
-def wheels_seen(seconds: float) -> str:
-    """The IMU's word for people."""
-    return f"wheels {still_or_unseen(seconds)}" if seconds else still_or_unseen(seconds)
+def wheels_seen(seconds: float, by: str = "IMU") -> str:
+    """For people."""
+    return f"wheels {still_or_unseen(seconds)}" if seconds else NEVER_SEEN[by]

@@ -7,7 +7,7 @@ from math import degrees, nan
 from typing import Any
 
 from failstop.api import steps
-from failstop.api.state import State
+from failstop.api.state import State, Stop
 from failstop.messages import box
 from failstop.policy.proofs import NOT_SENT, wheels_seen
 from failstop.ros2 import words
@@ -142,11 +142,11 @@ def status(state: State) -> dict[str, Any]:
     }
 
 
-def _seen(observed_s: float | None) -> str:
-    """The IMU's word of a stop."""
-    if observed_s is None:
+def _seen(stop: Stop) -> str:
+    """Say whether the wheels were seen standing."""
+    if stop.observed_s is None:
         return "not seen still yet"
-    return f"observed after {observed_s * 1e3:.0f} ms" if observed_s else wheels_seen(observed_s)
+    return f"observed after {stop.observed_s * 1e3:.0f} ms" if stop.observed_s else wheels_seen(0.0, stop.observed_by)
 
 
 def _known(value: float | None) -> float:
@@ -183,5 +183,5 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> tu
         if stop.acknowledged_s is None
         else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
-    told.append(_seen(stop.observed_s))
+    told.append(_seen(stop))
     return stop.sent, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

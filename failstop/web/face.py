@@ -106,7 +106,7 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": "" if stop.written_s is None else words.took(stop.written_s),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": "" if stop.observed_s is None else proofs.still_or_unseen(stop.observed_s, "<"),
+        "observed": "" if stop.observed_s is None else proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by),
     }
 
 

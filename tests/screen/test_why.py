@@ -137,7 +137,7 @@ def test_a_board_that_never_answered_proves_nothing() -> None:
 
 def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:
     unasked = Device("/dev/ttyACM0", "open", "unasked")
-    found = why(latched(device=unasked, last_stop=stop(acknowledged_s=None)))
+    found = why(latched(device=unasked, last_stop=stop(acknowledged_s=None, acknowledged_by="")))
     assert found.what.startswith("a stop is latched since ")
     assert "this board acknowledges nothing, wheels still after about 0.3 s" in found.proof
     assert found.also == ()

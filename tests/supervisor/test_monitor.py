@@ -12,6 +12,7 @@ from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
 
+PROVED_BY = {"acknowledged_by": "answer", "observed_by": "IMU"}
 UNSTILL = str(causes.UNSTILL())
 DEAF_REASON = str(causes.DEAF())
 FIRST = str(why("the first"))
@@ -162,6 +163,7 @@ def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
         "noticed_ns": noticed_ns,
         "link": "unproven",
         "sent": True,
+        **PROVED_BY,
         "wheels": "unstill",
     }
     assert scene.said() == [
@@ -188,6 +190,7 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene)
     assert outcome[3].pop("noticed_ns") == noticed_ns
     text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
     fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "sent": True, "wheels": "unknown"}
+    fields |= PROVED_BY
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 

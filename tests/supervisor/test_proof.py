@@ -14,19 +14,20 @@ from tests.support.why import why
 MS = 1_000_000
 T0 = 10_000 * MS
 AFTER = 1_500 * MS
+BY = ("answer", "IMU")
 
 
 def proof(written_ms: float = 0.5) -> Proof:
     stop = Stop(T0, "gate", why("gate died"))
     stop.answered_by("port owner", T0 + round(written_ms * MS) if written_ms else 0, stop, 2)
-    return Proof(stop, AFTER, T0, 1.0)
+    return Proof(stop, AFTER, T0, 1.0, BY)
 
 
 def test_a_stop_that_is_followed_late_has_its_cause_s_time_and_a_whole_wait() -> None:
     stop = Stop(T0, "port_owner", why("gate died"))
     late_ns = T0 + 6_000 * MS
     stop.answered_by("port owner", T0 + MS, stop, 2)
-    found = Proof(stop, AFTER, late_ns, 100.0)
+    found = Proof(stop, AFTER, late_ns, 100.0, BY)
     assert found.as_record()["t"] == 94.0
     assert not found.complete(late_ns + ACKNOWLEDGE_NS - 1)
     assert found.complete(late_ns + AFTER + JUDGED_WITHIN_NS)
@@ -153,6 +154,7 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
 def test_what_programs_are_told_of_it() -> None:
     last = proof()
     told = {"reason": "gate died", "cause": "died", "noticed_ns": T0, "epoch": 2, "link": "alive", "sent": True}
+    told |= {"acknowledged_by": "answer", "observed_by": "IMU"}
     assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
     assert last.ponged(T0 + MS, T0 + 2 * MS)
     last.judged(0, T0 + AFTER, T0 + AFTER)
@@ -171,7 +173,9 @@ def test_what_programs_are_told_of_it() -> None:
         "sent": True,
         "written_us": 500.0,
         "acknowledged_us": 2_000.0,
+        "acknowledged_by": "answer",
         "observed_ms": observed_ms,
+        "observed_by": "IMU",
     }
 
 

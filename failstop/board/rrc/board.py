@@ -7,6 +7,8 @@ from failstop.board import codec, decoder, framing
 from failstop.board import servos as bus
 from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
 from failstop.board.interface import (
+    BY_ANSWER,
+    BY_IMU,
     HEARD_BATTERY,
     HEARD_IMU,
     HEARD_KEY,
@@ -103,6 +105,8 @@ class Rrc(Board):
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     ping_ns = 0
     echo_ns = 0
+    acknowledged_by = BY_ANSWER
+    observed_by = BY_IMU
     most_rps = codec.RPS_CEILING
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
