@@ -25,7 +25,7 @@ LINKS = {
     "unproven": NEVER_ANSWERED,
     "alive": "the board answers",
     "deaf": "the board does NOT answer",
-    "unasked": "this board answers nothing, by its nature",
+    "unasked": "this board answers no question, by its nature",
 }
 """The proof by each state of the link, in words."""
 STALE_S = 0.5

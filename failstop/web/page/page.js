@@ -100,7 +100,7 @@ function showFacts() {
     ...(face.limit < 100 ? [["Limit", `${face.limit} % of the settings' speeds`]] : []),
     ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
-    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers nothing, by its nature"}[face.link] || face.link],
+    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[face.link] || face.link],
     ["Clients", face.clients.join(", ") || "none"],
   ];
   list("facts", rows, ([name, value]) => [node("dt", name), node("dd", value)]);
