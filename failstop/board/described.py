@@ -114,6 +114,14 @@ class Described(Board):
         """The wire's check, with the limit in its unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
+    def speeds(self, frame: bytes) -> Sequence[float] | None:
+        """Two wheels on a side."""
+        found = self._motion.speeds(frame)
+        if found is None:
+            return None
+        left, right = (speed / self._per_rps for speed in found)
+        return left, left, right, right
+
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)
 

@@ -99,6 +99,10 @@ class Board:
         """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
         raise NotImplementedError
 
+    def speeds(self, frame: bytes) -> Sequence[float] | None:
+        """The speeds that a motion frame sets, in rps by the wire ids 0 to 3; None for other bytes. Never raises."""
+        raise NotImplementedError
+
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
         """The frame that sounds its buzzer; empty: it has none. Raises FrameError."""
         raise NotImplementedError

@@ -111,6 +111,8 @@ class Motion(Data):
     check: Callable[[bytes, float], str]
     """(frame, limit): why these bytes must not be written as a motion frame; "" when they may. Never raises on
     bytes."""
+    speeds: Callable[[bytes], Sequence[float] | None]
+    """Left and right, as a motion frame sets them; None for other bytes. Never raises on bytes."""
 
 
 class Sample:

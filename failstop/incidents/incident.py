@@ -3,22 +3,24 @@ out and counted."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from failstop.api.events import Event, unpack
 from failstop.api.snapshot import Imu
 from failstop.board import framing, servos
-from failstop.board.rrc.board import BOARD
+from failstop.board.kinds import board_of
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.processes import PROCESS_BY_NAME
-from failstop.policy.settings import BY_KEY
+from failstop.policy.settings import BOARDS, BY_KEY
+
+if TYPE_CHECKING:
+    from failstop.board.interface import Board
 
 Payload = TypeVar("Payload")
 WHEELS = ("front left", "rear left", "front right", "rear right")
@@ -36,7 +38,6 @@ SAYS = {
 }
 """The gate's word, or that it says nothing, for people."""
 _SERVO_HEAD = framing.HEAD + bytes((framing.BUS_SERVO,))
-_SPEEDS = struct.Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
 class Tick(NamedTuple):
@@ -112,9 +113,10 @@ class Incident:
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
-        writes = [_write(ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
-        writes += [_write(ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
-        writes += [_write(ids, last_ns, layout.STOPPER, box.WIRE_BURST)] * (last_ns > 0)
+        spoken = self._board()
+        writes = [_write(spoken, ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
+        writes += [_write(spoken, ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
+        writes += [_write(spoken, ids, last_ns, layout.STOPPER, box.WIRE_BURST)] * (last_ns > 0)
         self.writes = sorted(writes, key=lambda write: write.ns)
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
@@ -228,6 +230,13 @@ class Incident:
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
+    def _board(self) -> Board | None:
+        """The board that the settings name; None: of the user's own, whose code no reader of a file runs."""
+        kind = str(self.settings.get("board.kind", BY_KEY["board.kind"].default))
+        if kind not in BOARDS:
+            return None
+        return board_of(kind, self.number("wheels.diameter_m"), self.number("board.per_rps"))
+
     def joint(self, servo: int) -> str:
         """The name that the settings give it."""
         named = (key.split(".") for key, value in self.settings.items() if value == str(servo))
@@ -245,7 +254,14 @@ class Incident:
 
 
 def _write(
-    ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
+    board: Board | None,
+    ids: list[int],
+    ns: int,
+    by: str,
+    kind: int,
+    length: int = 0,
+    taken: int = 0,
+    head: bytes = b"",
 ) -> PortWrite:
     """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None
@@ -253,15 +269,13 @@ def _write(
         sort, speeds = WriteSort.STOP_BURST, (0.0,) * framing.WHEELS
     elif kind == box.WIRE_REST:
         sort = WriteSort.REST
-    elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
-        found = _SPEEDS.unpack_from(head)
-        by_id = dict(zip(found[::2], found[1::2], strict=True))
-        speeds = tuple(by_id.get(wire_id, 0.0) for wire_id in ids)
+    elif board and (found := board.speeds(board.stop if head == board.refresh else head)) is not None:
+        speeds = tuple(found[wire_id] for wire_id in ids)
         sort = WriteSort.MOTION if any(speeds) else WriteSort.ZERO
     elif head.startswith(_SERVO_HEAD):
         sort = WriteSort.ARM
     else:
-        sort = WriteSort.PING if head in BOARD.pings else WriteSort.OTHER
+        sort = WriteSort.PING if board and head in board.pings else WriteSort.OTHER
     return PortWrite(ns, by, sort, length, taken, head, speeds)
 
 

@@ -96,4 +96,4 @@ def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path)
 def test_the_page_says_how_large_the_smallest_is() -> None:
     lines = sum(len(path.read_text().splitlines()) for path in (ROOT / "failstop/board/arduino").glob("*.py"))
     assert lines < 200
-    assert f"{lines} lines" in (ROOT / "docs/dev/porting.md").read_text()
+    assert "less than 200 lines" in (ROOT / "docs/dev/porting.md").read_text()

@@ -12,7 +12,7 @@ from failstop.board.arduino import codec as arduino
 from failstop.board.framing import FrameError
 from failstop.board.hoverboard import codec as hoverboard
 from failstop.board.hoverboard import feedback
-from failstop.board.kinds import wire_of
+from failstop.board.kinds import board_of, wire_of
 from failstop.board.ugv import codec as ugv
 from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels
 from failstop.lab.boards.line import arrivals, model_of, play
@@ -163,3 +163,17 @@ def test_a_question_knows_its_answer_from_the_others(kind: str, answers: list[by
     samples = [wire.reader().feed(answer)[0] for answer in answers]
     for index, question in enumerate(wire.questions):
         assert [question.answered_by(sample) for sample in samples] == [index == at for at in range(len(samples))]
+
+
+@every_board
+def test_a_frame_tells_the_speeds_that_it_sets(kind: str) -> None:
+    """Within a step, which an incident shows."""
+    board, motion = board_of(kind, 0.08, 0.0), wire_of(kind).motion
+    rng, per_rps = random.Random(kind), motion.per_rps(0.08)
+    most = min(motion.apart / 2, motion.limit) / per_rps
+    for _ in range(100):
+        left, right = rng.uniform(-most, most), rng.uniform(-most, most)
+        told = board.speeds(board.motor_speeds((left, left, right, right), most))
+        assert told == pytest.approx((left, left, right, right), abs=2 * motion.step / per_rps)
+    assert board.speeds(board.stop) == (0.0,) * 4
+    assert not any(board.speeds(ask) for ask in board.pings)

@@ -36,9 +36,9 @@ LONGEST_ANSWER = 32
 """Bytes: two counts of 11 characters, and more."""
 
 
-def motion(speeds: Sequence[float], limit: float) -> bytes:
+def motion(both: Sequence[float], limit: float) -> bytes:
     """The line for left and right, each within plus or minus `limit`, rounded towards zero. Raises FrameError."""
-    left, right = two_speeds(speeds, limit, LIMIT, "ticks")
+    left, right = two_speeds(both, limit, LIMIT, "ticks")
     return _line(int(left), int(right))
 
 
@@ -49,15 +49,20 @@ def _line(left: int, right: int) -> bytes:
 REST = motion((0.0, 0.0), 0.0)
 
 
+def speeds(frame: bytes) -> tuple[int, int] | None:
+    """Left and right of a motion line; None for other bytes."""
+    found = _LINE.fullmatch(frame)
+    return (int(found[1]), int(found[2])) if found else None
+
+
 def check_motion(frame: bytes, limit: float) -> str:
     """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
-    found = _LINE.fullmatch(frame)
-    if not found:
+    found = speeds(frame)
+    if found is None:
         return "not a motion line"
-    speeds = int(found[1]), int(found[2])
-    if _line(*speeds) != frame:
+    if _line(*found) != frame:
         return "not as this module writes it"
-    return beyond(speeds, limit, LIMIT)
+    return beyond(found, limit, LIMIT)
 
 
 class Answers(Reader):

@@ -54,6 +54,7 @@ WIRE = Wire(
         frame=codec.motion,
         rest=codec.REST,
         check=codec.check_motion,
+        speeds=codec.speeds,
     ),
     questions=(
         Question("baud rate", codec.BAUD_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "57600"),

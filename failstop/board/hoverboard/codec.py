@@ -31,13 +31,13 @@ def seal(steer: int, speed: int) -> bytes:
     return _COMMAND.pack(START, steer, speed, check)
 
 
-def motion(speeds: Sequence[float], limit: float) -> bytes:
+def motion(both: Sequence[float], limit: float) -> bytes:
     """The frame for left and right, each within plus or minus `limit`. Raises FrameError.
 
     Speeds become whole numbers, towards zero. The larger loses one more where their sum is odd: half a unit in the
     mean would be rounded by the board, and a wheel at rest told to creep backward.
     """
-    left, right = (int(speed) for speed in two_speeds(speeds, limit, LIMIT, "units"))
+    left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
         if abs(left) > abs(right):
             left -= 1 if left > 0 else -1
@@ -56,6 +56,15 @@ def wheels(steer: int, speed: int) -> tuple[float, float]:
     # In sixteenths of a unit, as the firmware computes.
     left, right = (speed * 16 + steer * 8) >> 4, (speed * 16 - steer * 8) >> 4
     return max(-LIMIT, min(left, LIMIT)), max(-LIMIT, min(right, LIMIT))
+
+
+def speeds(frame: bytes) -> tuple[float, float] | None:
+    """Left and right of a command frame, exact; None for other bytes."""
+    if len(frame) != _COMMAND.size:
+        return None
+    start, steer, speed, check = _COMMAND.unpack(frame)
+    whole = start == START and check == START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF)
+    return (speed + steer / 2, speed - steer / 2) if whole else None
 
 
 def check_motion(frame: bytes, limit: float) -> str:

@@ -45,6 +45,7 @@ WIRE = Wire(
         frame=codec.motion,
         rest=codec.STOP,
         check=codec.check_motion,
+        speeds=codec.speeds,
     ),
     questions=(),
     reader=Feedback,

@@ -3,6 +3,8 @@ decoder.py of the board room, its burst is in burst.py."""
 
 from __future__ import annotations
 
+from struct import Struct
+
 from failstop.board import codec, decoder, framing
 from failstop.board import servos as bus
 from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Said, Value
 
 _REPEATS_NS = (20_000_000, 100_000_000)
+_SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
 def _battery(data: bytes) -> Value | None:
@@ -124,6 +127,14 @@ class Rrc(Board):
     def check_motion(self, frame: bytes, max_rps: float) -> str:
         """The frame for four wheels, and nothing else."""
         return codec.check_motion(frame, max_rps)
+
+    def speeds(self, frame: bytes) -> Sequence[float] | None:
+        """Of a frame for four wheels, by the ids in it."""
+        if not frame.startswith(framing.MOTOR_HEAD) or len(frame) < _SPEEDS.size:
+            return None
+        found = _SPEEDS.unpack_from(frame)
+        by_id = dict(zip(found[::2], found[1::2], strict=True))
+        return [by_id.get(wire_id, 0.0) for wire_id in range(framing.WHEELS)]
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
         """The buzzer's frame."""

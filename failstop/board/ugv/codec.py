@@ -40,9 +40,9 @@ _GYRO = pi / 180 / 16.4
 """rad/s a unit: the IMU's range is 2000 degrees a second."""
 
 
-def motion(speeds: Sequence[float], limit: float) -> bytes:
+def motion(both: Sequence[float], limit: float) -> bytes:
     """The line for left and right, each within plus or minus `limit`, rounded towards zero. Raises FrameError."""
-    left, right = two_speeds(speeds, limit, LIMIT, "m/s")
+    left, right = two_speeds(both, limit, LIMIT, "m/s")
     return _line(_thousandths(left), _thousandths(right))
 
 
@@ -59,15 +59,20 @@ def _line(left: int, right: int) -> bytes:
 REST = motion((0.0, 0.0), 0.0)
 
 
+def speeds(frame: bytes) -> tuple[float, float] | None:
+    """Left and right of a motion line; None for other bytes."""
+    found = _LINE.fullmatch(frame)
+    return (float(found[1]), float(found[2])) if found else None
+
+
 def check_motion(frame: bytes, limit: float) -> str:
     """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
-    found = _LINE.fullmatch(frame)
-    if not found:
+    found = speeds(frame)
+    if found is None:
         return "not a motion line"
-    speeds = float(found[1]), float(found[2])
-    if _line(*map(_thousandths, speeds)) != frame:
+    if _line(*map(_thousandths, found)) != frame:
         return "not as this module writes it"
-    return beyond(speeds, limit, LIMIT)
+    return beyond(found, limit, LIMIT)
 
 
 def watchdog(after_ns: int) -> bytes:

@@ -58,6 +58,7 @@ WIRE = Wire(
         frame=codec.motion,
         rest=codec.REST,
         check=codec.check_motion,
+        speeds=codec.speeds,
     ),
     questions=(
         Question("speed rate", codec.SPEED_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "139"),
