@@ -127,7 +127,11 @@ class Device:
     """closed, open, or lost (unplugged)."""
     link: Link
     """The proof by its answers: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers
-    nothing by its nature."""
+    no question by its nature."""
+    watchdog_s: float = 0.0
+    """How long after the last frame the board's own watchdog acts, s; 0: it has none, or it is not known."""
+    watchdog_does: str = ""
+    """The act of that watchdog: zero (it stops the wheels), coast (they roll on without current), or disarm."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,6 +14,7 @@ import msgpack
 from failstop.api import snapshot
 from failstop.api.client import SeenRun, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
+from failstop.board.kinds import watchdog_of
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -242,7 +243,12 @@ class StateReader(SeenRun):
         # A run begins with an open port, which its supervisor has; then the port owner tells of it.
         *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
         found = cast("snapshot.PortState", records.PORT_STATES[state])
-        return snapshot.Device(path, found, self._value("link") or "unproven")
+        return snapshot.Device(path, found, self._value("link") or "unproven", *self._watchdog)
+
+    @cached_property
+    def _watchdog(self) -> tuple[float, str]:
+        """The board's own; not of a board of the user's own, whose code no client runs."""
+        return watchdog_of(str(self.settings()["board.kind"]))
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""

@@ -28,6 +28,15 @@ def wire_of(kind: str) -> Wire:
     return wire
 
 
+def watchdog_of(kind: str) -> tuple[float, str]:
+    """The board's own watchdog: after how long it acts, in s (0: it has none), and what it does, as wire.py words it.
+    An own board is not looked at."""
+    if kind not in KINDS:
+        return 0.0, ""
+    watchdog = wire_of(kind).watchdog
+    return (watchdog.set_ns or watchdog.after_ns) / 1e9, watchdog.does
+
+
 def board_of(kind: str, diameter_m: float, per_rps: float) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
     boards usually have it. Nothing of another board is imported. Raises OwnBoardError, a ValueError."""

@@ -25,6 +25,9 @@ OWN_PACKAGE = "failstop_own_board"
 class OwnBoardError(ValueError):
     """The folder can't be used; the message names it, and what to do."""
 
+    def __init__(self, what: str) -> None:
+        super().__init__(f"board.kind: {what}; no stop can be written to it: use the POWER SWITCH")
+
 
 def wire(folder: str) -> Wire:
     """The description of that board. Raises OwnBoardError."""
@@ -32,9 +35,9 @@ def wire(folder: str) -> Wire:
 
     found = load(folder, "wire", "WIRE")
     if not isinstance(found, Wire):
-        raise OwnBoardError(f"board.kind = {folder!r}: WIRE of {folder}/wire.py is no failstop.board.wire.Wire")
+        raise OwnBoardError(f"WIRE of {folder}/wire.py is no failstop.board.wire.Wire")
     if len(found.stop.writes) != 1:
-        raise OwnBoardError(f"board.kind = {folder!r}: its stop has {len(found.stop.writes)} writes; one can be driven")
+        raise OwnBoardError(f"the stop of {folder} has {len(found.stop.writes)} writes; one can be driven")
     return found
 
 
@@ -45,10 +48,10 @@ def load(folder: str, name: str, value: str) -> Any:
     try:
         module = __import__(f"{_package(folder).__name__}.{name}", fromlist=[value])
     except Exception as error:
-        raise OwnBoardError(f"board.kind = {folder!r}: {path}: {type(error).__name__}: {error}") from error
+        raise OwnBoardError(f"{path}: {type(error).__name__}: {error}") from error
     found = getattr(module, value, None)
     if found is None:
-        raise OwnBoardError(f"board.kind = {folder!r}: {path} has no {value}")
+        raise OwnBoardError(f"{path} has no {value}")
     return found
 
 
@@ -70,11 +73,11 @@ def _check(path: str) -> None:
         try:
             found = os.stat(here)
         except OSError as error:
-            raise OwnBoardError(f"board.kind: {here}: {error.strerror}") from None
+            raise OwnBoardError(f"{here}: {error.strerror}") from None
         if found.st_uid not in (0, os.geteuid()):
-            raise OwnBoardError(f"board.kind: {here} belongs to another user: sudo chown root {here}")
+            raise OwnBoardError(f"{here} belongs to another user: sudo chown root {here}")
         if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX:
-            raise OwnBoardError(f"board.kind: others may write {here}: sudo chmod go-w {here}")
+            raise OwnBoardError(f"others may write {here}: sudo chmod go-w {here}")
         if here == os.path.dirname(here):
             return
         here = os.path.dirname(here)

@@ -85,6 +85,8 @@ class Watchdog(Data):
     """ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
     """(after_ns): the frame that sets the time; raises FrameError. None: it is what the firmware was built with."""
+    set_ns: int
+    """The time that failstop sets at each opening; 0: it stays as it is."""
     fed_by: str
     """A sentence for people: what keeps it from acting, and what does not."""
 

@@ -167,6 +167,7 @@ def _told(error: Exception) -> int:
     """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
     again."""
     from failstop.api.errors import FailstopError, Refused
+    from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
     from failstop.files.instance import InstanceError
     from failstop.messages.segments import AttachError
@@ -174,7 +175,7 @@ def _told(error: Exception) -> int:
 
     if lacking := _lack(error):
         standard.say(lacking)
-    elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError)):
+    elif isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError, OwnBoardError)):
         standard.say(f"refused: {error}" if isinstance(error, Refused) else str(error))
         return getattr(error, "exit_code", 1)
     elif isinstance(error, OSError) and error.errno in LOST:

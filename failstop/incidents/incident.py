@@ -254,14 +254,7 @@ class Incident:
 
 
 def _write(
-    board: Board | None,
-    ids: list[int],
-    ns: int,
-    by: str,
-    kind: int,
-    length: int = 0,
-    taken: int = 0,
-    head: bytes = b"",
+    board: Board | None, ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
 ) -> PortWrite:
     """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None

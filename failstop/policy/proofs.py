@@ -14,6 +14,8 @@ SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """For people: what observes that the wheels stand, likewise."""
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
 """For people: what observes saw nothing to come to rest."""
+WATCHDOGS = {"zero": "it stops its wheels", "coast": "its wheels roll on without current", "disarm": "it disarms"}
+"""For people: what the board's own watchdog does, by its word."""
 RESOLUTION_S = 0.2
 """The IMU's word of when the wheels came to rest is no better than this."""
 WINDOW_NS = 500_000_000

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
+import time
 
 import pytest
 
 from failstop.board.interface import BY_ANSWER, BY_ECHO, BY_IMU, BY_WHEELS
 from failstop.board.kinds import KINDS, board_of
+from failstop.board.ugv.wire import WATCHDOG_NS
+from failstop.cli.main import main
 from failstop.lab.trial import Trial, wait_for
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
 from failstop.policy.settings import BOARDS
@@ -43,3 +47,35 @@ def test_why_names_what_has_proved_the_stop(kind: str) -> None:
         assert f"acknowledged by {ACKNOWLEDGED_BY[HEARD[kind]]} after" in told
         assert "IMU" not in told
         assert "wheels still after" in told
+
+
+@pytest.mark.starts
+@pytest.mark.slow
+def test_status_tells_of_the_boards_own_watchdog(capsys: pytest.CaptureFixture[str]) -> None:
+    """As it was set at the opening of the port."""
+    with Trial(f"watchdog-{os.getpid()}", kind="ugv") as trial:
+        assert main(["status", "--name", trial.name]) == 0
+        assert "without a host it stops its wheels after 0.5 s" in " ".join(capsys.readouterr().out.split())
+        assert trial.robot.state.device.watchdog_s == WATCHDOG_NS / 1e9
+
+
+@pytest.mark.starts
+@pytest.mark.slow
+def test_the_boards_own_watchdog_stops_the_wheels_when_everything_is_frozen() -> None:
+    """All of the service stands at once, as with a kernel that is dead: nobody writes, and the board's receiver ends
+    the motion itself, within what was set."""
+    with Trial(f"frozen-{os.getpid()}", kind="ugv") as trial:
+        trial.enable()
+        trial.drive(0.3)
+        pids = trial.service.pids().values()
+        try:
+            for pid in pids:
+                os.kill(pid, signal.SIGSTOP)
+            wrote_ns = max(event.arrival_ns for event in trial.board.events() if event.is_motor)
+            wait_for("its wheels to stand", lambda: not any(trial.board.wheels()))
+            after_s = (time.monotonic_ns() - wrote_ns) / 1e9
+        finally:
+            for pid in pids:
+                os.kill(pid, signal.SIGCONT)
+        assert after_s > 0.9 * WATCHDOG_NS / 1e9, "the watchdog, and nobody before it"
+        assert not any(event.is_stop for event in trial.board.events() if event.arrival_ns < wrote_ns + WATCHDOG_NS)

@@ -42,6 +42,7 @@ WIRE = Wire(
         after_ns=2000 * _MS,
         does=ZERO,
         arm=None,
+        set_ns=0,
         fed_by="every motion line feeds it, a question does not; a firmware without USE_BASE has none, and no motors",
     ),
     motion=Motion(

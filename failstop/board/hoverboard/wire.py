@@ -33,6 +33,7 @@ WIRE = Wire(
         after_ns=805 * _MS,
         does=COAST,
         arm=None,
+        set_ns=0,
         fed_by="every accepted frame feeds it; frames without a gap between them do not; the next frame drives again",
     ),
     motion=Motion(

@@ -25,6 +25,8 @@ from failstop.board.wire import (
 )
 
 _MS = 1_000_000
+WATCHDOG_NS = 500 * _MS
+"""More than twice the time between two refreshes of a stop."""
 
 WIRE = Wire(
     name="Waveshare UGV (ugv_base_ros)",
@@ -34,7 +36,7 @@ WIRE = Wire(
         dtr=False,
         rts=False,
         deaf_ns=5000 * _MS,
-        opening=(codec.STOP, codec.watchdog(500 * _MS)),
+        opening=(codec.STOP, codec.watchdog(WATCHDOG_NS)),
     ),
     stop=Stop(
         writes=(Write(0, codec.STOP),),
@@ -46,6 +48,7 @@ WIRE = Wire(
         after_ns=3000 * _MS,
         does=ZERO,
         arm=codec.watchdog,
+        set_ns=WATCHDOG_NS,
         fed_by="T:1 and T:11 feed it; T:13, which the vendor's ROS 2 driver sends, neither feeds nor arms it",
     ),
     motion=Motion(

@@ -10,9 +10,8 @@ from textwrap import indent
 
 from failstop import config
 from failstop.board.kinds import board_of
-from failstop.board.own import OwnBoardError
 from failstop.cli import style
-from failstop.policy.setting import Setting, SettingError
+from failstop.policy.setting import Setting
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
 
 EXAMPLES = """\
@@ -87,10 +86,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        try:
-            board_of(*config.checked(read, arguments.check).board())
-        except OwnBoardError as error:
-            raise SettingError(f"{arguments.check}: {error}") from None
+        board_of(*config.checked(read, arguments.check).board())
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:

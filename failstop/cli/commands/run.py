@@ -64,17 +64,14 @@ def main(arguments: Namespace) -> int:
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
     """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
     what the file sets, as it comes; None: it can't be read, and the stop does not wait for the reason. Raises
-    SettingError for a board of the user's own that can't be loaded."""
+    OwnBoardError."""
     found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)
         for key in found:
             with contextlib.suppress(SettingError):
                 found[key] = BY_KEY[key].check(read.get(key, found[key]))
-    try:
-        return arguments.device or str(found[DEVICE]), board_of(str(found[KIND]), 1.0, 0.0), read
-    except ValueError as error:
-        raise SettingError(f"{arguments.config}: {error}; no stop was written: use the POWER SWITCH") from None
+    return arguments.device or str(found[DEVICE]), board_of(str(found[KIND]), 1.0, 0.0), read
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:

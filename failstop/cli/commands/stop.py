@@ -191,16 +191,12 @@ class Target:
         return self._instead or self.wanted() or self.known or self._last.device or self._guess()
 
     def board(self) -> Board:
-        """The board at the port: of the last run's kind, where it is that run's, else of the file's. Raises
-        FailstopError."""
+        """The board at the port: of the last run's kind, where it is that run's, else of the file's."""
         last = self._last.board if self._last.device == self.device() else ""
         kind = str(self._file.get(KIND, DEFAULTS[KIND]))
         with contextlib.suppress(SettingError):
             kind = str(BY_KEY[KIND].check(last))
-        try:
-            return board_of(kind, 1.0, 0.0)
-        except ValueError as error:
-            raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
+        return board_of(kind, 1.0, 0.0)
 
     def told(self) -> str:
         """The port for people, with the reason for its choice."""

@@ -11,6 +11,7 @@ from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
+from failstop.policy.proofs import WATCHDOGS
 from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
 
@@ -109,7 +110,9 @@ def device(state: State) -> Line:
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
-    return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN))] if port == "open" else found
+    does, after_s = WATCHDOGS.get(state.device.watchdog_does), state.device.watchdog_s
+    own = f"; without a host {does} after {after_s:.1f} s" if does else ""
+    return [*found, (", link ", PLAIN), (told, LINKS.get(link, PLAIN)), (own, PLAIN)] if port == "open" else found
 
 
 def battery(state: State) -> Line:
