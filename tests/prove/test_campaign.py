@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from failstop.cli.main import main
 from failstop.lab.faults.fault import CONTINUE, HANG, KILL
 from failstop.lab.faults.steps import Steps
 from failstop.lab.faults.table import FAULT_BY_NAME
@@ -20,7 +21,7 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING, of_fault
 from failstop.lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
-from tests.support.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP
 
 CONSENT = ("--on-the-stand", "--wheels-are-free")
 PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}
@@ -119,9 +120,8 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
         board.refuse_stop(False)
 
 
-def test_the_list_on_a_stand() -> None:
-    done = failstop("chaos", "--device", "/dev/any", "--list")
-    assert done.returncode == 0
-    listed = [line.split()[0] for line in done.stdout.splitlines()]
+def test_the_list_on_a_stand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chaos", "--device", "/dev/any", "--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert listed == list(campaign.paths())
     assert not any(name.startswith(("client-", "usb-")) for name in listed)

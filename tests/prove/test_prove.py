@@ -17,6 +17,7 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.api.errors import Refused
+from failstop.cli.main import main
 from failstop.doctor.system import System
 from failstop.lab.faults.driving import Driver
 from failstop.lab.prove.run import PathRun, Result
@@ -131,7 +132,7 @@ def test_paths_that_the_short_form_leaves_out(tmp_path: Path) -> None:
     And at last a sensor whose return does not move the wheels again fails its path."""
     with on_stand(tmp_path, **MINE) as stand:
         assert (stand.settings["limits.vx_mps"], stand.settings["limits.wz_radps"]) == (0.35, 1.5)
-        for path in ("disable", "hang-supervisor", "pad", "kill-stopper"):
+        for path in ("stop-request", "hang-supervisor", "pad", "kill-stopper"):
             result = one(stand, path, "turn")
             assert firm(result.wrong) == [], path
             assert stand.whole()
@@ -174,11 +175,11 @@ def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board:
         assert not any(event.is_motion for event in trial.board.events())
 
 
-def test_words_that_are_in_no_table() -> None:
-    done = prove("--sim", "--only", "timeout,earthquake")
-    assert done.returncode == 1
-    assert "no stop path 'earthquake'" in done.stderr
-    assert "no velocity '9'" in prove("--sim", "--at", "9").stderr
+def test_words_that_are_in_no_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["prove", "--sim", "--only", "timeout,earthquake"]) == 1
+    assert "no stop path 'earthquake'" in capsys.readouterr().err
+    assert main(["prove", "--sim", "--at", "9"]) == 1
+    assert "no velocity '9'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", SIGNALS)
