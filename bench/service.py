@@ -16,7 +16,7 @@ from typing import NamedTuple
 from bench import report, stats
 from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
-from failstop.lab.trial import Stopped, wait_for
+from failstop.lab.trial import Stopped
 
 WATCHDOG_MS = 1000.0
 """The unit's WatchdogSec."""
@@ -95,7 +95,7 @@ def _boot(progress: Callable[[str], None]) -> int:
     """ns from the start of systemd to the service's READY."""
     progress("systemd, boot to ready")
     with Scene(setup=ENABLE) as scene:
-        wait_for("it to be ready", scene.ready)
+        scene.wait_ready()
         began = scene.box.show("", "UserspaceTimestampMonotonic")["UserspaceTimestampMonotonic"]
         ready = scene.box.show(UNIT, "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"]
     return (int(ready) - int(began)) * 1000

@@ -45,9 +45,13 @@ HARDY = RIGHTS + "[Unit]\nStartLimitIntervalSec=0\n"
 AFTERMATH_S = 0.25
 """How long the client goes on commanding after a fault, while nothing may move."""
 AFTER_STOP_S = 0.1
-"""And after the stop, however late that was."""
+"""Longer than the stop took, the client goes on too, however late that was."""
 NEVER_S = 30.0
 """A stop that has not come by then never comes: a starved machine has systemd run the stop tool late."""
+
+
+READY = {"ActiveState": "active", "SubState": "running"}
+READY_S = 30.0
 
 
 class Scene:
@@ -105,12 +109,15 @@ class Scene:
 
     def ready(self) -> bool:
         """True while systemd says that the service runs and is ready."""
-        found = self.box.show(UNIT, "ActiveState", "SubState")
-        return found == {"ActiveState": "active", "SubState": "running"}
+        return self.box.show(UNIT, *READY) == READY
 
     def whole(self) -> bool:
         """True while it is ready, and each of its processes is there."""
         return set(layout.PROCESS_NAMES) <= set(self.pids()) and self.ready()
+
+    def wait_ready(self, timeout_s: float = READY_S) -> None:
+        """Wait until systemd says so. Raises TrialError."""
+        self.box.wait(UNIT, timeout_s, **READY)
 
     def restarts(self) -> int:
         """How often systemd has restarted it by itself."""

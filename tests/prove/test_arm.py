@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from failstop.board.servos import bus_servo_move
-from failstop.cli.main import main
 from failstop.lab.faults.arm_table import ROWS
 from failstop.lab.faults.arm_table import SWINGING as SWUNG
 from failstop.lab.prove import arm_run
@@ -23,6 +22,7 @@ from failstop.policy.joints import PULSES_PER_RAD, from_settings
 from failstop.policy.settings import Settings
 from tests.prove.judged import firm
 from tests.support.arm_settings import ARM
+from tests.support.commands import failstop
 
 MS = 1_000_000
 PERIOD_NS = 40 * MS
@@ -125,9 +125,10 @@ def test_a_joint_that_goes_on_after_the_read_back_fails(stand: Stand) -> None:
     assert any(found.startswith("it stood at ") for found in result.wrong), result.wrong
 
 
-def test_a_robot_without_an_arm_has_no_such_paths(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["prove", "--sim", "--only", "arm-kill-gate"]) == 1
-    assert "the settings name no joints" in capsys.readouterr().err
+def test_a_robot_without_an_arm_has_no_such_paths() -> None:
+    done = failstop("prove", "--sim", "--only", "arm-kill-gate")
+    assert done.returncode == 1
+    assert "the settings name no joints" in done.stderr
 
 
 def test_plans() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bench.container import Container
+from bench.service_scene import READY
 from failstop.lab.sim.client import SimBoard
 
 UNIT = "failstop.service"
@@ -79,8 +80,7 @@ class Place:
         return self.active(UNIT)
 
     def active(self, unit: str) -> bool:
-        found = self.box.show(unit, "ActiveState", "SubState")
-        return found == {"ActiveState": "active", "SubState": "running"}
+        return self.box.show(unit, *READY) == READY
 
     def pid(self, unit: str) -> int:
         """Inside; 0: none."""

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from bench.service_scene import READY
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.deb import tree
@@ -20,7 +21,7 @@ from .installing import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 BRIDGE = "failstop-ros2@daemon.service"
 CONFIGURES = ("env", "DPKG_MAINTSCRIPT_PACKAGE=failstop", "/var/lib/dpkg/info/failstop.postinst", "configure")
-"""What dpkg runs once the files are there."""
+"""The script that dpkg runs once the files are there."""
 
 
 def completes(place: Place, script: str) -> bool:
@@ -97,7 +98,7 @@ def installed_at_first(place: Place, said: str) -> None:
     """Everything that an installation with a board brings, is there."""
     assert "Next: failstop status" in said
     assert "does not run yet" not in said
-    wait_for("the service to be ready", place.ready)
+    place.box.wait(UNIT, **READY)
     assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
     assert place.box.run("ls", "/etc/systemd/system/dev-failstop.device.wants").stdout == f"{UNIT}\n"
     assert place.box.show("failstop-sleep.service", "UnitFileState") == {"UnitFileState": "enabled"}
@@ -130,7 +131,7 @@ def test_without_a_board_with_wrong_settings_and_without_systemd_it_says_so(plac
     assert "failstop does not run yet: is the board plugged in" in said
     assert 'path = "/dev/ttyACM0"\n' in place.settings()
     place.box.path("/dev/ttyACM0").symlink_to(BOARD)
-    wait_for("the service to be ready", place.ready, 30.0)
+    place.box.wait(UNIT, 30.0, **READY)
     place.box.ctl("stop", UNIT)
     refused = "[gate]\nperiod = 1\n"
     place.box.path(SETTINGS).write_text(refused)
@@ -224,7 +225,7 @@ def switch_on(place: Place, units: tuple[str, ...]) -> None:
         assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
     assert place.box.show(BRIDGE, "User") == {"User": "daemon"}
     fleet = "failstop-fleet.service"
-    wait_for("the publisher's word", lambda: place.box.show(fleet, "StatusErrno") == {"StatusErrno": "107"}, 20.0)
+    place.box.wait(fleet, 20.0, StatusErrno="107")
     assert place.box.show(fleet, "StatusText")["StatusText"].startswith("obeys no fleet stop: no broker at 127.0.0.1")
     assert "obeys no fleet stop: no broker" in place.box.run("failstop", "doctor", "--quick", check=False).stdout
 

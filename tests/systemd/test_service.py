@@ -37,7 +37,13 @@ def whole_again(scene: Scene, before: dict[str, int]) -> None:
     """systemd has restarted it: every process is a new one, and the client, which goes on commanding, moves
     nothing."""
     gone = set(before.values())
-    wait_for("a new run", lambda: not gone & set(scene.box.pids(UNIT)) and scene.whole(), WHOLE_S)
+
+    def anew() -> bool:
+        found = scene.pids()
+        return set(layout.PROCESS_NAMES) <= set(found) and not gone & set(found.values())
+
+    wait_for("a new run", anew, WHOLE_S)
+    scene.wait_ready()
     assert not any(os.path.exists(f"/proc/{pid}") for pid in gone)
     scene.board.events()
     with pytest.raises(TimeoutError):
@@ -76,7 +82,7 @@ def test_ready_means_stopped_and_healthy_and_waits_for_the_board(shared_scene: S
         scene.board.events()
     finally:
         scene.board.replug()
-    wait_for("it to be ready", scene.ready, WHOLE_S)
+    scene.wait_ready()
     frames = [event for event in scene.board.events() if event.is_motor]
     assert frames
     assert all(event.is_stop for event in frames)
@@ -203,9 +209,6 @@ def test_a_stop_that_could_not_be_written_is_written_when_the_board_is_back(shar
     settings = scene.box.path(CONFIG).read_text()
     scene.box.write(CONFIG, f"{settings}[stop]\nwait_s = 0.2\n")
 
-    def state() -> str:
-        return scene.box.show(LATE, "ActiveState")["ActiveState"]
-
     try:
         for by_start in (False, True):
             scene.start()
@@ -214,15 +217,15 @@ def test_a_stop_that_could_not_be_written_is_written_when_the_board_is_back(shar
             scene.leave()
             scene.box.ctl("stop", UNIT, check=False)
             assert scene.box.show(UNIT, "Result")["Result"] == "exit-code"
-            wait_for("who goes on trying", lambda: state() == "active")
+            scene.box.wait(LATE, WHOLE_S, ActiveState="active")
             assert any(scene.board.wheels())
             scene.board.events()
             if by_start:
                 scene.box.ctl("start", "--no-block", UNIT)
-                wait_for("it to leave the port to the service", lambda: state() == "inactive")
+                scene.box.wait(LATE, WHOLE_S, ActiveState="inactive")
             scene.board.replug()
             assert scene.board.wait_for(lambda event: event.is_motor, NEVER_S).is_stop
-            wait_for("its end", lambda: state() == "inactive")
+            scene.box.wait(LATE, WHOLE_S, ActiveState="inactive")
             scene.end()
     finally:
         scene.box.write(CONFIG, settings)
