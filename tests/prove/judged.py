@@ -38,7 +38,8 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
     return made
 
 
-LATE = ("written after", "acknowledged after", "at the board after", "at rest after", "no moment of rest")
+UNSEEN = "the wheels were not seen turning before the stop"
+LATE = (UNSEEN, "written after", "acknowledged after", "at the board after", "at rest after", "no moment of rest")
 """Beginnings of faults that a machine which is held up brings about (test_judge.py, test_starved_rows.py)."""
 
 
