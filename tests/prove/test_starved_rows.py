@@ -29,7 +29,7 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.supervisor import status
-from tests.prove.judged import MS, run, wrong
+from tests.prove.judged import MS, UNSEEN, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
@@ -59,13 +59,15 @@ def test_only_what_a_starved_machine_can_bring_about_is_invalid(
 
 LATE_MS = BY_PATH["stop-request"].reaction_bar_ms(simulated=True) + 0.1
 EXCUSABLE: dict[str, Callable[[PathRun], object]] = {
-    "late at the board": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
-    "written late": lambda made: late_and_answered(made),
-    "never seen turning": lambda made: setattr(
+    "at the board after": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
+    "written after": lambda made: late_and_answered(made),
+    UNSEEN: lambda made: setattr(
         made.stand.watch, "samples", gyro((3.0, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     ),
-    "at rest late": lambda made: setattr(
-        made.stand.watch, "samples", gyro((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL), start_ns=FAULT_NS - 1_000 * MS)
+    "at rest after": lambda made: setattr(
+        made.stand.watch,
+        "samples",
+        gyro((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS),
     ),
 }
 
@@ -77,14 +79,14 @@ def late_and_answered(made: PathRun) -> None:
 
 
 FIRM: dict[str, Callable[[PathRun], object]] = {
-    "no stop": lambda made: setattr(made.stand.watch, "written", []),
-    "no answer": lambda made: setattr(made.stand.watch, "answers", []),
-    "motion after the stop": lambda made: setattr(
+    "NO STOP written": lambda made: setattr(made.stand.watch, "written", []),
+    "not acknowledged": lambda made: setattr(made.stand.watch, "answers", []),
+    "1 motion frames after the stop": lambda made: setattr(
         made.stand.board, "events", lambda: [event(0, 1.0, REST), event(1, 2.0, TURNING), event(2, 3.0, REST)]
     ),
-    "no stop at the board": lambda made: setattr(made.stand.board, "events", list),
-    "another latch": lambda made: setattr(made.stand.driver.robot, "state", latched(causes.KEY(1))),
-    "no rest": lambda made: setattr(
+    "the board has seen NO STOP": lambda made: setattr(made.stand.board, "events", list),
+    "latched: ": lambda made: setattr(made.stand.driver.robot, "state", latched(causes.KEY(1))),
+    "THE WHEELS DID NOT COME TO REST": lambda made: setattr(
         made.stand.watch, "samples", gyro((5.0, DRIVE), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     ),
 }
@@ -98,7 +100,7 @@ def latched(cause: Cause | None) -> SimpleNamespace:
 def test_a_late_time_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(what: str) -> None:
     made = run()
     EXCUSABLE[what](made)
-    assert wrong(made)
+    assert any(fault.startswith(what) for fault in wrong(made)), made.result.wrong
     assert made.result.verdict == "FAIL"
     made.result.starved = "held"
     assert made.result.verdict == "INVALID", made.result.wrong
@@ -108,7 +110,7 @@ def test_a_late_time_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(wh
 def test_no_starving_excuses_a_stop_that_is_not_there(what: str) -> None:
     made = run()
     FIRM[what](made)
-    assert wrong(made)
+    assert any(fault.startswith(what) for fault in wrong(made)), made.result.wrong
     made.result.starved = "held"
     assert made.result.verdict == "FAIL"
 
