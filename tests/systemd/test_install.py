@@ -98,7 +98,7 @@ def installed_at_first(place: Place, said: str) -> None:
     """Everything that an installation with a board brings, is there."""
     assert "Next: failstop status" in said
     assert "does not run yet" not in said
-    place.box.wait(UNIT, **READY)
+    place.box.wait(UNIT, 30.0, **READY)
     assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
     assert place.box.run("ls", "/etc/systemd/system/dev-failstop.device.wants").stdout == f"{UNIT}\n"
     assert place.box.show("failstop-sleep.service", "UnitFileState") == {"UnitFileState": "enabled"}
