@@ -16,7 +16,7 @@ from typing import NamedTuple
 from bench import report, stats
 from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
-from failstop.lab.trial import Stopped, wait_for
+from failstop.lab.trial import Stopped
 
 WATCHDOG_MS = 1000.0
 """The unit's WatchdogSec."""
@@ -58,19 +58,21 @@ class Samples:
         """From the fault to the exec of the next supervisor."""
 
 
-def measure(kills: int, seed: int, progress: Callable[[str], None]) -> list[stats.Row]:
+def measure(
+    kills: int, seed: int, progress: Callable[[str], None], faults: Sequence[Fault] = FAULTS
+) -> list[stats.Row]:
     """Each fault `kills` times, a third as often where systemd waits for a second, as often the boot; or one row that
     says why nothing can be measured here."""
     chance = random.Random(seed)
-    found = {fault: Samples() for fault in FAULTS}
+    found = {fault: Samples() for fault in faults}
     try:
         with Scene(HARDY) as scene:
             for turn in range(kills):
-                for fault in FAULTS:
+                for fault in faults:
                     if fault.aftermath_s < 1 or turn % 3 == 0:
                         progress(f"systemd, round {turn + 1} of {kills}: {fault.label}")
                         _sample(scene, fault, found[fault], chance.uniform(0.1, 0.2))
-        boots = [_boot(progress) for _ in range(max(3, kills // 3))]
+        boots = [_boot(progress) for _ in range(max(1, kills // 3))]
     except ContainerMissing as missing:
         return [stats.Row("the unit on a real systemd", f"skipped: {missing}", "-", None, {"skipped": str(missing)})]
     return rows_of(found, boots)
@@ -93,7 +95,7 @@ def _boot(progress: Callable[[str], None]) -> int:
     """ns from the start of systemd to the service's READY."""
     progress("systemd, boot to ready")
     with Scene(setup=ENABLE) as scene:
-        wait_for("it to be ready", scene.ready)
+        scene.wait_ready()
         began = scene.box.show("", "UserspaceTimestampMonotonic")["UserspaceTimestampMonotonic"]
         ready = scene.box.show(UNIT, "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"]
     return (int(ready) - int(began)) * 1000

@@ -9,14 +9,17 @@ from __future__ import annotations
 import contextlib
 import select
 import sys
+import time
 
 sys.path.insert(0, __file__.rsplit("/", 2)[0])
 
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 EVERY_S = 0.02
 FORWARD_MPS = 0.2
+RESET_S = 5.0
+"""A reset is refused until the stop before it has been carried out."""
 
 
 def main(name: str) -> int:
@@ -47,9 +50,15 @@ def main(name: str) -> int:
 def _enabled(name: str) -> Robot:
     """A connection to the run that is there now, with motion enabled. Raises FailstopError."""
     robot = Robot(name, client="driver", disable_on_exit=False)
+    until_s = time.monotonic() + RESET_S
     try:
-        if robot.state.estop:
-            robot.reset()
+        while robot.state.estop:
+            try:
+                robot.reset()
+            except Refused:
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(EVERY_S)
         robot.enable()
     except BaseException:
         robot.close()

@@ -19,6 +19,7 @@ from bench import installed
 from bench.container import Bind, Container
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Stopped, TrialError, judge, wait_for
+from failstop.messages import layout
 
 UNIT = "failstop.service"
 CONFIG = "/etc/failstop/failstop.toml"
@@ -43,6 +44,14 @@ HARDY = RIGHTS + "[Unit]\nStartLimitIntervalSec=0\n"
 """With this, so many deaths are no crash loop."""
 AFTERMATH_S = 0.25
 """How long the client goes on commanding after a fault, while nothing may move."""
+AFTER_STOP_S = 0.1
+"""Longer than the stop took, the client goes on too, however late that was."""
+NEVER_S = 30.0
+"""A stop that has not come by then never comes: a starved machine has systemd run the stop tool late."""
+
+
+READY = {"ActiveState": "active", "SubState": "running"}
+READY_S = 30.0
 
 
 class Scene:
@@ -83,9 +92,13 @@ class Scene:
         """Run the command line inside, as this user."""
         return self.box.run(*_as(user), f"{installed.PREFIX}/bin/failstop", *words, check=check)
 
+    def begin(self) -> None:
+        """From now on told() has the journal."""
+        self._began_s = time.time()
+
     def start(self, *options: str) -> None:
         """Have the service started; systemctl returns when it is ready."""
-        self._began_s = time.time()
+        self.begin()
         self.box.ctl("start", *options, UNIT)
 
     def end(self) -> None:
@@ -96,15 +109,22 @@ class Scene:
 
     def ready(self) -> bool:
         """True while systemd says that the service runs and is ready."""
-        found = self.box.show(UNIT, "ActiveState", "SubState")
-        return found == {"ActiveState": "active", "SubState": "running"}
+        return self.box.show(UNIT, *READY) == READY
+
+    def whole(self) -> bool:
+        """True while it is ready, and each of its processes is there."""
+        return set(layout.PROCESS_NAMES) <= set(self.pids()) and self.ready()
+
+    def wait_ready(self, timeout_s: float = READY_S) -> None:
+        """Wait until systemd says so. Raises TrialError."""
+        self.box.wait(UNIT, timeout_s, **READY)
 
     def restarts(self) -> int:
         """How often systemd has restarted it by itself."""
         return int(self.box.show(UNIT, "NRestarts")["NRestarts"])
 
     def told(self) -> str:
-        """The service's journal since start()."""
+        """The service's journal since start(), or begin()."""
         return self.box.told(UNIT, self._began_s)
 
     # The client that drives.
@@ -140,14 +160,16 @@ class Scene:
 
     def fault(self, what: Callable[[], object], drive_s: float = 0.1, aftermath_s: float = AFTERMATH_S) -> Stopped:
         """Do something to the service while the wheels turn; returns what the board saw of it until `aftermath_s`
-        later."""
+        later, and at least until its stop, if one comes at all, and a little longer."""
         self.drive()
         time.sleep(drive_s)
         was_moving = any(self.board.wheels())
         self.board.events()
         fault_ns = time.monotonic_ns()
         what()
-        time.sleep(max(0.0, aftermath_s - (time.monotonic_ns() - fault_ns) / 1e9))
+        with contextlib.suppress(TimeoutError):
+            self.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= fault_ns, NEVER_S)
+        time.sleep(max(AFTER_STOP_S, aftermath_s - (time.monotonic_ns() - fault_ns) / 1e9))
         return judge(self.board.events(), fault_ns, was_moving)
 
     def kill(self, process: str) -> Callable[[], None]:

@@ -70,7 +70,7 @@ def _refuse(event: str, _: object) -> None:
 
 LONGEST = (
     *("systemd/test_install.py", "prove/test_prove.py", "machine/test_campaign.py", "test_model.py"),
-    *("systemd/test_removal.py", "systemd/test_service.py", "faults/test_table.py", "prove/test_campaign.py"),
+    *("systemd/test_service.py", "faults/test_table.py", "prove/test_campaign.py"),
     *("shm/test_torn.py", "incidents/test_live.py", "ros2/test_ends.py", "web/test_sockets.py"),
     *("screen/test_teleop.py", "screen/test_commands.py", "e2e/test_hostile_clients.py", "docs/test_docs.py"),
     *("faults/test_chaos.py", "safety/test_table.py", "e2e/test_package.py", "ros2/test_driving.py"),

@@ -50,7 +50,9 @@ def test_a_command_that_has_nobody_to_talk_to_still_answers_by_its_code() -> Non
 @pytest.mark.parametrize(
     ("words", "buffered"),
     [
-        *product(["--help", "--version", "config", "config --example"], [True, False]),
+        *product(["--version", "config --example"], [True, False]),
+        ("--help", False),
+        ("config", False),
         ("drive --help", True),  # what argparse writes at once, and can't, it keeps to itself
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,26 +14,46 @@ import pytest
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
+from failstop.cli.main import main
 from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
 from failstop.version import VERSION
-from tests.support.commands import failstop
+
+Found = dict[str, list[dict[str, Any]]]
+"""Findings by check."""
 
 
-def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:
-    """Exit code, and the findings by check."""
-    done = failstop("doctor", "--quick", "--json", *words)
-    assert done.stderr == ""
-    result = json.loads(done.stdout)
-    found: dict[str, list[dict[str, Any]]] = {}
-    for finding in result["findings"]:
-        found.setdefault(finding["check"], []).append(finding)
-    levels = [finding["level"] for finding in result["findings"]]
-    assert result["worst"] == max(levels, key=LEVELS.index)
-    assert all(finding.keys() == {"check", "level", "text", "fix", "advice"} for finding in result["findings"])
-    assert (done.returncode == 1) == (result["worst"] == "fail"), result
-    return done.returncode, found
+class Doctor:
+    """The command, in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def said(self, *words: str) -> tuple[int, str]:
+        """Exit code, and what it printed."""
+        code = main(["doctor", "--quick", *words])
+        out, errors = self._capsys.readouterr()
+        assert errors == ""
+        return code, out
+
+    def __call__(self, *words: str) -> tuple[int, Found]:
+        """Exit code, and the findings."""
+        code, out = self.said("--json", *words)
+        result = json.loads(out)
+        found: Found = {}
+        for finding in result["findings"]:
+            found.setdefault(finding["check"], []).append(finding)
+        levels = [finding["level"] for finding in result["findings"]]
+        assert result["worst"] == max(levels, key=LEVELS.index)
+        assert all(finding.keys() == {"check", "level", "text", "fix", "advice"} for finding in result["findings"])
+        assert (code == 1) == (result["worst"] == "fail"), result
+        return code, found
+
+
+@pytest.fixture
+def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
+    return Doctor(capsys)
 
 
 @pytest.fixture
@@ -46,11 +67,11 @@ def name() -> str:
     return f"doctor-{os.getpid()}"
 
 
-def stop_path(found: dict[str, list[dict[str, Any]]]) -> list[str]:
+def stop_path(found: Found) -> list[str]:
     return [f"{finding['level']}: {finding['text']}" for finding in found["stop path"]]
 
 
-def test_every_way_to_the_board_is_acknowledged(board: SimBoard, name: str) -> None:
+def test_every_way_to_the_board_is_acknowledged(doctor: Doctor, board: SimBoard, name: str) -> None:
     _, found = doctor("--device", board.link, "--name", name)
     said = stop_path(found)
     assert [line.partition(": acknowledged")[0] for line in said] == [
@@ -62,7 +83,7 @@ def test_every_way_to_the_board_is_acknowledged(board: SimBoard, name: str) -> N
     assert not any(event.is_motion for event in board.events(since=0))
 
 
-def test_a_board_that_does_not_hear_is_a_failure(board: SimBoard, name: str) -> None:
+def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, board: SimBoard, name: str) -> None:
     board.deaf(True)
     code, found = doctor("--device", board.link, "--name", name)
     assert code == 1
@@ -71,17 +92,19 @@ def test_a_board_that_does_not_hear_is_a_failure(board: SimBoard, name: str) -> 
     ]
 
 
-def test_a_port_that_somebody_has_open_is_left_alone(board: SimBoard, name: str) -> None:
+def test_a_port_that_somebody_has_open_is_left_alone(doctor: Doctor, board: SimBoard, name: str) -> None:
     fd = open_port(board.link, exclusive=False)
-    code, found = doctor("--device", board.link, "--name", name)
-    os.close(fd)
+    with subprocess.Popen(["sleep", "60"], pass_fds=[fd]) as somebody:
+        os.close(fd)
+        code, found = doctor("--device", board.link, "--name", name)
+        somebody.kill()
     assert code == 1
-    assert f"(pid {os.getpid()}) has the port open" in found["holders"][0]["text"]
+    assert f"(pid {somebody.pid}) has the port open" in found["holders"][0]["text"]
     assert "has the port open" in stop_path(found)[0]
     assert board.events() == []
 
 
-def test_settings_that_no_service_would_start_with(board: SimBoard, name: str, tmp_path: Path) -> None:
+def test_settings_that_no_service_would_start_with(doctor: Doctor, board: SimBoard, name: str, tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text("[gate]\nlease_s = 9.0\n")
     code, found = doctor("--config", str(config), "--device", board.link, "--name", name)
@@ -93,13 +116,13 @@ def test_settings_that_no_service_would_start_with(board: SimBoard, name: str, t
     assert board.link in found["port"][0]["text"]
 
 
-def test_no_device(name: str) -> None:
+def test_no_device(doctor: Doctor, name: str) -> None:
     code, found = doctor("--device", "/dev/nowhere", "--name", name)
     assert code == 1
     assert found["port"][0]["level"] == "fail"
 
 
-def test_a_running_service_is_looked_at_and_left_alone(name: str) -> None:
+def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str) -> None:
     with Trial(name) as trial:
         wait_for("the board's answer", lambda: trial.robot.state.device.link == "alive")
         _, found = doctor("--name", name)
@@ -118,12 +141,12 @@ def test_a_running_service_is_looked_at_and_left_alone(name: str) -> None:
         assert (trial.robot.state.estop or "").startswith("stop request: smoke"), "the latch stays"
 
 
-def test_for_people(board: SimBoard, name: str) -> None:
-    done = failstop("doctor", "--quick", "--device", board.link, "--name", name)
-    assert "ok    stop path" in done.stdout
-    assert f"no service named '{name}' runs" in done.stdout
-    assert done.stdout.splitlines()[-1].endswith(" fine")
-    assert "\x1b" not in done.stdout
+def test_for_people(doctor: Doctor, board: SimBoard, name: str) -> None:
+    _, out = doctor.said("--device", board.link, "--name", name)
+    assert "ok    stop path" in out
+    assert f"no service named '{name}' runs" in out
+    assert out.splitlines()[-1].endswith(" fine")
+    assert "\x1b" not in out
 
 
 def test_at_80_columns_no_word_is_cut_and_every_command_is_whole() -> None:

@@ -13,19 +13,37 @@ from pathlib import Path
 import pytest
 
 from failstop.messages import layout
+from tests.support.deb import tree
+from tests.support.pages import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
+QUIETLY = ("--quiet", "--no-compile", "--disable-pip-version-check")
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment with what builds packages, and no failstop."""
+    return new_environment(tmp_path_factory.mktemp("tools"), "build", "setuptools>=77")
+
+
+def new_environment(place: Path, *packages: str) -> Path:
+    """An environment with these packages; they come without pip."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place)], check=True, timeout=120)
+    install(place, *packages)
+    return place
+
+
+def install(environment: Path, *packages: str) -> None:
+    pip = [sys.executable, "-m", "pip", "--python", str(environment / "bin" / "python"), "install"]
+    subprocess.run([*pip, *QUIETLY, *packages], check=True, capture_output=True, timeout=280)
+
+
+@pytest.fixture(scope="module")
+def built(environment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sdist and the wheel that was built from it."""
     out = tmp_path_factory.mktemp("dist")
-    subprocess.run(
-        [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)], check=True, capture_output=True, timeout=280
-    )
-    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(out / "lab"), str(ROOT / "packaging" / "lab")]
-    subprocess.run(build, check=True, capture_output=True, timeout=280)
+    build = [str(environment / "bin" / "python"), "-m", "build", "--no-isolation"]
+    for words in (["--outdir", out, ROOT], ["--wheel", "--outdir", out / "lab", ROOT / "packaging" / "lab"]):
+        subprocess.run([*build, *map(str, words)], check=True, capture_output=True, timeout=280)
     return out
 
 
@@ -51,11 +69,12 @@ def test_wheel_and_sdist_hold_one_package(built: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Path) -> None:
-    """The wheel, which was built from the sdist."""
-    environment = tmp_path / "venv"
-    subprocess.run([sys.executable, "-m", "venv", str(environment)], check=True, timeout=120)
-    pip = [str(environment / "bin" / "pip"), "install", "--quiet", "--no-compile", "--disable-pip-version-check"]
-    subprocess.run([*pip, str(next(built.glob("*.whl")))], check=True, timeout=280)
+    """The wheel, which was built from the sdist, beside what it says that it needs, as that is installed here."""
+    environment = new_environment(tmp_path / "venv", "--no-deps", str(next(built.glob("*.whl"))))
+    (site,) = environment.glob("lib/python*/site-packages")
+    for distribution in tree.needed():
+        for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
+            (site / top).symlink_to(distribution.locate_file(top))
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
 
     def demo() -> subprocess.CompletedProcess[str]:
@@ -66,7 +85,7 @@ def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Pat
     assert refused.returncode == 1
     where = "next: install failstop-lab (docs/install.md)"
     assert refused.stderr == f"failstop: `failstop demo` is not installed here; {where}\n"
-    subprocess.run([*pip, str(next((built / "lab").glob("*.whl")))], check=True, timeout=280)
+    install(environment, "--no-deps", str(next((built / "lab").glob("*.whl"))))
     start_s = time.monotonic()
     shown = demo()
     assert shown.returncode == 0, shown.stdout + shown.stderr

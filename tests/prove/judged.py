@@ -38,6 +38,16 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
     return made
 
 
+UNSEEN = "the wheels were not seen turning before the stop"
+LATE = (UNSEEN, "written after", "acknowledged after", "at the board after", "at rest after", "no moment of rest")
+"""Beginnings of faults that a machine which is held up brings about (test_judge.py, test_starved_rows.py)."""
+
+
+def firm(wrong: list[str]) -> list[str]:
+    """Those of the faults of a row that are not of time alone."""
+    return [fault for fault in wrong if not fault.startswith(LATE)]
+
+
 def wrong(made: PathRun) -> list[str]:
     made.judge()
     return made.result.wrong

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from failstop.cli.main import main
 from failstop.lab.faults.fault import CONTINUE, HANG, KILL
 from failstop.lab.faults.steps import Steps
 from failstop.lab.faults.table import FAULT_BY_NAME
@@ -20,7 +21,7 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING, of_fault
 from failstop.lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
-from tests.support.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP
 
 CONSENT = ("--on-the-stand", "--wheels-are-free")
 PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}
@@ -71,46 +72,35 @@ def test_the_table_counts_and_spreads() -> None:
 
 
 @pytest.mark.slow
-def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
-    only = ("--only", "kill-gate+stopper,kill-telemetry-hang-gate,stop-request", "--each", "1", "--seed", "4")
+def test_a_campaign_on_a_board_whose_frames_nobody_sees_ends_when_it_does_not_stop(tmp_path: Path) -> None:
+    only = ("--only", "kill-gate+stopper,kill-telemetry-hang-gate,stop-request", "--count", "99", "--seed", "4")
     out = tmp_path / "stand.json"
     with SimBoard(tmp_path / "board") as board:
-        done = failstop("chaos", "--device", board.link, *CONSENT, *only, "--json", str(out), timeout=100)
-        assert not any(board.wheels())
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "THIS TURNS THE WHEELS" in done.stderr
-    assert "3 passed, 0 failed" in done.stdout
-    result = json.loads(out.read_text())
-    assert (result["seed"], result["passed"], result["simulated"]) == (4, True, False)
-    assert {row["path"] for row in result["rows"]} == {"kill-gate+stopper", "kill-telemetry-hang-gate", "stop-request"}
-    for row in result["rows"]:
-        # A calm stretch of a wheel that turned may reach back to the cause: rest after 0 s is a rest.
-        assert row["acknowledged_ms"]
-        assert row["rest_s"] is not None
-        assert not row["samples"]
-
-
-@pytest.mark.slow
-def test_a_board_that_does_not_stop_fails_and_ends_the_campaign(tmp_path: Path) -> None:
-    only = ("--only", "kill-gate+stopper", "--count", "9")
-    with SimBoard(tmp_path / "board") as board:
-        command = [*FAILSTOP, "chaos", "--device", board.link, *CONSENT, *only]
+        command = [*FAILSTOP, "chaos", "--device", board.link, *CONSENT, *only, "--json", str(out)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             assert process.stdout
             said = list(itertools.takewhile(lambda line: "PASS" not in line, process.stdout))
             board.refuse_stop(True)
             rest, errors = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert not any("FAIL" in line for line in said), "the first run was good"
+    assert "NO STOP" not in "".join(said), "the first runs were good"
+    assert "THIS TURNS THE WHEELS" in errors
     assert "POWER SWITCH" in errors
     assert "THE WHEELS DID NOT COME TO REST" in rest
     assert "ENDED EARLY" in rest
-    assert "1 failed" in rest, "no run after that one"
+    result = json.loads(out.read_text())
+    assert (result["seed"], result["passed"], result["simulated"]) == (4, False, False)
+    good, failed = [[row for row in result["rows"] if (row["verdict"] == "FAIL") is bad] for bad in (False, True)]
+    assert result["rows"][-1] in failed, "no run after that one"
+    for row in good:
+        # A calm stretch of a wheel that turned may reach back to the cause: rest after 0 s is a rest.
+        assert row["acknowledged_ms"]
+        assert row["rest_s"] is not None
+        assert not row["samples"] or row["verdict"] != "PASS"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stops", [True, False])
-def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Path, stops: bool) -> None:
+def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Path) -> None:
     """An error in the midst of it says nothing of the wheels."""
 
     class Fails(random.Random):
@@ -119,19 +109,19 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
 
     path, velocity = of_fault(FAULT_BY_NAME["kill-gate+stopper"]), BY_TURNING["0.2"]
     with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path)) as stand:
-        board.refuse_stop(not stops)
-        result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).take()
-        assert "OSError: nobody is there" in result.wrong
-        assert result.runaway is not stops
-        assert any(board.wheels()) is not stops
-        if stops:
-            assert stand.whole(), "the next run finds a service"
+        for stops in (True, False):
+            board.refuse_stop(not stops)
+            result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).take()
+            assert "OSError: nobody is there" in result.wrong
+            assert result.runaway is not stops
+            assert any(board.wheels()) is not stops
+            if stops:
+                assert stand.whole(), "the next run finds a service"
         board.refuse_stop(False)
 
 
-def test_the_list_on_a_stand() -> None:
-    done = failstop("chaos", "--device", "/dev/any", "--list")
-    assert done.returncode == 0
-    listed = [line.split()[0] for line in done.stdout.splitlines()]
+def test_the_list_on_a_stand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chaos", "--device", "/dev/any", "--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert listed == list(campaign.paths())
     assert not any(name.startswith(("client-", "usb-")) for name in listed)

@@ -29,7 +29,7 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.supervisor import status
-from tests.prove.judged import MS, run, wrong
+from tests.prove.judged import MS, UNSEEN, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
@@ -59,13 +59,15 @@ def test_only_what_a_starved_machine_can_bring_about_is_invalid(
 
 LATE_MS = BY_PATH["stop-request"].reaction_bar_ms(simulated=True) + 0.1
 EXCUSABLE: dict[str, Callable[[PathRun], object]] = {
-    "late at the board": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
-    "written late": lambda made: late_and_answered(made),
-    "never seen turning": lambda made: setattr(
+    "at the board after": lambda made: setattr(made.stand.board, "events", lambda: [event(0, LATE_MS, REST)]),
+    "written after": lambda made: late_and_answered(made),
+    UNSEEN: lambda made: setattr(
         made.stand.watch, "samples", gyro((3.0, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     ),
-    "at rest late": lambda made: setattr(
-        made.stand.watch, "samples", gyro((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL), start_ns=FAULT_NS - 1_000 * MS)
+    "at rest after": lambda made: setattr(
+        made.stand.watch,
+        "samples",
+        gyro((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS),
     ),
 }
 
@@ -77,14 +79,14 @@ def late_and_answered(made: PathRun) -> None:
 
 
 FIRM: dict[str, Callable[[PathRun], object]] = {
-    "no stop": lambda made: setattr(made.stand.watch, "written", []),
-    "no answer": lambda made: setattr(made.stand.watch, "answers", []),
-    "motion after the stop": lambda made: setattr(
+    "NO STOP written": lambda made: setattr(made.stand.watch, "written", []),
+    "not acknowledged": lambda made: setattr(made.stand.watch, "answers", []),
+    "1 motion frames after the stop": lambda made: setattr(
         made.stand.board, "events", lambda: [event(0, 1.0, REST), event(1, 2.0, TURNING), event(2, 3.0, REST)]
     ),
-    "no stop at the board": lambda made: setattr(made.stand.board, "events", list),
-    "another latch": lambda made: setattr(made.stand.driver.robot, "state", latched(causes.KEY(1))),
-    "no rest": lambda made: setattr(
+    "the board has seen NO STOP": lambda made: setattr(made.stand.board, "events", list),
+    "latched: ": lambda made: setattr(made.stand.driver.robot, "state", latched(causes.KEY(1))),
+    "THE WHEELS DID NOT COME TO REST": lambda made: setattr(
         made.stand.watch, "samples", gyro((5.0, DRIVE), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     ),
 }
@@ -98,7 +100,7 @@ def latched(cause: Cause | None) -> SimpleNamespace:
 def test_a_late_time_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(what: str) -> None:
     made = run()
     EXCUSABLE[what](made)
-    assert wrong(made)
+    assert any(fault.startswith(what) for fault in wrong(made)), made.result.wrong
     assert made.result.verdict == "FAIL"
     made.result.starved = "held"
     assert made.result.verdict == "INVALID", made.result.wrong
@@ -108,7 +110,7 @@ def test_a_late_time_fails_on_a_quiet_machine_and_is_invalid_on_a_starved_one(wh
 def test_no_starving_excuses_a_stop_that_is_not_there(what: str) -> None:
     made = run()
     FIRM[what](made)
-    assert wrong(made)
+    assert any(fault.startswith(what) for fault in wrong(made)), made.result.wrong
     made.result.starved = "held"
     assert made.result.verdict == "FAIL"
 
@@ -231,9 +233,13 @@ def test_advice_fits_the_board(simulated: bool) -> None:
     assert ("quieter machine" in str(error.value)) is simulated
 
 
+LEASE: dict[str, object] = {"gate.lease_s": 0.2}
+"""The service's own stops of a busy machine are another matter."""
+
+
 @contextlib.contextmanager
 def on_stand(tmp_path: Path) -> Iterator[Stand]:
-    with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path), board) as stand:
+    with SimBoard(tmp_path / "board") as board, Stand(board.link, LEASE, str(tmp_path), board) as stand:
         yield stand
 
 
@@ -255,8 +261,7 @@ def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("late_ns", "verdict"), [(0, "FAIL"), (2 * WOKEN_LATE_NS, "INVALID")])
-def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, verdict: str) -> None:
+def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path) -> None:
     with on_stand(tmp_path) as stand:
         asked: list[int] = []
 
@@ -264,16 +269,16 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path, late_ns: int, ve
             stand.look()
             if not asked and stand.board and max(map(abs, stand.board.wheels())) > 0.7:
                 asked.append(time.monotonic_ns())
-                stand.held.woken(asked[0] - late_ns, asked[0])
+                stand.held.woken(asked[0] - 2 * WOKEN_LATE_NS, asked[0])
                 send_stop(stand.name, "somebody")
 
         stand.driver.each = each
-        stand.held.longest_ns = lambda since_ns: late_ns  # type: ignore[method-assign]
-        stand.held.mark = lambda: (0, 0)  # type: ignore[method-assign]
         found = PathRun(stand, SIMULATED, BY_PATH["disable"], BY_TURNING["0.2"], None, random.Random()).take()
         assert [text for text in found.wrong if "a stop came before the cause: stop request: somebody" in text]
-        assert found.verdict == verdict, found.wrong
+        assert found.verdict == "INVALID", found.wrong
         assert stand.whole(), "the next row finds a service"
+    found.starved = ""
+    assert found.verdict == "FAIL", "on a machine that runs everybody"
 
 
 def test_bars_of_a_lease_are_those_of_the_lease_in_force() -> None:

@@ -2,42 +2,50 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from bench.container import Bind, Container, ContainerMissing
-from bench.service_scene import HARDY, UNIT, Scene
+from bench.service_scene import CONFIG, HARDY, UNIT, Scene
 from failstop.lab.sim.client import SimBoard
 from tests.support.deb import tree
 from tests.support.pages import ROOT
 
-from .installing import ASKING, OLDER, SETTINGS, Place, Rebuild
+from .installing import OLDER, SETTINGS, Place
+
+LEASE = f"printf '[gate]\\nlease_s = 0.2\\n' >> {CONFIG}\n"
+"""A machine that is busy for a moment is no hang in these tests."""
 
 
 @pytest.fixture(scope="package")
 def shared_scene() -> Iterator[Scene]:
-    """One container and board for all tests: each starts and ends the service itself."""
+    """One container and board for all tests. The service in it must end well, and leave nothing."""
     try:
-        made = Scene(HARDY)
+        made = Scene(HARDY, setup=LEASE)
     except ContainerMissing as reason:
         pytest.skip(str(reason))
     with made:
         yield made
+        made.end()
+        assert made.box.pids(UNIT) == []
 
 
 @pytest.fixture
 def scene(shared_scene: Scene) -> Iterator[Scene]:
-    """The service, ready. It must end well, and leave nothing."""
-    shared_scene.start()
+    """The service, ready: one that others have used and left whole, or a new one."""
+    if not shared_scene.whole():
+        shared_scene.end()
+        shared_scene.start()
+    shared_scene.begin()
     yield shared_scene
-    shared_scene.end()
-    assert shared_scene.box.pids(UNIT) == []
+    shared_scene.leave()
 
 
 @pytest.fixture(scope="package")
@@ -92,32 +100,17 @@ def package(built: list[str]) -> str:
 
 
 @pytest.fixture(scope="package")
-def rebuild(built: list[str], shared_place: Place, tmp_path_factory: pytest.TempPathFactory) -> Rebuild:
-    """A function that builds the same package with another version and some files more; returns its path inside."""
-
-    def build(version: str, more: Mapping[str, str]) -> str:
-        place = tmp_path_factory.mktemp("older") / "package"
-        subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
-        control = place / "DEBIAN/control"
-        lines = control.read_text().splitlines(keepends=True)
-        control.write_text("".join(f"Version: {version}\n" if line.startswith("Version:") else line for line in lines))
-        for name, text in more.items():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            (place / name).write_text(text)
-        out = shared_place.packages / f"failstop_{version}.deb"
-        subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", str(place), str(out)], check=True)
-        return f"/packages/{out.name}"
-
-    return build
-
-
-@pytest.fixture(scope="package")
-def older(rebuild: Rebuild) -> str:
-    """The path inside of the same package with another version."""
-    return rebuild(OLDER, {})
-
-
-@pytest.fixture(scope="package")
-def asking(rebuild: Rebuild) -> str:
-    """The path inside of an older package that dpkg asks about: the settings are among its files."""
-    return rebuild(ASKING, {"DEBIAN/conffiles": f"{SETTINGS}\n", SETTINGS.lstrip("/"): "# the package's\n"})
+def asking(built: list[str], shared_place: Place, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The path inside of the same package as an older one that dpkg asks about: the settings are among its files."""
+    place = tmp_path_factory.mktemp("older") / "package"
+    subprocess.run(["dpkg-deb", "--raw-extract", built[0], str(place)], check=True)
+    control = place / "DEBIAN/control"
+    control.write_text(re.sub("^Version: .*", f"Version: {OLDER}", control.read_text(), flags=re.MULTILINE))
+    (place / "DEBIAN/conffiles").write_text(f"{SETTINGS}\n")
+    settings = place / SETTINGS.lstrip("/")
+    settings.parent.mkdir(parents=True)
+    settings.write_text("# the package's\n")
+    out = shared_place.packages / f"failstop_{OLDER}.deb"
+    subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", str(place), str(out)], check=True)
+    shutil.rmtree(place)
+    return f"/packages/{out.name}"

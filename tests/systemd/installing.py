@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from bench.container import Container
+from bench.service_scene import READY
 from failstop.lab.sim.client import SimBoard
 
 UNIT = "failstop.service"
@@ -16,7 +17,6 @@ LINK = "/dev/failstop"
 """Files that the udev rule would make: there is no udev inside, and the tests make them."""
 SETTINGS = "/etc/failstop/failstop.toml"
 OLDER = "0.0.9"
-ASKING = "0.0.8"
 OPERATES = "/etc/systemd/system/failstop-web.service.d"
 PLACES = (
     *(
@@ -31,8 +31,6 @@ PLACES = (
     *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
     "/usr/share/man/man1",
 )
-Rebuild = Callable[[str, Mapping[str, str]], str]
-"""Builds the package again with this version and these files more; returns its path inside."""
 
 
 class Place:
@@ -82,8 +80,7 @@ class Place:
         return self.active(UNIT)
 
     def active(self, unit: str) -> bool:
-        found = self.box.show(unit, "ActiveState", "SubState")
-        return found == {"ActiveState": "active", "SubState": "running"}
+        return self.box.show(unit, *READY) == READY
 
     def pid(self, unit: str) -> int:
         """Inside; 0: none."""

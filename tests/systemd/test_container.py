@@ -1,4 +1,4 @@
-"""The container itself: a real systemd, soon there, and gone with everything in it."""
+"""The container itself: a real systemd, there and gone with everything in it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from bench.container import Bind, Container, ContainerMissing
 from failstop.lab.trial import TrialError, wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
-LATEST_BOOT_S = 5.0
-"""The longest start on a busy machine; 0.1 s here."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +33,7 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
         yield made
 
 
-def test_boots_soon_and_whole(box: Container) -> None:
-    assert box.boot_s < LATEST_BOOT_S
+def test_boots_whole(box: Container) -> None:
     assert box.ctl("is-system-running", check=False) == "running\n"
 
 

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
 
 import pytest
 
+from bench.service_scene import READY
+from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.deb import tree
+from tests.support.pages import ROOT
 
 from .installing import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 BRIDGE = "failstop-ros2@daemon.service"
+CONFIGURES = ("env", "DPKG_MAINTSCRIPT_PACKAGE=failstop", "/var/lib/dpkg/info/failstop.postinst", "configure")
+"""The script that dpkg runs once the files are there."""
 
 
 def completes(place: Place, script: str) -> bool:
@@ -22,18 +31,23 @@ def completes(place: Place, script: str) -> bool:
     return "estop" in done.stdout.split()
 
 
-def test_the_build_says_what_to_type_next(built: list[str]) -> None:
-    path = os.path.relpath(built[0])
+def said_of(package: str, what: str, *words: str) -> str:
+    """The answer of dpkg-deb."""
+    return subprocess.run(["dpkg-deb", what, package, *words], check=True, capture_output=True, text=True).stdout
+
+
+def test_the_packages_as_a_machine_sees_them(built: list[str]) -> None:
+    """The laboratory is a package of its own."""
+    package, laboratory = built[:2]
+    path = os.path.relpath(package)
     assert built[-1] == f"next: sudo apt install {path if path.startswith('..') else f'./{path}'}"
-
-
-def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
-    fields = place.box.run("dpkg-deb", "--field", package).stdout
+    fields = said_of(package, "--field")
     names = {line.split(":")[0] for line in fields.splitlines() if not line.startswith(" ")}
     assert names >= {"Package", "Version", "Architecture", "Maintainer", "Installed-Size", "Depends", "Description"}
     assert f"Depends: {tree.PYTHON}, libc6 (>= 2." in fields
     assert "Recommends: openssl" in fields, "HTTPS of the page needs it"
-    rows = [row.split(maxsplit=5) for row in place.box.run("dpkg-deb", "--contents", package).stdout.splitlines()]
+    listed = said_of(package, "--contents")
+    rows = [row.split(maxsplit=5) for row in listed.splitlines()]
     assert {row[1] for row in rows} == {"root/root"}
     assert {row[0] for row in rows} == {"drwxr-xr-x", "-rw-r--r--", "-rwxr-xr-x", "lrwxrwxrwx"}
     tops = {"/".join(row[5].split("/")[:3]) for row in rows}
@@ -41,29 +55,52 @@ def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
     own = {"./", "./opt/", "./opt/failstop", "./usr/"}
     assert tops == own | usr, "nothing below /lib, which is a link where /usr is merged"
     assert not any(row[5].endswith(".egg-link") or "__editable__" in row[5] for row in rows)
-
-
-def test_the_laboratory_is_a_package_of_its_own(place: Place, package: str) -> None:
-    laboratory = next(module.name for module in place.packages.glob("failstop-lab_*_all.deb"))
     inside = [f"./opt/failstop/{tree.SITE}/failstop/lab/", f"./opt/failstop/{tree.SITE}/failstop/lab/trial.py"]
-    rows = place.box.run("dpkg-deb", "--contents", f"/packages/{laboratory}").stdout
-    robots = place.box.run("dpkg-deb", "--contents", package).stdout
-    assert all(path in rows for path in inside)
-    assert not any(path in robots for path in inside)
-    version = place.box.run("dpkg-deb", "--field", package, "Version").stdout.strip()
-    assert (
-        f"failstop (= {version})" in place.box.run("dpkg-deb", "--field", f"/packages/{laboratory}", "Depends").stdout
-    )
+    other = said_of(laboratory, "--contents")
+    assert all(path in other for path in inside)
+    assert not any(path in listed for path in inside)
+    version = said_of(package, "--field", "Version").strip()
+    assert f"failstop (= {version})" in said_of(laboratory, "--field", "Depends")
 
 
-def test_installed_removed_and_purged(place: Place, package: str) -> None:
+def test_installed_upgraded_removed_and_purged(place: Place, package: str, asking: str) -> None:
+    """The life of a package: the wheels are stopped whenever the service goes, and the settings stay a person's."""
     before = place.files()
     place.plug()
-    said = place.dpkg("-i", package)
+    installed_at_first(place, place.dpkg("-i", package))
+    mine = f'# mine\n[device]\npath = "{BOARD}"\n'
+    place.box.path(SETTINGS).write_text(mine)
+    place.unplug()
+    a_way_back(place, asking)
+    assert place.settings() == mine
+    pid = place.pid(UNIT)
+    place.board.events()
+    with place.driving():
+        place.dpkg("-i", package)
+        assert stopped(place.board), "it is restarted, with motion disabled"
+    assert place.ready()
+    assert place.pid(UNIT) not in (0, pid)
+    assert place.settings() == mine
+    place.board.events()
+    with place.driving():
+        place.dpkg("-r", "failstop")
+        assert stopped(place.board)
+    assert not place.box.path("/run/failstop").exists()
+    left = {path for path in place.files() - before if not path.startswith("/var/lib/failstop")}
+    fleet = {"/etc/failstop/fleet", "/etc/failstop/fleet/fleet.toml"}
+    assert left == {"/etc/failstop", SETTINGS, f"{SETTINGS}.dpkg-dist"} | fleet
+    assert place.accounts()
+    place.dpkg("-P", "failstop")
+    assert not place.box.path("/var/lib/dpkg/info/failstop.list").exists()
+
+
+def installed_at_first(place: Place, said: str) -> None:
+    """Everything that an installation with a board brings, is there."""
     assert "Next: failstop status" in said
     assert "does not run yet" not in said
-    wait_for("the service to be ready", place.ready)
+    place.box.wait(UNIT, 30.0, **READY)
     assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
+    assert place.box.run("ls", "/etc/systemd/system/dev-failstop.device.wants").stdout == f"{UNIT}\n"
     assert place.box.show("failstop-sleep.service", "UnitFileState") == {"UnitFileState": "enabled"}
     assert place.box.run("dpkg", "--verify", "failstop").stdout == "", "every file has its checksum"
     assert completes(place, "/usr/share/bash-completion/completions/failstop")
@@ -73,63 +110,46 @@ def test_installed_removed_and_purged(place: Place, package: str) -> None:
     assert f'path = "{LINK}"\n' in place.settings()
     place.box.run("failstop", "config", "--check", SETTINGS)
     place.box.run("failstop", "fleet", "--config", "/etc/failstop/fleet/fleet.toml", "config")
+
+
+def a_way_back(place: Place, asking: str) -> None:
+    """A package of before asks about the settings: it says the answer, and an option answers."""
     place.board.events()
     with place.driving():
-        place.dpkg("-r", "failstop")
+        said = place.dpkg("-i", asking, code=1)  # nobody is there to answer
         assert stopped(place.board)
-    left = {path for path in place.files() - before if not path.startswith("/var/lib/failstop")}
-    fleet = {"/etc/failstop/fleet", "/etc/failstop/fleet/fleet.toml"}
-    assert left == {"/etc/failstop", SETTINGS} | fleet
-    assert place.accounts()
-    place.dpkg("-i", package)
-    assert place.ready()
-    place.dpkg("-P", "failstop")
-    assert not place.box.path("/var/lib/dpkg/info/failstop.list").exists()
-
-
-def test_an_upgrade_and_a_way_back_stop_the_wheels_and_keep_the_settings(
-    place: Place, package: str, older: str
-) -> None:
-    place.plug()
-    place.dpkg("-i", older)
-    mine = f'# mine\n[device]\npath = "{BOARD}"\n'
-    place.box.path(SETTINGS).write_text(mine)
-    place.unplug()
-    for next_one in (package, older):
-        pid = place.pid(UNIT)
-        place.board.events()
-        with place.driving():
-            place.dpkg("-i", next_one)
-            assert stopped(place.board), "it is restarted, with motion disabled"
-        assert place.ready()
-        assert place.pid(UNIT) not in (0, pid)
-        assert place.settings() == mine
-    place.box.ctl("disable", "--now", UNIT)
-    place.dpkg("-i", package)
-    assert place.box.show(UNIT, "UnitFileState") == {"UnitFileState": "disabled"}, "an administrator's choice stays"
+    assert "*** failstop.toml" in said
+    assert "the service is down until this ends; if dpkg asks about failstop.toml, N keeps your settings" in said
     assert not place.ready()
+    assert "force-confold" in (ROOT / "docs/install.md").read_text()
+    place.dpkg("--force-confold", "--configure", "failstop")
+    assert place.ready()
 
 
-def test_without_a_board_it_waits_for_it(place: Place, package: str) -> None:
+def test_without_a_board_with_wrong_settings_and_without_systemd_it_says_so(place: Place, package: str) -> None:
     said = place.dpkg("-i", package)
     assert "failstop does not run yet: is the board plugged in" in said
     assert 'path = "/dev/ttyACM0"\n' in place.settings()
     place.box.path("/dev/ttyACM0").symlink_to(BOARD)
-    wait_for("the service to be ready", place.ready, 30.0)
+    place.box.wait(UNIT, 30.0, **READY)
+    place.box.ctl("stop", UNIT)
+    refused = "[gate]\nperiod = 1\n"
+    place.box.path(SETTINGS).write_text(refused)
+    said = place.box.run(*CONFIGURES, timeout_s=90).stderr
+    assert "gate.period" in said
+    assert "failstop does not run yet" in said
+    assert place.settings() == refused
+    hidden = f"mount -t tmpfs tmpfs /run/systemd && {' '.join(CONFIGURES)}"
+    said = place.box.run("unshare", "--mount", "sh", "-c", hidden, timeout_s=90).stderr
+    assert "systemd does not run here, so nothing was started: NOTHING STOPS THE WHEELS" in said
+    assert "failstop run --config /etc/failstop/failstop.toml" in said
+    assert not place.ready()
     place.dpkg("-P", "failstop")
     place.box.path("/dev/ttyACM0").unlink()
 
 
-def test_a_setting_that_the_new_version_refuses_is_named(place: Place, package: str) -> None:
-    place.box.path("/etc/failstop").mkdir()
-    place.box.path(SETTINGS).write_text("[gate]\nperiod = 1\n")
-    said = place.dpkg("-i", package)
-    assert "gate.period" in said
-    assert "failstop does not run yet" in said
-    assert place.settings() == "[gate]\nperiod = 1\n"
-
-
 def test_a_second_robot_page_fleet_and_bridge_live_and_go_with_the_package(place: Place, package: str) -> None:
+    """A service that was started by hand outlives it: its pipe stays where its clients look for it."""
     place.plug()
     place.dpkg("-i", package)
     front, more = "failstop@front.service", ("failstop-web.service", "failstop-fleet.service", BRIDGE)
@@ -142,14 +162,38 @@ def test_a_second_robot_page_fleet_and_bridge_live_and_go_with_the_package(place
     place.dpkg("-i", package)
     assert place.active(front), "an upgrade starts it again"
     assert place.pid(front) not in (0, pid)
-    place.dpkg("-r", "failstop")
+    assert place.box.show(UNIT, "UnitFileState") == {"UnitFileState": "disabled"}, "an administrator's choice stays"
+    assert not place.ready()
+    pipe = place.box.path("/run/failstop/byhand/stop")
+    with by_hand(place, "byhand"):
+        wait_for("the pipe of the other service", pipe.exists)
+        said = place.dpkg("-r", "failstop")
+        assert "'byhand' was not started by a unit of the package, and goes on" in said
+        assert pipe.exists()
+        assert not place.box.path("/run/failstop/front").exists()
     assert not any(place.active(unit) for unit in (front, *more))
     assert not [path for path in place.files() if path.endswith((front, *more))]
     assert all(place.box.path(path).is_dir() for path in kept), "a removal keeps what they remember"
     place.dpkg("-P", "failstop")
     links = [path.replace("private/", "") for path in kept]
     assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
-    place.box.run("rm", "-r", "/opt/ros", OPERATES)
+    place.box.run("rm", "-r", "/opt/ros", OPERATES, "/run/failstop")
+
+
+@contextlib.contextmanager
+def by_hand(place: Place, name: str) -> Iterator[None]:
+    """A service that root has started from this checkout, on a board of its own."""
+    with SimBoard(place.packages.parent / "board" / name, mode=0o666):
+        place.box.write(f"/tmp/{name}.toml", f'[device]\npath = "/board/{name}"\n')
+        words = ("-m", "failstop", "run", "--name", name, "--config", f"/tmp/{name}.toml")
+        running = place.box.entering("env", f"PYTHONPATH={ROOT}", sys.executable, *words)
+        with subprocess.Popen(running, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as service:
+            try:
+                yield
+            finally:
+                # The signal is for the supervisor: nsenter does not pass it on.
+                place.box.run("sh", "-c", f"kill $(cat /run/failstop/{name}/lock)")
+                service.wait(20)
 
 
 def start_a_second_robot(place: Place, unit: str) -> None:
@@ -181,7 +225,7 @@ def switch_on(place: Place, units: tuple[str, ...]) -> None:
         assert (group in groups) == (unit != "failstop-fleet.service"), f"{unit}: who may drive"
     assert place.box.show(BRIDGE, "User") == {"User": "daemon"}
     fleet = "failstop-fleet.service"
-    wait_for("the publisher's word", lambda: place.box.show(fleet, "StatusErrno") == {"StatusErrno": "107"}, 20.0)
+    place.box.wait(fleet, 20.0, StatusErrno="107")
     assert place.box.show(fleet, "StatusText")["StatusText"].startswith("obeys no fleet stop: no broker at 127.0.0.1")
     assert "obeys no fleet stop: no broker" in place.box.run("failstop", "doctor", "--quick", check=False).stdout
 

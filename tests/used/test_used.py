@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--mount-proc")
 PART = (
     "tests/incidents/test_find.py",
-    "tests/incidents/test_live.py::test_a_full_disk",
     "tests/telemetry/test_state_files.py",
     "tests/doctor/test_gathering.py::test_all_of_it_is_quick",
     "tests/screen/test_follow.py::test_where_nothing_is_left",
+    "tests/screen/test_follow.py::test_a_service_that_has_gone_is_said",
     "tests/screen/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",
     "tests/prove/test_settings.py",
     "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
