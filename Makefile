@@ -29,7 +29,7 @@ test: $(VENV)/.dev lint
 campaigns: $(VENV)/.dev
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
-	  tests/faults/test_arm_rows.py \
+	  tests/faults/test_table.py tests/faults/test_arm_rows.py \
 	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py tests/boards
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).

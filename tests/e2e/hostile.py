@@ -179,29 +179,23 @@ def _fifo() -> str:
     return path
 
 
-def ring(name: str, times: str) -> None:
-    """Rings the bell so often, one byte at a time, whether or not there is room; then goes on."""
+def ring(name: str) -> None:
+    """Rings the bell, one byte at a time, whether or not there is room."""
     fd = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
-    for _ in range(int(times)):
+    while True:
         bell.send(fd, b"\0")
-    begun()
-    rest()
 
 
-def flood(name: str, pipe: str, megabytes: str) -> None:
-    """Writes so much into the bell or the stop pipe, and says when it is all in."""
+def flood(name: str, pipe: str) -> None:
+    """Writes into the bell or the stop pipe without an end."""
     directory = instance.find(name)
     path = {"bell": instance.bell_path, "stop": instance.stop_path}[pipe](directory)
     fd = os.open(path, os.O_WRONLY | os.O_CLOEXEC)  # blocks when it is full: every byte goes through the service
     begun()
     block = random.Random(1).randbytes(1 << 16)
-    for _ in range(int(megabytes) << 4):
-        at = 0
-        while at < len(block):
-            at += os.write(fd, block[at:])
-    begun()
-    rest()
+    while True:
+        os.write(fd, block)
 
 
 def hold_all(name: str) -> None:
