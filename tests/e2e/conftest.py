@@ -8,13 +8,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial
 from tests.support.shared_trial import IMU_HZ, Keeper
 from tests.support.simulated import Simulated
 
 _numbers = itertools.count()
-
-MANY_DEATHS = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
 
 
 @pytest.fixture
@@ -50,20 +48,3 @@ def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
     made = Simulated(getattr(request.module, "SETTINGS", None))
     yield made
     assert made.failed == []
-
-
-@pytest.fixture(scope="package")
-def hardy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
-    """A trial in which many deaths are no crash loop."""
-    config = tmp_path_factory.mktemp("hardy") / "many-deaths.toml"
-    config.write_text(MANY_DEATHS)
-    with Trial(f"e2e-hardy-{os.getpid()}", ("--config", str(config)), imu_hz=IMU_HZ) as running:
-        yield running
-
-
-@pytest.fixture
-def hardy_trial(hardy: Trial) -> Iterator[Trial]:
-    """A trial of many deaths, with every process alive: a test may kill them."""
-    wait_for("a service that is whole", hardy.service.ready)
-    yield hardy
-    hardy.leave()

@@ -8,10 +8,19 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.lab.faults.scene import Scene
+from failstop.lab.trial import Trial
+from tests.support.shared_trial import IMU_HZ
+
+
+class Quiet(Scene):
+    """A scene whose board's IMU says less: most of the time that it lives nothing but that wakes its processes."""
+
+    def _new_trial(self) -> Trial:
+        return Trial(self.name, ("--config", self._config), imu_hz=IMU_HZ)
 
 
 @pytest.fixture(scope="package")
 def scene() -> Iterator[Scene]:
     """Board, service and driving client of a campaign."""
-    with Scene(f"faults-{os.getpid()}") as found:
+    with Quiet(f"faults-{os.getpid()}") as found:
         yield found
