@@ -55,7 +55,7 @@ def test_an_interrupt_is_an_end_at_once(fresh: Trial) -> None:
 @pytest.mark.alone
 @pytest.mark.skipif(bool(ptrace.unfit()), reason=ptrace.unfit())
 def test_who_loops_on_the_only_core_is_stopped_for(fresh: Trial) -> None:
-    """Above everybody who is to stop for it, but for the kernel. The supervisor, whose death ends the service, is last."""
+    """Above everybody who is to stop for it, but for the kernel. The supervisor, whose death ends all, is the last."""
     core = max(os.sched_getaffinity(0))
     for process in (*OTHERS, SUPERVISOR):
         fresh.enable()

@@ -169,7 +169,7 @@ def test_closed_is_closed(simulated: Simulated, call: str) -> None:
 def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) -> None:
     """The thread is in the middle of a call, as likely as not, when another one closes."""
     trial.enable()
-    for _ in range(10):
+    for _ in range(4):
         robot = Robot(trial.name, client="threads")
 
         def go_on(robot: Robot = robot) -> None:
@@ -179,7 +179,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
 
         thread = threading.Thread(target=go_on)
         thread.start()
-        trial.board.wait_wheels(moving=True, timeout_s=2.0)
+        trial.board.wait_wheels(moving=True, timeout_s=5.0)
         index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
         path = segments.path_of(run_of(trial.name)[0], f"client.{index}")
@@ -190,7 +190,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         assert not any(data[at : at + spec.records["command"].size()])
         thread.join(5.0)
         assert not thread.is_alive()
-        trial.board.wait_wheels(moving=False, timeout_s=2.0)
+        trial.board.wait_wheels(moving=False, timeout_s=5.0)
         trial.board.events()
     assert trial.robot.state.estop is None
     assert not trial.moving()
@@ -267,7 +267,7 @@ def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: T
 
     holder = threading.Thread(target=hold_the_lock)
     holder.start()
-    found = {child(uses_it) for _ in range(20)}
+    found = {child(uses_it) for _ in range(6)}
     done.set()
     holder.join()
     assert found == {0}, "though another thread held the lock when it was forked"

@@ -43,17 +43,17 @@ TOLD = {
 
 def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
     news = notes(scene)
-    scene.run(20.0)
+    scene.run(10.0)
     assert news() == []
     for servo, fault in FAULTS.items():
         scene.servos.change(servo, scene.clock(), **fault)
-    scene.run(20.0)
+    scene.run(10.0)
     assert sorted(news()) == sorted(("warning", f"joint {of} {text}") for of, text in TOLD.items())
     assert sorted(scene.state()["wrong"]) == sorted(f"joint {of.partition(' ')[0]} {text}" for of, text in TOLD.items())
     assert scene.state()["silent"] == [2]
     for servo in FAULTS:
         scene.servos.change(servo, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
-    scene.run(20.0)
+    scene.run(10.0)
     assert sorted(news()) == sorted(("", f"joint {of} is well again") for of in TOLD)
     assert scene.state()["wrong"] == []
 

@@ -57,3 +57,15 @@ class Keeper:
         if trial := self._trial:
             self._trial = None
             trial.close()
+
+
+def goes_on(trial: Trial, velocity: tuple[float, float, float] = (0.2, 0.0, 0.0)) -> None:
+    """Command until the wheels turn: on a busy machine a command may be late, and they stand meanwhile."""
+    wait_for("the wheels to turn", lambda: trial.drive(0.05, velocity) or trial.moving())
+
+
+def set_off(trial: Trial) -> None:
+    """Enable, and drive; the board's past is forgotten."""
+    trial.enable()
+    goes_on(trial)
+    trial.board.events()
