@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from failstop.lab.trial import Trial
-from tests.support.shared_trial import IMU_HZ, Keeper
+from tests.support.shared_trial import IMU_HZ, Keeper, patient
 from tests.support.simulated import Simulated
 
 _numbers = itertools.count()
@@ -36,9 +37,9 @@ def trial(keeper: Keeper) -> Trial:
 
 
 @pytest.fixture
-def fresh(name: str) -> Iterator[Trial]:
+def fresh(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A trial of the test's own, which may damage what no state shows; the service must end well."""
-    with Trial(name, imu_hz=IMU_HZ) as running:
+    with Trial(name, patient(tmp_path), imu_hz=IMU_HZ) as running:
         yield running
 
 

@@ -13,6 +13,7 @@ from failstop import FailstopError
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.model import Frame
 from failstop.lab.trial import Trial, wait_for
+from tests.support.shared_trial import goes_on
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 30.0
@@ -109,7 +110,4 @@ def drives_again(trial: Trial) -> None:
         return False
 
     wait_for("a motion enable", enabled)
-    trial.drive(0.15)
-    if not trial.moving():
-        state = trial.robot.state
-        raise AssertionError(f"blocked: {state.blocked}; last stop: {state.last_stop}\n{trial.service.said()}")
+    goes_on(trial)

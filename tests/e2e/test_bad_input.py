@@ -92,11 +92,18 @@ def _reset(trial: Trial) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("files", "words"), [(8, "status"), (11, "drive 0.1 0 0 --for 0.1"), (11, "estop")])
-def test_too_few_descriptors_for_a_command_are_one_line(trial: Trial, files: int, words: str) -> None:
-    result = limited(files, *words.split(), "--name", trial.name)
+@pytest.mark.parametrize(("files", "word"), [(8, "status"), (11, "enable")])
+def test_too_few_descriptors_for_a_command_are_one_line(trial: Trial, files: int, word: str) -> None:
+    result = limited(files, word, "--name", trial.name)
     assert result.returncode == 1
     assert _one_line(result).startswith(LACKING.format(files))
+
+
+def test_too_few_descriptors_for_a_command_are_enough_for_a_stop(trial: Trial) -> None:
+    result = limited(8, "estop", "few", "--name", trial.name)
+    assert result.returncode == 0
+    assert "Traceback" not in result.stderr
+    assert str(trial.robot.state.estop).startswith("stop request: few")
 
 
 def test_too_few_descriptors_for_a_service_of_its_own_are_one_line() -> None:

@@ -71,39 +71,6 @@ def test_disable_stops_at_once(simulated: Simulated) -> None:
     assert (state.blocked, state.estop) == ("disabled", None)
 
 
-def test_not_finite_is_refused_by_the_client_and_moves_nothing(simulated: Simulated) -> None:
-    simulated.enable()
-    with pytest.raises(ValueError, match="finite"):
-        simulated.robot.drive(float("nan"), 0.0, 0.0)
-    simulated.wait(0.1)
-    assert not simulated.moving()
-
-
-def test_second_publisher_latches(simulated: Simulated) -> None:
-    simulated.set_off()
-    rival = simulated.driver("rival")
-    simulated.wait_for("the latch", lambda: simulated.drive(0.05) or simulated.robot.state.estop)
-    assert simulated.robot.state.estop == (
-        f"multiple cmd_vel publishers: trial (pid {simulated.pid}), rival (pid {rival.pid})"
-    )
-    assert not simulated.moving()
-
-
-def test_death_of_the_driving_client(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.leave()
-    client = simulated.driver("mortal")
-    simulated.board.wait_for(lambda event: event.is_motion and event.speeds[0] > 0.3)
-    killed_ns = simulated.now_ns()
-    simulated.lab.machine.die(client, -9)
-    event = simulated.board.wait_for(lambda e: is_zero(e) and e.arrival_ns > killed_ns)
-    assert event.arrival_ns - killed_ns <= TICK_NS + STEPS_NS, "long before the command timeout"
-    simulated.wait(0.1)
-    state = simulated.robot.state
-    assert (state.enabled, state.estop, state.blocked, state.sources) == (False, None, "disabled", ())
-    assert "mortal" not in [client.name for client in state.clients]
-
-
 def test_a_motor_frame_at_least_every_0_2_s_while_driving(simulated: Simulated) -> None:
     simulated.enable()
     simulated.drive(0.5)

@@ -20,6 +20,7 @@ from failstop.incidents import files, story
 from failstop.incidents.incident import Incident, WriteSort
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from tests.support.shared_trial import patient
 
 pytestmark = pytest.mark.slow
 IMU_HZ = 50.0
@@ -90,9 +91,9 @@ class Kept:
 
 
 @pytest.fixture(scope="module")
-def service() -> Iterator[Kept]:
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kept]:
     """Every test leaves it whole, or begin() waits until it is."""
-    with Trial(f"box-{os.getpid()}", imu_hz=IMU_HZ) as trial:
+    with Trial(f"box-{os.getpid()}", patient(tmp_path_factory.mktemp("box")), imu_hz=IMU_HZ) as trial:
         yield Kept(trial)
 
 
