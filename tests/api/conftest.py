@@ -8,7 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, write_settings
+from failstop.supervisor import status
+from tests.support.shared_trial import IMU_HZ
 
 _numbers = itertools.count()
 
@@ -16,8 +18,8 @@ _numbers = itertools.count()
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
     config = tmp_path_factory.mktemp("api") / "failstop.toml"
-    config.write_text("[sources.teleop]\npriority = 10\n")
-    with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as running:
+    write_settings(str(config), {"sources.teleop.priority": 10, status.LEASE: status.LEASE_WITHOUT_S})
+    with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config)), imu_hz=IMU_HZ) as running:
         yield running
 
 

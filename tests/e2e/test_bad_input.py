@@ -163,7 +163,7 @@ def test_name_already_running(trial: Trial) -> None:
     goes_on(trial)
 
 
-def test_stale_shared_memory_of_a_dead_run_and_nothing_is_left_but_how_it_was_started(name: str) -> None:
+def test_memory_of_a_dead_run_is_in_no_way_and_nothing_is_left_of_this_one(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
         segments.create(segments.memory(name, incarnation), spec.name, incarnation).close()

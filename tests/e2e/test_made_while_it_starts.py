@@ -29,7 +29,8 @@ class Poller:
     def _poll(self, failstop: Any) -> None:
         events = self._simulated.load("failstop.api.events")
         self._simulated.wait(self._after_s)
-        robot = log = None
+        robot: Any = None
+        log: Any = None
         while not self.saw:
             self._simulated.wait(POLL_S)
             try:

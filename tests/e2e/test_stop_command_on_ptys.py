@@ -143,15 +143,6 @@ def test_the_setting_is_declared_once() -> None:
     assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0, "board.kind": "rrc"}
 
 
-def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Path) -> None:
-    link, master = board
-    file.write_text(f'[device]\npath = "{link}"\n')
-    result = failstop("stop", "--config", str(file))
-    sent = f"stop frame sent (after 0.0 s), directly to {link}\n"
-    assert (result.returncode, result.stdout, result.stderr) == (0, sent, "")
-    assert os.read(master, 4096) == BURST
-
-
 @pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
 def test_the_arm_is_stopped_after_the_wheels_with_the_servos_that_can_be(
     named: bool, board: tuple[str, int], file: Path, capsys: pytest.CaptureFixture[str]

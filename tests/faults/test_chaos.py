@@ -44,7 +44,7 @@ def test_random_faults(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_campaign_can_be_repeated_from_any_fault_on(tmp_path: Path) -> None:
-    """What is drawn first is left out, and the rest is the same (tests/faults/test_judge.py)."""
+    """The first that are drawn are left out, and the rest is the same (tests/faults/test_judge.py)."""
     out = tmp_path / "chaos.json"
     words = ("--only", "kill-gate,kill-t*", "--seed", "4", "--count", "2", "--first", "1")
     assert chaos(*words, "--json", str(out)).returncode == 0
