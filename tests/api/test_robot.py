@@ -32,7 +32,7 @@ def test_drive_says_what_holds_the_wheels(robot: Robot) -> None:
     robot.sensed()
     wait_for("the wheels to turn", lambda: isinstance(robot.drive(0.1, 0.0, 0.0), Driving))
     robot.estop("a hand")
-    robot.wait_for("latched", 1.0)
+    robot.wait_for("latched", 5.0)
     answer = robot.drive(0.1, 0.0, 0.0, manual=True)
     assert isinstance(answer, Blocked)
     assert answer.block is Block.LATCHED
@@ -179,7 +179,7 @@ def test_each_of_many_threads_gets_its_own_answer(trial: Trial) -> None:
     """Requests that the gate grants and such that it refuses, all by one Robot at once."""
     robot = trial.robot
     robot.estop("held")
-    robot.wait_for("latched", 1.0)
+    robot.wait_for("latched", 5.0)
     wrong: list[object] = []
 
     def ask(call: Callable[[], str], granted: str) -> None:

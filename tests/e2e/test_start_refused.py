@@ -77,7 +77,7 @@ def refused(board: SimBoard, *command: str, before: Callable[[], None] | None = 
     said = result.stderr
     assert "Traceback" not in said
     assert said.count("\n") == 1, said
-    board.wait_wheels(moving=False, timeout_s=2.0)
+    board.wait_wheels(moving=False, timeout_s=5.0)
     events = [event for event in board.events() if event.is_motor]
     assert events[0].is_stop
     assert not any(event.is_motion for event in events)

@@ -17,6 +17,7 @@ from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
 from failstop.supervisor.events import REPEATS_BYTES as ASKED_ROOM
 from tests.support.children import NOBODY, become
+from tests.support.shared_trial import set_off
 from tests.support.simulated import MS, Simulated
 
 
@@ -40,10 +41,7 @@ def _stop_pipe(trial: Trial) -> str:
 
 
 def test_by_an_unprivileged_user(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
-    trial.board.events()
+    set_off(trial)
     asked_ns = time.monotonic_ns()
     assert _as_nobody(lambda: send_stop(trial.name, "nobody says so")) == 0
     trial.drive(0.2)
@@ -64,12 +62,10 @@ def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
     os.close(fd)
     assert full.value.errno == errno.EAGAIN
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    trial.board.wait_wheels(moving=False, timeout_s=5.0)
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
     wait_for("an end of the flood", lambda: _can_reset(trial))
-    trial.robot.enable()
-    trial.drive(0.1)
-    assert trial.moving()
+    set_off(trial)
 
 
 def _can_reset(trial: Trial) -> bool:
