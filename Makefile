@@ -30,7 +30,7 @@ campaigns: $(VENV)/.dev
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py tests/shm/test_ring_model.py \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py \
-	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py tests/boards
+	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py tests/boards tests/test_burst.py
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint

@@ -22,9 +22,10 @@ def name() -> str:
     return f"e2e-{os.getpid()}-{next(_numbers)}"
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def keeper() -> Iterator[Keeper]:
-    """It has the service of all tests that leave theirs as they found it."""
+    """It has the service of all tests of a file that leave theirs as they found it: while others run, it would cost as
+    much as a start every ten seconds."""
     made = Keeper("e2e-kept")
     yield made
     made.end()

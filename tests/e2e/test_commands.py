@@ -7,7 +7,6 @@ import contextlib
 import pytest
 
 from failstop.cli.main import COMMANDS, HIDDEN, main
-from failstop.lab.trial import Trial
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated
 
@@ -83,9 +82,3 @@ def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
     assert code == 2
     assert "a differential base can't move sideways" in err
     assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0
-
-
-def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
-    live = failstop("status", "-w", "--name", trial.name)
-    assert (live.returncode, live.stdout) == (1, "")
-    assert "needs a terminal" in live.stderr

@@ -8,8 +8,6 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.robot import SETTINGS as FILE
-from failstop.lab.trial import Trial
-from tests.support.commands import failstop
 from tests.support.simulated import Simulated
 
 SETTINGS = {"sources.teleop.priority": 10, "interlocks.doors.timeout_s": 0.5, "interlocks.arm": {}}
@@ -85,13 +83,3 @@ def test_a_restart_with_other_settings_is_followed(simulated: Simulated) -> None
         robot.drive(0.0, 0.0, 0.0, source="nav")
         with pytest.raises(simulated.failstop.Undeclared):
             robot.drive(0.0, 0.0, 0.0, source="teleop")
-
-
-@pytest.mark.parametrize("source", ["telop", "gamepad"])
-def test_teleop_says_so_before_it_takes_the_screen(trial: Trial, source: str) -> None:
-    done = failstop("teleop", "--source", source, "--name", trial.name)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("failstop: ")
-    assert f"source '{source}'" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert trial.robot.state.clients == ()

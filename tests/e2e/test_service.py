@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import signal
+import struct
 import time
 
 import psutil
@@ -13,10 +15,13 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.messages import layout
+from tests.support.commands import failstop
 from tests.support.shared_trial import set_off
 from tests.support.simulated import MS, Simulated
 
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
+
+TIOCGEXCL = 0x80045440
 
 
 def test_first_bytes_are_the_burst_and_no_process_outlives_a_killed_supervisor(fresh: Trial) -> None:
@@ -107,6 +112,15 @@ def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
     assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 0}
 
 
+def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
+    fd = os.open(trial.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        answer = fcntl.ioctl(fd, TIOCGEXCL, struct.pack("i", 0))
+    finally:
+        os.close(fd)
+    assert struct.unpack("i", answer) == (1,)
+
+
 def test_lost_and_returned_port(trial: Trial) -> None:
     lose_while_driving(trial)
     wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
@@ -143,3 +157,19 @@ def _holders(trial: Trial) -> list[str]:
         for fd in os.listdir(f"/proc/{pid}/fd")
         if os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/")
     ]
+
+
+def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
+    live = failstop("status", "-w", "--name", trial.name)
+    assert (live.returncode, live.stdout) == (1, "")
+    assert "needs a terminal" in live.stderr
+
+
+@pytest.mark.parametrize("source", ["telop", "gamepad"])
+def test_teleop_names_a_source_that_is_no_client_s_before_it_takes_the_screen(trial: Trial, source: str) -> None:
+    done = failstop("teleop", "--source", source, "--name", trial.name)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("failstop: ")
+    assert f"source '{source}'" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert trial.robot.state.clients == ()

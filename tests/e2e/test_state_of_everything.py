@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import struct
-
 import pytest
 
-from failstop.lab.trial import Trial
 from failstop.messages import layout
 from tests.support.simulated import Simulated
-
-TIOCGEXCL = 0x80045440
 
 
 def rate_hz(simulated: Simulated, process: str, record: str) -> float:
@@ -25,15 +18,6 @@ def rate_hz(simulated: Simulated, process: str, record: str) -> float:
             found.append(entry[1])
         simulated.wait(0.001)
     return (len(found) - 1) / (found[-1] - found[0]) * 1e9
-
-
-def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
-    fd = os.open(trial.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        answer = fcntl.ioctl(fd, TIOCGEXCL, struct.pack("i", 0))
-    finally:
-        os.close(fd)
-    assert struct.unpack("i", answer) == (1,)
 
 
 def test_the_imu_is_new_as_often_as_the_board_reports() -> None:
