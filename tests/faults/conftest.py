@@ -9,14 +9,14 @@ import pytest
 
 from failstop.lab.faults.scene import Scene
 from failstop.lab.trial import Trial
-from tests.support.shared_trial import IMU_HZ
+from tests.support.shared_trial import JUDGES_HZ
 
 
 class Quiet(Scene):
     """A scene whose board's IMU says less: most of the time that it lives nothing but that wakes its processes."""
 
     def _new_trial(self) -> Trial:
-        return Trial(self.name, ("--config", self._config), imu_hz=IMU_HZ)
+        return Trial(self.name, ("--config", self._config), imu_hz=JUDGES_HZ)
 
 
 @pytest.fixture(scope="package")
