@@ -19,28 +19,23 @@ def enable(simulated: Simulated) -> None:
     simulated.robot.enable()
 
 
-@pytest.mark.parametrize(
-    ("source", "said"),
-    [
+def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(simulated: Simulated) -> None:
+    enable(simulated)
+    for source, said in (
         ("telop", "no source 'telop' in the settings of .*, which declare: teleop, cmd_vel; add"),
         ("lidar", r"which declare: teleop, cmd_vel; add \[sources.NAME\] and restart the service"),
         ("gamepad", "no source 'gamepad' in the settings of .*, which declare: teleop, cmd_vel; add"),
         ("", "no source ''"),
         ("teleop" + 5000 * "x", "no source 'teleopx{34}' in"),
         ("cmd_vel\0", r"no source 'cmd_vel\\x00' in"),
-    ],
-)
-def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(
-    simulated: Simulated, source: str, said: str
-) -> None:
-    enable(simulated)
-    with pytest.raises(simulated.failstop.Undeclared, match=said) as caught:
-        simulated.robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
-    error: Any = caught.value
-    assert error.exit_code == 1
-    assert isinstance(error, ValueError)
-    assert len(str(caught.value)) < 250
-    assert "\n" not in str(caught.value)
+    ):
+        with pytest.raises(simulated.failstop.Undeclared, match=said) as caught:
+            simulated.robot.drive(0.1, 0.0, 0.0, manual=True, source=source)
+        error: Any = caught.value
+        assert error.exit_code == 1
+        assert isinstance(error, ValueError)
+        assert len(str(error)) < 250
+        assert "\n" not in str(error)
     for declared in ("teleop", "cmd_vel"):
         simulated.robot.drive(0.0, 0.0, 0.0, source=declared)
     simulated.wait(0.1)
@@ -48,19 +43,14 @@ def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(
     assert "ignored" not in simulated.said
 
 
-@pytest.mark.parametrize(
-    ("held", "said"),
-    [
+def test_an_interlock_that_is_not_declared_is_an_error_and_none_is_asserted(simulated: Simulated) -> None:
+    for held, said in (
         (("dors",), "no interlock 'dors' in the settings of .*, which declare: doors, arm; add"),
         (("doors", "arms"), "no interlock 'arms'"),
         (("doors\narm",), r"no interlock 'doors\\narm'"),
-    ],
-)
-def test_an_interlock_that_is_not_declared_is_an_error_and_none_is_asserted(
-    simulated: Simulated, held: tuple[str, ...], said: str
-) -> None:
-    with pytest.raises(simulated.failstop.Undeclared, match=said):
-        simulated.robot.hold(*held)
+    ):
+        with pytest.raises(simulated.failstop.Undeclared, match=said):
+            simulated.robot.hold(*held)
     simulated.robot.hold()
     with pytest.raises(simulated.failstop.FailstopError, match="is not satisfied"):
         simulated.robot.enable()

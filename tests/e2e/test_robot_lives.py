@@ -7,7 +7,7 @@ import gc
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -113,27 +113,37 @@ def test_a_restart_is_noticed_by_the_next_call(simulated: Simulated, end: str) -
         simulated.board.wait_wheels(moving=True)
 
 
-@pytest.mark.parametrize("call", CALLS)
-def test_without_a_service_every_call_says_so_and_the_next_one_is_met(simulated: Simulated, call: str) -> None:
-    with simulated.failstop.Robot() as robot:
+@pytest.fixture
+def robots(simulated: Simulated) -> Iterator[dict[str, Any]]:
+    """A Robot that has been used, for each of the calls."""
+    made = {call: simulated.failstop.Robot() for call in CALLS}
+    for robot in made.values():
         robot.sensed()
-        simulated.leave()
-        simulated.end()
+    yield made
+    for robot in made.values():
+        robot.close()
+
+
+def test_without_a_service_every_call_says_so_and_the_next_one_is_met(
+    simulated: Simulated, robots: dict[str, Any]
+) -> None:
+    simulated.leave()
+    simulated.end()
+    for call, robot in robots.items():
         for _ in range(2):
             with pytest.raises(simulated.failstop.NoService, match="start it with `failstop run"):
                 CALLS[call](robot)
-        simulated.start()
+    simulated.start()
+    for call, robot in robots.items():
         CALLS[call](robot)
 
 
-@pytest.mark.parametrize("call", [call for call in CALLS if call != "state"])
-def test_after_the_supervisor_s_death_no_call_is_silent(simulated: Simulated, call: str) -> None:
-    with simulated.failstop.Robot() as robot:
-        robot.sensed()
-        simulated.die(layout.SUPERVISOR)
-        simulated.wait(0.001)
+def test_after_the_supervisor_s_death_no_call_is_silent(simulated: Simulated, robots: dict[str, Any]) -> None:
+    simulated.die(layout.SUPERVISOR)
+    simulated.wait(0.001)
+    for call in CALLS.keys() - {"state"}:
         with pytest.raises(simulated.failstop.NoService):
-            CALLS[call](robot)
+            CALLS[call](robots[call])
 
 
 def test_a_request_that_waits_when_the_service_dies_is_told_at_once(simulated: Simulated) -> None:
@@ -151,15 +161,15 @@ def test_a_request_that_waits_when_the_service_dies_is_told_at_once(simulated: S
 # Closed.
 
 
-@pytest.mark.parametrize("call", CALLS)
-def test_closed_is_closed(simulated: Simulated, call: str) -> None:
+def test_closed_is_closed(simulated: Simulated) -> None:
     simulated.enable()
     robot = simulated.failstop.Robot()
     robot.sensed()
     robot.close()
     robot.close()
-    with pytest.raises(simulated.failstop.FailstopError, match="is closed: make a new one"):
-        CALLS[call](robot)
+    for call in CALLS.values():
+        with pytest.raises(simulated.failstop.FailstopError, match="is closed: make a new one"):
+            call(robot)
     with pytest.raises(simulated.failstop.FailstopError, match="is closed"):
         robot.__enter__()
     robot.estop("nothing keeps anybody from a stop")
