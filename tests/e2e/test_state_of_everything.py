@@ -73,32 +73,3 @@ def test_a_latch_is_logged_once_with_its_reason(simulated: Simulated) -> None:
     assert "gamepad button 0x0100; " in simulated.said
     assert simulated.said.count("STOP latched: ") == 1
     assert simulated.robot.state.estop == "key1"
-
-
-def test_odometry_follows_the_gated_command(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.drive(1.0)
-    simulated.drive(0.5, (0.0, 0.0, 0.0))
-    pose = simulated.robot.state.odometry
-    # The ramp takes 0.4 s up to 0.2 m/s and as long down; the rest is at speed.
-    assert pose.x_m == pytest.approx(0.2 * (1.0 - 0.4) + 0.2 * 0.4, abs=0.01)
-    assert pose.y_m == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_killed_telemetry_goes_on_where_it_was(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.drive(0.6)
-    before = simulated.robot.state.odometry
-    pid = simulated.pids()["telemetry"]
-    simulated.kill("telemetry", 0.0)
-    simulated.recover("telemetry", pid)
-    assert simulated.robot.state.odometry.x_m >= before.x_m > 0
-
-
-def test_the_imu_goes_on_while_driving(simulated: Simulated) -> None:
-    simulated.set_off()
-    seen = set()
-    for _ in range(20):
-        simulated.drive(0.06)
-        seen.add(tuple(simulated.robot.state.imu.rate_radps))
-    assert len(seen) == 20
