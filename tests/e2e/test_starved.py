@@ -145,10 +145,9 @@ def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving
     line = r"no real-time rights .*; give it real-time rights: .*rtprio=40"
     wait_for("the advice", lambda: re.search(line, running.service.said()) is not None)
     before = running.service.pids()
-    for process in (PORT_OWNER, TELEMETRY):
-        with Starved(before[process], 0):  # gently: nobody else of it has rights either
-            wait_for(f"{process} to be silent", lambda p=process: silent(running, p, before[p]))  # type: ignore[misc]
-        wait_for("the service to be ready", running.service.ready)
+    with Starved(before[PORT_OWNER], 0):  # gently: nobody else of it has rights either
+        wait_for("it to be silent", lambda: silent(running, PORT_OWNER, before[PORT_OWNER]))
+    wait_for("the service to be ready", running.service.ready)
     assert running.service.pids() == before, running.service.said()
     assert running.robot.state.estop is None
     starved = "the machine starves the service"
