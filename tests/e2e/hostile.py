@@ -53,16 +53,6 @@ def slot_file(name: str, index: int) -> int:
     return os.open(segments.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
 
 
-def drive(name: str, source: str, vx: str) -> None:
-    """An honest driver; what makes it hostile is what the test does to it."""
-    with Robot(name, client="hostile driver") as robot:
-        robot.drive(float(vx), 0.0, 0.0, manual=True, source=source)
-        begun()
-        while True:
-            robot.drive(float(vx), 0.0, 0.0, manual=True, source=source)
-            time.sleep(REST_S)
-
-
 def nursery(name: str) -> None:
     """Forks a child for every line on stdin, and says its pid; the child calls anything until it is killed."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -325,24 +315,8 @@ def stops(name: str) -> None:
 PROGRAMS: dict[str, Callable[..., None]] = {
     program.__name__: program
     for program in (
-        drive,
-        nursery,
-        scribble,
-        garble,
-        resize,
-        vandal,
-        ring,
-        flood,
-        hold_all,
-        claim_bytes,
-        lock_everything,
-        heir,
-        replay,
-        other_run,
-        disable_flood,
-        unknown_source,
-        as_the_gamepad,
-        stops,
+        *(nursery, scribble, garble, resize, vandal, ring, flood, hold_all, claim_bytes, lock_everything, heir),
+        *(replay, other_run, disable_flood, unknown_source, as_the_gamepad, stops),
     )
 }
 

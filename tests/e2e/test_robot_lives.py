@@ -19,6 +19,7 @@ from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout, segments
 from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
+from tests.support import children
 from tests.support.simulated import MS, Simulated
 
 CALLS: dict[str, Callable[[Any], object]] = {
@@ -63,6 +64,8 @@ def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Si
     epoch = latch.get()
     for which in layout.PROCESS_NAMES:
         other_layout(simulated, which)
+    code, _, err = simulated.command("status")
+    assert (code, err.count("\n"), "another layout" in err) == (1, 1, True)
     with simulated.failstop.Robot() as robot:
         for call in CALLS.values():
             with pytest.raises(simulated.failstop.FailstopError, match="another layout: use the service's own version"):
@@ -240,19 +243,6 @@ def test_a_robot_that_nobody_refers_to_gives_its_slot_back(simulated: Simulated)
     assert [one.name for one in simulated.robot.state.clients] == ["trial"]
 
 
-def child(action: Callable[[], None]) -> int:
-    """Fork; returns the child's exit code, 0 when `action` raised nothing."""
-    pid = os.fork()
-    if pid == 0:
-        code = 1
-        try:
-            action()
-            code = 0
-        finally:
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-
-
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: Trial) -> None:
     robot = Robot(trial.name, client="parent")
@@ -277,13 +267,13 @@ def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: T
 
     holder = threading.Thread(target=hold_the_lock)
     holder.start()
-    found = {child(uses_it) for _ in range(6)}
+    for _ in range(6):
+        children.call(uses_it)  # though another thread may hold the lock when it is forked
     done.set()
     holder.join()
-    assert found == {0}, "though another thread held the lock when it was forked"
     keeps = robot
-    assert child(robot.close) == 0
-    assert child(drops_it) == 0
+    children.call(robot.close)
+    children.call(drops_it)
     wait_for("the parent alone", lambda: [one.pid for one in trial.robot.state.clients] == [os.getpid()])
     keeps.sensed()
     assert [one.slot for one in keeps.state.clients] == [slot]

@@ -207,24 +207,8 @@ def test_no_file_keeps_the_stop_from_the_default_port(
     assert where.startswith("failstop: it went to /dev/ttyACM0, the default")
 
 
-FRAGMENTS = st.sampled_from(
-    [
-        "[device]\n",
-        "[stop]\n",
-        "path",
-        "wait_s",
-        " = ",
-        "0x",
-        "f" * 500,
-        "[" * 40,
-        "{a=",
-        "'",
-        '"""',
-        "\n",
-        "\ufeff",
-        "é",
-    ]
-)
+WORDS = ("[device]\n", "[stop]\n", "path", "wait_s", " = ", "0x", "f" * 500, "[" * 40, "{a=", "'", '"""', "\n")
+FRAGMENTS = st.sampled_from([*WORDS, "\ufeff", "é"])
 FILES = st.binary() | st.text().map(str.encode) | st.lists(FRAGMENTS).map(lambda parts: "".join(parts).encode())
 
 

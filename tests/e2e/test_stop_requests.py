@@ -16,24 +16,9 @@ from failstop.files import instance
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
 from failstop.supervisor.events import REPEATS_BYTES as ASKED_ROOM
-from tests.support.children import NOBODY, become
+from tests.support.children import NOBODY, call
 from tests.support.shared_trial import set_off
 from tests.support.simulated import MS, Simulated
-
-
-def _as_nobody(action: object) -> int:
-    """Run `action()` in a child of user nobody; returns its exit code."""
-    pid = os.fork()
-    if pid == 0:
-        code = 1
-        try:
-            if os.getuid() == 0:
-                become(NOBODY)
-            action()  # type: ignore[operator]
-            code = 0
-        finally:
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
 def _stop_pipe(trial: Trial) -> str:
@@ -43,7 +28,7 @@ def _stop_pipe(trial: Trial) -> str:
 def test_by_an_unprivileged_user(trial: Trial) -> None:
     set_off(trial)
     asked_ns = time.monotonic_ns()
-    assert _as_nobody(lambda: send_stop(trial.name, "nobody says so")) == 0
+    call(lambda: send_stop(trial.name, "nobody says so"), NOBODY if os.getuid() == 0 else -1)
     trial.drive(0.2)
     stopped = judge(trial.board.events(), asked_ns, True)
     assert stopped.stop_ns is not None
