@@ -10,7 +10,6 @@ import pytest
 
 from failstop.lab.trial import Trial, write_settings
 from failstop.supervisor import status
-from tests.support.shared_trial import JUDGES_HZ
 
 _numbers = itertools.count()
 
@@ -19,7 +18,7 @@ _numbers = itertools.count()
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
     config = tmp_path_factory.mktemp("api") / "failstop.toml"
     write_settings(str(config), {"sources.teleop.priority": 10, status.LEASE: status.LEASE_WITHOUT_S})
-    with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config)), imu_hz=JUDGES_HZ) as running:
+    with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as running:
         yield running
 
 

@@ -20,9 +20,10 @@ from failstop.incidents import files, story
 from failstop.incidents.incident import Incident, WriteSort
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
-from tests.support.shared_trial import JUDGES_HZ, patient
+from tests.support.shared_trial import patient
 
 pytestmark = pytest.mark.slow
+IMU_HZ = 60.0
 SAVED_S = 20.0
 
 
@@ -92,7 +93,7 @@ class Kept:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kept]:
     """Every test leaves it whole, or begin() waits until it is."""
-    with Trial(f"box-{os.getpid()}", patient(tmp_path_factory.mktemp("box")), imu_hz=JUDGES_HZ) as trial:
+    with Trial(f"box-{os.getpid()}", patient(tmp_path_factory.mktemp("box")), imu_hz=IMU_HZ) as trial:
         yield Kept(trial)
 
 
@@ -143,7 +144,7 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(kept: Kept) ->
     saved = kept.saved()
     assert saved.reason == "telemetry died"
     before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.t_ns < saved.cause_ns]
-    assert len(before) > JUDGES_HZ / 2
+    assert len(before) > IMU_HZ / 2
     assert [tick for tick in saved.ticks if tick.ns < saved.cause_ns][-1].block == "driving"
     assert any(line.what == story.CAUSE for line in story.tell(saved))
 

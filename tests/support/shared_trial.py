@@ -20,9 +20,8 @@ from failstop.supervisor import status
 HELD_UP_S = 0.035
 """A gate that was once late by so much, its period included, shows that for as long as it lives."""
 IMU_HZ = 20.0
-"""Enough for the tests of the service: each of the 110 samples a second of a real board wakes three processes."""
-JUDGES_HZ = 60.0
-"""Enough for the IMU's word on wheels that stand, or turn on."""
+"""Enough for the tests of the service where the IMU judges nothing: each of the 110 samples a second of a real board
+wakes three processes."""
 _numbers = itertools.count()
 
 
