@@ -57,6 +57,14 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+def gets(master: int, expected: bytes) -> None:
+    """Check that the board gets just these bytes: the kernel hands them over when it has the time."""
+    found = b""
+    while len(found) < len(expected):
+        found += os.read(master, 4096)
+    assert found == expected
+
+
 def last_run(device: str, *servos: int, name: str = "failstop") -> None:
     """A service that somebody has started by hand, and that has died, was on this port."""
     instance.remember(instances.make_runtime_dir(name), instance.Last(device, "failstop run", servos))
@@ -66,11 +74,7 @@ def test_the_last_run_s_port_is_written_to_at_once(board: tuple[str, int], capsy
     link, master = board
     last_run(link, 1, 10)
     assert cli.main(["stop"]) == 0
-    expected = BURST + burst_with((1, 10))
-    found = b""
-    while len(found) < len(expected):
-        found += os.read(master, 4096)
-    assert found == expected
+    gets(master, BURST + burst_with((1, 10)))
     assert f"directly to {link}, the port of the last run (" in capsys.readouterr().out
 
 
@@ -81,7 +85,7 @@ def test_where_the_last_run_s_port_has_gone_the_other_is_written_to_and_doubted(
     last_run("/dev/gone", 1)
     (alone / "failstop.toml").write_text(f'device.path = "{link}"\n')
     assert cli.main(["stop"]) == 1
-    assert os.read(master, 4096) == BURST
+    gets(master, BURST)
     said = capsys.readouterr()
     assert f"directly to {link} (no service" in said.out
     assert said.err == (
@@ -153,7 +157,7 @@ def test_the_arm_is_stopped_after_the_wheels_with_the_servos_that_can_be(
     file.write_text("\n".join(lines))
     assert cli.main(["stop", "--config", str(file), *(["--device", link] if named else [])]) == 0
     assert capsys.readouterr().err == ""
-    assert os.read(master, 4096) == BURST + BOARD.burst_with((1, 3))
+    gets(master, BURST + BOARD.burst_with((1, 3)))
 
 
 BAD_FILES: dict[str, Callable[[Path], object]] = {
@@ -180,7 +184,7 @@ def test_no_file_keeps_the_stop_from_the_wire(
     assert said.startswith(f"failstop: configuration {file}")
     assert said.endswith("; going on without it\n")
     assert said.count("\n") == 1
-    assert os.read(master, 4096) == BURST
+    gets(master, BURST)
 
 
 @pytest.mark.parametrize("kind", BOARDS)
@@ -189,7 +193,7 @@ def test_the_stop_is_the_one_of_the_file_s_board(kind: str, board: tuple[str, in
     file.write_text(f'board.kind = "{kind}"\n')
     assert cli.main(["stop", "--config", str(file), "--device", link]) == 0
     own = board_of(*Settings({"board.kind": kind}).board())
-    assert os.read(master, 4096) == own.burst * (1 + len(own.repeats_ns[SUPERVISOR_ROW]))
+    gets(master, own.burst * (1 + len(own.repeats_ns[SUPERVISOR_ROW])))
 
 
 @pytest.mark.parametrize("bad", BAD_FILES)
@@ -219,7 +223,7 @@ def test_no_bytes_of_a_file_keep_the_stop_from_the_wire(content: bytes, board: t
     last_run(link)
     file.write_bytes(content)
     cli.main(["stop", "--config", str(file), "--wait", "0"])
-    assert os.read(master, 4096) == BURST
+    gets(master, BURST)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +243,7 @@ def test_nobody_to_tell_it_to_is_no_reason_not_to_stop(
         command = [*FAILSTOP, "stop", "--device", link]
         done = subprocess.run(command, **to, text=True, timeout=20, check=False)  # type: ignore[call-overload]
     assert (done.returncode, done.stderr or "") == (0, said.replace("LINK", link))
-    assert os.read(master, 4096) == BURST
+    gets(master, BURST)
 
 
 def test_what_is_to_be_said_before_holds_no_stop_up(board: tuple[str, int], file: Path) -> None:
@@ -249,7 +253,7 @@ def test_what_is_to_be_said_before_holds_no_stop_up(board: tuple[str, int], file
     with open("/dev/full", "w") as full:
         command = [*FAILSTOP, "stop", "--config", str(file)]
         assert subprocess.run(command, stdout=full, stderr=full, timeout=20, check=False).returncode == 0
-    assert os.read(master, 4096) == BURST
+    gets(master, BURST)
 
 
 def test_after_the_wait_exit_code_1_and_a_clear_message(tmp_path: Path, file: Path) -> None:
