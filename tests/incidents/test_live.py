@@ -292,7 +292,7 @@ def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
 def test_a_full_disk(kept: Kept) -> None:
     trial = kept.trial
     kept.folder().mkdir(parents=True, exist_ok=True)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(kept.folder())]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "none", str(kept.folder())]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("mounting is not allowed here")
     try:
