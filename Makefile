@@ -28,9 +28,10 @@ test: $(VENV)/.dev lint
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
 campaigns: $(VENV)/.dev
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
+	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
-	  tests/faults/test_arm_rows.py \
-	  tests/faults/test_chaos.py tests/machine/test_both_worlds.py tests/boards
+	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
+	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint

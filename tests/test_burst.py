@@ -17,6 +17,7 @@ from failstop.board.framing import MOTOR
 from failstop.lab import encoders
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from tests.support.amounts import amount
 
 VERSIONS = (10, 11, 12)
 STOP_DATA = STOP[4:-1]
@@ -113,9 +114,11 @@ def test_stops_with_every_remainder_of_every_function(version: int) -> None:
 @pytest.mark.slow
 def test_stops_with_every_remainder_and_every_crc_so_far_of_a_motor_frame() -> None:
     # What a receiver in DATA does next depends on what is left and on the CRC of what it has; one byte that takes all
-    # its values gives the CRC all of its own.
+    # its values gives the CRC all of its own. Short: an eighth of them, others at each remainder; that of a frame whose
+    # CRC comes out right is in the next test at every remainder.
+    step = amount(8, 1)
     for remaining in range(255):
-        for byte in range(256):
+        for byte in range(remaining % step, 256, step):
             state = DATA if remaining else CRC
             receiver = make(state, MOTOR, remaining + 1, bytes((byte,)))
             assert_stopped(receiver, None if remaining <= 31 else LAST_STOPS[0])
@@ -194,14 +197,14 @@ def test_control_zeros_complete_a_cut_frame_whose_crc_is_zero_there() -> None:
 @pytest.mark.slow
 def test_after_any_cut_of_any_motor_frame_no_wheel_moves() -> None:
     coincidences = 0
-    for hundredth in range(1, 141):
+    for hundredth in range(1, 141, amount(3, 1)):
         rps = hundredth / 100
         for sent in ((rps, rps, -rps, -rps), (-rps, rps, -rps, rps), (rps, -rps / 2, rps / 3, 0.0)):
             coincidences += moved_by_cuts(unguarded(sent)) > 0
             frame = codec.motor_speeds(sent, MAX_RPS)
             assert moved_by_cuts(frame) == 0
             assert struct.unpack("<xxxxxxBfBfBfBfx", frame)[1::2] == pytest.approx(sent, rel=1e-6)
-    assert coincidences > 10, "the test can fail"
+    assert coincidences, "the test can fail"
 
 
 @given(st.tuples(*[st.floats(-1.375, 1.375, width=32)] * 4))

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, write_settings
+from failstop.supervisor import status
 
 _numbers = itertools.count()
 
@@ -16,7 +17,7 @@ _numbers = itertools.count()
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
     config = tmp_path_factory.mktemp("api") / "failstop.toml"
-    config.write_text("[sources.teleop]\npriority = 10\n")
+    write_settings(str(config), {"sources.teleop.priority": 10, status.LEASE: status.LEASE_WITHOUT_S})
     with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as running:
         yield running
 

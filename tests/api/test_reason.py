@@ -122,7 +122,7 @@ def test_every_reason_stops(trial: Trial, name: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("failstop.api.client.OWN_WORDS_S", 0.0)  # else the next test's stop may be a word of this one's
     given, told = WORDS[name]
     trial.robot.estop(given)
-    state = trial.robot.wait_for("latched", 2.0)
+    state = trial.robot.wait_for("latched", 5.0)
     assert state.cause
     assert state.cause.arguments[0] == told
 
@@ -139,7 +139,7 @@ def test_the_stop_is_out_before_an_object_is_asked_for_its_words(trial: Trial) -
 
     class Waits:
         def __str__(self) -> str:
-            latched.append(trial.robot.wait_for("latched", 2.0).cause)
+            latched.append(trial.robot.wait_for("latched", 5.0).cause)
             raise SystemExit
 
     with pytest.raises(SystemExit):
@@ -159,16 +159,16 @@ def test_words_that_come_late_are_no_second_stop(trial: Trial, monkeypatch: pyte
 
 def test_whoever_asks_is_named_as_well_as_can_be(trial: Trial) -> None:
     send_stop(trial.name, "hand", Raises())
-    assert str(trial.robot.wait_for("latched", 2.0).cause).startswith("stop request: hand (Raises, pid ")
+    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: hand (Raises, pid ")
 
 
 def test_an_asynchronous_robot_stops_for_an_exception(trial: Trial) -> None:
     AsyncRobot(trial.name, client="async").estop(ValueError("wall"))
-    assert str(trial.robot.wait_for("latched", 2.0).cause).startswith("stop request: ValueError: wall (async, pid ")
+    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: ValueError: wall (async, pid ")
 
 
 def test_a_robot_that_is_closed_stops_for_an_exception(trial: Trial) -> None:
     robot = Robot(trial.name)
     robot.close()
     robot.estop(subprocess.CalledProcessError(1, "nav"))
-    assert "CalledProcessError: 1, nav" in str(trial.robot.wait_for("latched", 2.0).cause)
+    assert "CalledProcessError: 1, nav" in str(trial.robot.wait_for("latched", 5.0).cause)

@@ -7,11 +7,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from failstop import Block, Blocked, Driving, FailstopError, NoService, Preempted, Refused, Robot, TimedOut
+from failstop.lab.machine.robot import SETTINGS as FILE
 from failstop.lab.trial import Trial, wait_for
 from tests.support.simulated import MS, Simulated
 
@@ -32,7 +32,7 @@ def test_drive_says_what_holds_the_wheels(robot: Robot) -> None:
     robot.sensed()
     wait_for("the wheels to turn", lambda: isinstance(robot.drive(0.1, 0.0, 0.0), Driving))
     robot.estop("a hand")
-    robot.wait_for("latched", 1.0)
+    robot.wait_for("latched", 5.0)
     answer = robot.drive(0.1, 0.0, 0.0, manual=True)
     assert isinstance(answer, Blocked)
     assert answer.block is Block.LATCHED
@@ -179,7 +179,7 @@ def test_each_of_many_threads_gets_its_own_answer(trial: Trial) -> None:
     """Requests that the gate grants and such that it refuses, all by one Robot at once."""
     robot = trial.robot
     robot.estop("held")
-    robot.wait_for("latched", 1.0)
+    robot.wait_for("latched", 5.0)
     wrong: list[object] = []
 
     def ask(call: Callable[[], str], granted: str) -> None:
@@ -293,17 +293,16 @@ def test_a_service_that_is_not_there_is_not_waited_for_by_a_robot_of_one_run(tri
         Robot(f"{trial.name}-none")
 
 
-def test_the_arm_is_that_of_the_service_that_runs(tmp_path: Path) -> None:
+def test_the_arm_is_that_of_the_service_that_runs() -> None:
     """Joints are servos by the settings, which a new start may have corrected."""
-    config = tmp_path / "robot.toml"
-    config.write_text("[joints.base]\nservo = 1\n[joints.elbow]\nservo = 2\n")
-    with Trial(f"arm-of-{os.getpid()}", ("--config", str(config))) as trial, Robot(trial.name) as robot:
+    simulated = Simulated({"joints.base.servo": 1, "joints.elbow.servo": 2})
+    with simulated.failstop.Robot() as robot:
         arm = robot.arm
         assert {name: joint.servo for name, joint in arm.joints.items()} == {"base": 1, "elbow": 2}
-        config.write_text("[joints.base]\nservo = 2\n[joints.elbow]\nservo = 1\n")
-        trial.leave()
-        trial.service.kill()
-        trial.service.start()
+        simulated.leave()
+        simulated.end()
+        simulated.lab.write(FILE, "[joints.base]\nservo = 2\n[joints.elbow]\nservo = 1\n")
+        simulated.start()
         assert {name: joint.servo for name, joint in arm.joints.items()} == {"base": 2, "elbow": 1}
 
 

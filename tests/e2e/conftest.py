@@ -5,16 +5,15 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
-from tests.support.shared_trial import IMU_HZ, Keeper
+from failstop.lab.trial import Trial
+from tests.support.shared_trial import IMU_HZ, Keeper, patient
 from tests.support.simulated import Simulated
 
 _numbers = itertools.count()
-
-MANY_DEATHS = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
 
 
 @pytest.fixture
@@ -23,9 +22,10 @@ def name() -> str:
     return f"e2e-{os.getpid()}-{next(_numbers)}"
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def keeper() -> Iterator[Keeper]:
-    """It has the service of all tests that leave theirs as they found it."""
+    """It has the service of all tests of a file that leave theirs as they found it: while others run, it would cost as
+    much as a start every ten seconds."""
     made = Keeper("e2e-kept")
     yield made
     made.end()
@@ -38,9 +38,9 @@ def trial(keeper: Keeper) -> Trial:
 
 
 @pytest.fixture
-def fresh(name: str) -> Iterator[Trial]:
+def fresh(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A trial of the test's own, which may damage what no state shows; the service must end well."""
-    with Trial(name, imu_hz=IMU_HZ) as running:
+    with Trial(name, patient(tmp_path), imu_hz=IMU_HZ) as running:
         yield running
 
 
@@ -50,20 +50,3 @@ def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
     made = Simulated(getattr(request.module, "SETTINGS", None))
     yield made
     assert made.failed == []
-
-
-@pytest.fixture(scope="package")
-def hardy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
-    """A trial in which many deaths are no crash loop."""
-    config = tmp_path_factory.mktemp("hardy") / "many-deaths.toml"
-    config.write_text(MANY_DEATHS)
-    with Trial(f"e2e-hardy-{os.getpid()}", ("--config", str(config)), imu_hz=IMU_HZ) as running:
-        yield running
-
-
-@pytest.fixture
-def hardy_trial(hardy: Trial) -> Iterator[Trial]:
-    """A trial of many deaths, with every process alive: a test may kill them."""
-    wait_for("a service that is whole", hardy.service.ready)
-    yield hardy
-    hardy.leave()

@@ -53,16 +53,6 @@ def slot_file(name: str, index: int) -> int:
     return os.open(segments.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
 
 
-def drive(name: str, source: str, vx: str) -> None:
-    """An honest driver; what makes it hostile is what the test does to it."""
-    with Robot(name, client="hostile driver") as robot:
-        robot.drive(float(vx), 0.0, 0.0, manual=True, source=source)
-        begun()
-        while True:
-            robot.drive(float(vx), 0.0, 0.0, manual=True, source=source)
-            time.sleep(REST_S)
-
-
 def nursery(name: str) -> None:
     """Forks a child for every line on stdin, and says its pid; the child calls anything until it is killed."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -179,29 +169,23 @@ def _fifo() -> str:
     return path
 
 
-def ring(name: str, times: str) -> None:
-    """Rings the bell so often, one byte at a time, whether or not there is room; then goes on."""
+def ring(name: str) -> None:
+    """Rings the bell, one byte at a time, whether or not there is room."""
     fd = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
-    for _ in range(int(times)):
+    while True:
         bell.send(fd, b"\0")
-    begun()
-    rest()
 
 
-def flood(name: str, pipe: str, megabytes: str) -> None:
-    """Writes so much into the bell or the stop pipe, and says when it is all in."""
+def flood(name: str, pipe: str) -> None:
+    """Writes into the bell or the stop pipe without an end."""
     directory = instance.find(name)
     path = {"bell": instance.bell_path, "stop": instance.stop_path}[pipe](directory)
     fd = os.open(path, os.O_WRONLY | os.O_CLOEXEC)  # blocks when it is full: every byte goes through the service
     begun()
     block = random.Random(1).randbytes(1 << 16)
-    for _ in range(int(megabytes) << 4):
-        at = 0
-        while at < len(block):
-            at += os.write(fd, block[at:])
-    begun()
-    rest()
+    while True:
+        os.write(fd, block)
 
 
 def hold_all(name: str) -> None:
@@ -331,24 +315,8 @@ def stops(name: str) -> None:
 PROGRAMS: dict[str, Callable[..., None]] = {
     program.__name__: program
     for program in (
-        drive,
-        nursery,
-        scribble,
-        garble,
-        resize,
-        vandal,
-        ring,
-        flood,
-        hold_all,
-        claim_bytes,
-        lock_everything,
-        heir,
-        replay,
-        other_run,
-        disable_flood,
-        unknown_source,
-        as_the_gamepad,
-        stops,
+        *(nursery, scribble, garble, resize, vandal, ring, flood, hold_all, claim_bytes, lock_everything, heir),
+        *(replay, other_run, disable_flood, unknown_source, as_the_gamepad, stops),
     )
 }
 

@@ -1,9 +1,9 @@
-"""The arm through all processes, on the simulated machine and its board: the servos say where it is."""
+"""The arm through all processes, on the simulated machine and its board: the servos say where it is. Its rules are in
+tests/procs."""
 
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import pytest
 
@@ -79,13 +79,6 @@ def test_hold_stops_it_at_once(arm: Simulated) -> None:
     assert arm.board.joints()[1] == stood
 
 
-def test_no_frame_holds_the_receiver_and_none_is_a_long_move(arm: Simulated) -> None:
-    arm.robot.arm.pose("drive")
-    moves = [event.data for event in arm.board.events() if event.func == BUS_SERVO and event.data[0] == 1]
-    assert moves
-    assert all(data[3] <= 2 and data[1] + 256 * data[2] <= LEG_S * 1000 for data in moves)
-
-
 def test_enable_takes_the_arm_to_its_drive_pose_first(arm: Simulated) -> None:
     said: list[str] = []
     arm.robot.enable(said.append)
@@ -96,49 +89,6 @@ def test_enable_takes_the_arm_to_its_drive_pose_first(arm: Simulated) -> None:
     assert arm.moving()
     with pytest.raises(arm.failstop.Refused, match="wheels enabled"):
         arm.robot.arm.move({"base": 0.1})
-
-
-def test_a_blocked_joint_refuses_motion_by_name(arm: Simulated) -> None:
-    arm.board.servo(3, blocked=True)
-    refused = r"arm is not in the drive pose: joint elbow \(servo 3\) is 4[45]\d pulses off"
-    with pytest.raises(arm.failstop.Refused, match=refused):
-        arm.robot.enable()
-    assert not arm.robot.state.enabled
-
-
-def test_a_stop_on_the_way_to_the_drive_pose_wins(arm: Simulated) -> None:
-    with pytest.raises(arm.failstop.Refused, match="a stop is latched"):
-        arm.robot.enable(lambda _: arm.robot.estop("test"))
-    assert not arm.robot.state.enabled
-    stood = arm.board.joints()
-    arm.wait(0.1)
-    assert arm.board.joints() == stood
-
-
-def test_a_disable_gives_up_an_enable_of_another_program(arm: Simulated) -> None:
-    refused: list[Any] = []
-
-    def enable(failstop: Any) -> None:
-        with failstop.Robot(client="other") as robot:
-            try:
-                robot.enable()
-            except failstop.Refused as error:
-                refused.append(error)
-
-    other = arm.program("other.py", enable)
-    arm.robot.wait_for(lambda state: bool(state.arm and state.arm.moving), 5.0)
-    assert arm.robot.disable() == "motion disabled"
-    arm.wait_for("its end", lambda: other.code is not None, 0.5)
-    assert refused
-    assert not arm.robot.state.enabled
-
-
-def test_a_second_publisher_latches(arm: Simulated) -> None:
-    follow(arm, 0.3)
-    with arm.failstop.Robot(client="other") as other:
-        other.arm.follow({"wrist": 0.1})
-        arm.robot.wait_for("latched", 1.0)
-    assert arm.robot.state.estop.startswith("multiple arm/goal publishers: ")
 
 
 def test_without_an_arm_no_word_and_no_frame() -> None:

@@ -22,10 +22,11 @@ from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout, segments
 from failstop.procs import rights
-from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
 from failstop.supervisor.blackbox import MOST_SAVERS
+from tests.support.children import NOBODY, call
 from tests.support.commands import FAILSTOP, failstop
+from tests.support.shared_trial import IMU_HZ, goes_on, set_off
 from tests.support.simulated import Simulated
 
 
@@ -91,16 +92,18 @@ def _reset(trial: Trial) -> bool:
     return True
 
 
-@pytest.mark.parametrize("files", [8, 11])
-def test_too_few_descriptors_for_a_command_are_one_line(trial: Trial, files: int) -> None:
-    refused = 0
-    for words in ("status", "why", "estop", "enable", "reset", "drive 0.1 0 0 --for 0.1"):
-        result = limited(files, *words.split(), "--name", trial.name)
-        assert "Traceback" not in result.stderr
-        if result.returncode == 1:
-            refused += 1
-            assert _one_line(result).startswith(LACKING.format(files))
-    assert refused
+@pytest.mark.parametrize(("files", "word"), [(8, "status"), (11, "enable")])
+def test_too_few_descriptors_for_a_command_are_one_line(trial: Trial, files: int, word: str) -> None:
+    result = limited(files, word, "--name", trial.name)
+    assert result.returncode == 1
+    assert _one_line(result).startswith(LACKING.format(files))
+
+
+def test_too_few_descriptors_for_a_command_are_enough_for_a_stop(trial: Trial) -> None:
+    result = limited(8, "estop", "few", "--name", trial.name)
+    assert result.returncode == 0
+    assert "Traceback" not in result.stderr
+    assert str(trial.robot.state.estop).startswith("stop request: few")
 
 
 def test_too_few_descriptors_for_a_service_of_its_own_are_one_line() -> None:
@@ -119,7 +122,7 @@ def test_not_a_tty(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
-def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_no_permission(name: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     # Whatever a refused run imports late: the interpreter's library may be out of nobody's reach.
     assert grp
     assert pwd
@@ -128,20 +131,10 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     master, slave = pty.openpty()
     device = os.ttyname(slave)
     os.chmod(device, 0o600)
-    pid = os.fork()
-    if pid == 0:
-        code = 99
-        try:
-            os.setgroups([])
-            os.setresgid(65534, 65534, 65534)
-            os.setresuid(65534, 65534, 65534)
-            os.environ.pop("XDG_RUNTIME_DIR", None)
-            code = main(["run", "--name", name, "--device", device])
-        finally:
-            os._exit(code)
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    assert call(lambda: main(["run", "--name", name, "--device", device]), NOBODY) == 1
     said = capfd.readouterr().err
-    shutil.rmtree("/dev/shm/failstop-65534", ignore_errors=True)
+    shutil.rmtree(f"/dev/shm/failstop-{NOBODY}", ignore_errors=True)
     os.close(master)
     os.close(slave)
     assert "permission" in said
@@ -149,28 +142,30 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_name_already_running(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.1)
+    """A refused second run does not stop the first."""
+    set_off(trial)
     result = failstop("run", "--name", trial.name, "--device", trial.link)
     assert result.returncode == 1
     pid = trial.service.pids()["supervisor"]
     assert _one_line(result) == (
         f"failstop: '{trial.name}' is already running (pid {pid}): stop it first, or choose another --name"
     )
-    trial.drive(0.1)
-    assert trial.moving(), "a refused second run must not stop the first"
+    goes_on(trial)
 
 
-def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
+def test_memory_of_a_dead_run_is_in_no_way_and_nothing_is_left_of_this_one(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
         segments.create(segments.memory(name, incarnation), spec.name, incarnation).close()
-    with Trial(name) as trial:
+    with Trial(name, imu_hz=IMU_HZ) as trial:
         assert trial.robot.state.enabled is False
         assert run(name)[0] != segments.memory(name, incarnation)
-        trial.enable()
-        trial.drive(0.1)
-        assert trial.moving()
+        set_off(trial)
+        trial.leave()
+        runtime = Path(instance.find(name))
+        assert trial.service.end() == 0
+        assert not [found for found in os.listdir("/dev/shm") if name in found]
+        assert {found.name for found in runtime.iterdir()} == {"lock", "last"}
 
 
 def test_name_already_running_in_another_runtime_directory(fresh: Trial) -> None:
@@ -178,9 +173,7 @@ def test_name_already_running_in_another_runtime_directory(fresh: Trial) -> None
     result = failstop("run", "--name", fresh.name, "--device", fresh.link)
     assert result.returncode == 1
     assert "is already running (pid" in _one_line(result)
-    fresh.enable()
-    fresh.drive(0.1)
-    assert fresh.moving()
+    set_off(fresh)
 
 
 def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
@@ -191,14 +184,6 @@ def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
     simulated.drive(0.2)
     assert simulated.moving()
     assert simulated.robot.state.clients[0].slot == 1
-
-
-def test_nothing_is_left_behind_but_how_it_was_started(name: str) -> None:
-    with Trial(name) as trial:
-        runtime = Path(instance.find(name))
-        assert trial.service.end() == 0
-        assert not [found for found in os.listdir("/dev/shm") if name in found]
-        assert {found.name for found in runtime.iterdir()} == {"lock", "last"}
 
 
 def test_full_client_table(simulated: Simulated) -> None:
@@ -248,21 +233,3 @@ robot.estop("by nobody")
     while not trial.robot.state.estop and time.monotonic() < until:
         time.sleep(0.005)
     assert "by nobody" in (trial.robot.state.estop or "")
-
-
-def test_a_header_of_another_version_is_one_line(trial: Trial) -> None:
-    memory = os.open(segments.path_of(run(trial.name)[0], layout.SUPERVISOR), os.O_RDWR)
-    raw = os.pread(memory, HEADER_BYTES, 0)
-    entry = cell.check(raw, cell.seed("header", 0))
-    assert entry is not None
-    other = bytearray(entry[2])
-    other[8] ^= 0xFF
-    os.pwrite(memory, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
-    try:
-        result = failstop("status", "--name", trial.name)
-    finally:
-        os.pwrite(memory, raw, 0)
-        os.close(memory)
-    assert result.returncode == 1
-    assert "another layout" in _one_line(result)
-    trial.enable()

@@ -1,4 +1,4 @@
-"""Bad parents of `failstop run`: signals ignored or blocked, descriptors open or closed."""
+"""Bad parents of `failstop run`: signals ignored or blocked, descriptors open or closed, soft limits too low."""
 
 from __future__ import annotations
 
@@ -9,14 +9,34 @@ import sys
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
+from failstop.procs.rights import DESCRIPTORS, STACK_BYTES
+from tests.support.commands import FAILSTOP
+from tests.support.shared_trial import IMU_HZ
 
-MANY = 1100
+OPEN = 1100
+OTHERS = 13
+"""Descriptors that the supervisor has now and then (rights.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
+LOW = """
+import resource
+for which, soft in ((resource.RLIMIT_STACK, 65536), (resource.RLIMIT_NOFILE, 24)):
+    resource.setrlimit(which, (soft, resource.getrlimit(which)[1]))
+"""
 PARENTS = {
-    "ignores SIGCHLD": "import signal; signal.signal(signal.SIGCHLD, signal.SIG_IGN)",
-    "blocks signals": "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 32))",
-    "leaves descriptors open": f"[os.set_inheritable(os.open('/dev/null', 0), True) for _ in range({MANY})]",
-    "closes the standard ones": "[os.close(fd) for fd in range(3)]",
+    "ignores SIGCHLD, and leaves descriptors open": f"""
+import signal
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+for _ in range({OPEN}):
+    os.set_inheritable(os.open("/dev/null", 0), True)
+""",
+    "blocks signals, closes the standard descriptors, and has low soft limits": f"""
+import signal
+signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 32))
+[os.close(fd) for fd in range(3)]
+{LOW}
+""",
 }
+ISOLATED = (sys.executable, "-I", "-m", "failstop")
+"""The arguments of the package's command. Without -I the interpreter needs more stack than the low limit."""
 
 
 def open_in(pid: int) -> dict[int, str]:
@@ -25,18 +45,20 @@ def open_in(pid: int) -> dict[int, str]:
 
 @pytest.mark.parametrize("parent", PARENTS)
 def test_the_service_works_all_the_same(name: str, parent: str) -> None:
-    if resource.getrlimit(resource.RLIMIT_NOFILE)[0] < MANY + 100 and "open" in parent:
+    if resource.getrlimit(resource.RLIMIT_NOFILE)[0] < OPEN + 100 and "open" in parent:
         pytest.skip("not so many descriptors here")
-    trial = Trial(name)
-    prelude = f"import os, sys; {PARENTS[parent]}; os.execv(sys.argv[1], sys.argv[1:])"
-    trial.service.become(sys.executable, "-c", prelude)
+    trial = Trial(name, imu_hz=IMU_HZ)
+    prelude = f"import os, sys\n{PARENTS[parent]}\nos.execv(sys.argv[1], sys.argv[1:])"
+    trial.service._command = [sys.executable, "-c", prelude, *ISOLATED, *trial.service._command[len(FAILSTOP) :]]
     with trial:
         pids = trial.service.pids()
         for process, pid in pids.items():
             found = open_in(pid)
-            assert max(found) < 200, process
+            assert max(found) < DESCRIPTORS - OTHERS, process
             assert "/dev/pts/" not in "".join(found.get(fd, "") for fd in range(3)), process
             assert set(range(3)) <= set(found), process
+            if "low" in parent:
+                assert resource.prlimit(pid, resource.RLIMIT_STACK)[0] == STACK_BYTES, process
         trial.enable()
         stopped = trial.kill("gate")
         assert stopped.was_moving

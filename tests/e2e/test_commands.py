@@ -7,33 +7,27 @@ import contextlib
 import pytest
 
 from failstop.cli.main import COMMANDS, HIDDEN, main
-from failstop.lab.trial import Trial
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated
 
 
-def test_a_session(trial: Trial) -> None:
-    at = ("--name", trial.name)
-    assert "blocked: disabled" in failstop("status", *at).stdout
-    refused = failstop("drive", "0.1", "0", "0", *at)
-    assert refused.returncode == 2
-    assert "motion is disabled; next: `failstop enable --name" in refused.stderr
-    assert failstop("enable", *at).stdout == "motion enabled\n"
-    trial.board.events()
-    assert failstop("drive", "0.1", "0", "0", "--for", "0.3", *at).returncode == 0
-    assert any(event.is_motion for event in trial.board.events())
-    latched = failstop("estop", "hand", "near", "wheel", *at)
-    assert latched.returncode == 0
-    assert "hand near wheel" in latched.stdout
-    refused = failstop("enable", *at)
-    assert refused.returncode == 2
-    assert "a stop is latched (stop request: hand near wheel" in refused.stderr
-    assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
-    screen = failstop("status", *at).stdout
+def test_a_session(simulated: Simulated) -> None:
+    assert "blocked: disabled" in simulated.printed("status")
+    code, _, err = simulated.command("drive", "0.1", "0", "0")
+    assert (code, "motion is disabled; next: `failstop enable" in err) == (2, True)
+    assert simulated.command("enable") == (0, "motion enabled\n", "")
+    simulated.board.events()
+    assert simulated.command("drive", "0.1", "0", "0", "--for", "0.3")[0] == 0
+    assert any(event.is_motion for event in simulated.board.events())
+    assert "hand near wheel" in simulated.printed("estop", "hand", "near", "wheel")
+    code, _, err = simulated.command("enable")
+    assert (code, "a stop is latched (stop request: hand near wheel" in err) == (2, True)
+    assert simulated.command("drive", "0.1", "0", "0")[0] == 2
+    screen = simulated.printed("status")
     assert "stop latched: stop request: hand near wheel" in screen
-    assert "`failstop reset --name" in screen
-    assert "motion still disabled" in failstop("reset", *at).stdout
-    assert failstop("disable", *at).stdout == "motion disabled\n"
+    assert "`failstop reset" in screen
+    assert "motion still disabled" in simulated.printed("reset")
+    assert simulated.printed("disable") == "motion disabled"
 
 
 def test_status_json_has_what_is_promised(simulated: Simulated) -> None:
@@ -88,9 +82,3 @@ def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
     assert code == 2
     assert "a differential base can't move sideways" in err
     assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0
-
-
-def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
-    live = failstop("status", "-w", "--name", trial.name)
-    assert (live.returncode, live.stdout) == (1, "")
-    assert "needs a terminal" in live.stderr

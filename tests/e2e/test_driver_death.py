@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from failstop import Robot
-from failstop.api.events import Event, EventLog
 from failstop.lab.machine.process import Process
-from failstop.lab.trial import Trial, judge, wait_for, write_settings
+from failstop.lab.trial import Trial, judge, wait_for
 from tests.support.amounts import amount
-from tests.support.commands import failstop
 from tests.support.simulated import MS, Mistake, Simulated
 
 DEATHS = amount(3, 200)
@@ -98,14 +94,10 @@ def test_nothing_drives_before_an_enable_and_people_are_told_whose_death_it_was(
         assert (again.state.enabled, again.state.cause) == (False, None), case
         whose = f"motion disabled: nav (pid {driver.pid}), which had driven, has died"
         assert whose in str(again.why()), case
-        for command in ("status", "why"):
-            assert whose in " ".join(failstop(command, "--name", trial.name).stdout.split()), case
-        events = [json.loads(line) for line in failstop("events", "--json", "--name", trial.name).stdout.splitlines()]
-        assert whose in [event["text"] for event in events], case
         again.enable()
         wait_for("the wheels to turn again", moves(again, trial))
         again.close()
-        trial.board.wait_wheels(moving=False, timeout_s=1.0)
+        trial.board.wait_wheels(moving=False, timeout_s=5.0)
 
 
 SIMULATED_WAYS: dict[str, Callable[[Simulated, Process], object]] = {
@@ -225,20 +217,3 @@ def test_it_latches_where_the_settings_say_so(way: str) -> None:
     assert str(again.state.cause) == f"driver died: nav (pid {driver.pid})"
     assert judge(simulated.board.events(), fault_ns, was_moving=True).motion_after == 0
     assert f"the program nav (pid {driver.pid}), which had driven, ended without a word" in str(again.why())
-
-
-def test_the_incident_of_a_latched_death_says_whose_it_was(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "latch.toml"
-    write_settings(str(path), {"gate.driver_death": "latch"})
-    with Trial(name, ("--config", str(path))) as trial:
-        driver = program(trial, "with", "enables")
-        end(trial, driver, signal.SIGKILL)
-        saved = EventLog(name, past=True)
-        told: list[Event] = []
-
-        def incidents() -> list[Event]:
-            told.extend(saved.read())
-            return [event for event in told if event.kind == "incident"]
-
-        wait_for("the incident", incidents)
-        assert [event.fields["reason"] for event in incidents()] == [f"driver died: nav (pid {driver.pid})"]

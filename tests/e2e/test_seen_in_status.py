@@ -13,8 +13,6 @@ from failstop.messages import layout
 from failstop.policy import causes
 from tests.support.simulated import FORWARD, MS, Simulated
 
-WORKERS = [name for name in layout.PROCESS_NAMES if name != layout.SUPERVISOR]
-
 
 def latched(found: dict[str, Any], reason: str) -> None:
     """Status says it in each of its places."""
@@ -80,7 +78,7 @@ def test_a_second_publisher_is_shown_with_the_first(simulated: Simulated) -> Non
     assert {client["name"] for client in found["clients"]} == {"trial", "rival"}
 
 
-@pytest.mark.parametrize("process", WORKERS)
+@pytest.mark.parametrize("process", [layout.GATE, layout.STOPPER])
 def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> None:
     simulated.enable()
     before = simulated.json("status")

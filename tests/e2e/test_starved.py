@@ -18,6 +18,7 @@ from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor import status
 from tests.support.commands import failstop
+from tests.support.shared_trial import IMU_HZ, goes_on
 from tests.support.simulated import Simulated
 
 ORDINARY = """
@@ -98,9 +99,9 @@ def ordinary(trial: Trial) -> Trial:
     return trial
 
 
-@pytest.fixture
-def running(name: str) -> Iterator[Trial]:
-    with ordinary(Trial(name)) as made:
+@pytest.fixture(scope="module")
+def running() -> Iterator[Trial]:
+    with ordinary(Trial(f"e2e-starved-{os.getpid()}", imu_hz=IMU_HZ)) as made:
         assert not any(process.realtime for process in made.robot.state.processes.values())
         yield made
 
@@ -112,7 +113,7 @@ def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Tria
     wait_for("the lease to be told", lambda: price in running.service.said())
     assert price in " ".join(failstop("status", "--name", running.name).stdout.split())
     running.enable()
-    running.drive(0.3)
+    goes_on(running)
     pid = running.service.pids()[GATE]
     os.kill(pid, signal.SIGSTOP)
     try:
@@ -125,13 +126,15 @@ def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Tria
     assert cause.arguments[0] == GATE
     assert float(cause.arguments[1]) >= 1e3 * status.LEASE_WITHOUT_S
     wait_for("the wheels to stand", lambda: not running.moving())
+    wait_for("the service to be ready", running.service.ready)
+    wait_for("a reset to be taken", running.reset)
 
 
 @pytest.mark.alone
 def test_a_service_without_rights_has_the_lease_that_its_settings_give(name: str, tmp_path: Path) -> None:
     config = tmp_path / "short.toml"
     write_settings(str(config), {status.LEASE: status.LEASE_S})
-    with ordinary(Trial(name, ("--config", str(config)))) as running:
+    with ordinary(Trial(name, ("--config", str(config)), imu_hz=IMU_HZ)) as running:
         assert running.robot.state.lease_s == status.LEASE_S
         wait_for("the price to be told", lambda: "some have no cause" in running.service.said())
 
@@ -142,10 +145,9 @@ def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving
     line = r"no real-time rights .*; give it real-time rights: .*rtprio=40"
     wait_for("the advice", lambda: re.search(line, running.service.said()) is not None)
     before = running.service.pids()
-    for process in (PORT_OWNER, TELEMETRY):
-        with Starved(before[process], 0):  # gently: nobody else of it has rights either
-            wait_for(f"{process} to be silent", lambda p=process: silent(running, p, before[p]))  # type: ignore[misc]
-        wait_for("the service to be ready", running.service.ready)
+    with Starved(before[PORT_OWNER], 0):  # gently: nobody else of it has rights either
+        wait_for("it to be silent", lambda: silent(running, PORT_OWNER, before[PORT_OWNER]))
+    wait_for("the service to be ready", running.service.ready)
     assert running.service.pids() == before, running.service.said()
     assert running.robot.state.estop is None
     starved = "the machine starves the service"

@@ -7,17 +7,20 @@ import os
 import shutil
 import signal
 import subprocess
+from collections import Counter
 from pathlib import Path
 from subprocess import PIPE
 
 import pytest
 
 from failstop.cli import main as cli
+from failstop.lab.faults.campaign import draw
 from failstop.lab.faults.report import EVERY
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop
 
-SECONDS = amount(15, 120)
+SECONDS = amount(4, 120)
+"""Each row is injected by tests/faults/test_table.py; here the command is tried, and chance in a campaign."""
 
 
 def chaos(*words: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
@@ -32,23 +35,11 @@ def test_random_faults(tmp_path: Path) -> None:
     done = chaos("--seconds", str(SECONDS), "--json", str(out), timeout=SECONDS + 60)
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(out.read_text())
-    assert result["count"] >= SECONDS / 2
+    assert result["count"]
     assert result["missed"] == result["motion_after"] == result["wrong"] == 0
     assert {row["name"] for row in result["rows"]} == set(EVERY)
     assert f"{result['count']} faults in" in done.stdout
     assert f"--seed {result['seed']}" in done.stderr
-
-
-@pytest.mark.slow
-def test_a_campaign_can_be_repeated_from_any_fault_on(tmp_path: Path) -> None:
-    out = tmp_path / "chaos.json"
-    counts = []
-    for words in (("--count", "3"), ("--count", "2", "--first", "1")):
-        assert chaos("--only", "kill-gate,kill-t*", "--seed", "4", "--json", str(out), *words).returncode == 0
-        counts.append({row["name"]: row["count"] for row in json.loads(out.read_text())["rows"]})
-    assert sum(counts[0].values()) == 3
-    assert sum(counts[1].values()) == 2
-    assert all(counts[1][name] <= counts[0][name] for name in counts[0])
 
 
 WITHOUT = ("setpriv", "--bounding-set", "-dac_override")
@@ -65,23 +56,28 @@ def can_go_without() -> bool:
 def test_a_permission_that_comes_late(tmp_path: Path) -> None:
     """A process that passes every permission, as root's do, never meets this row: root gives that up first."""
     out = tmp_path / "chaos.json"
-    command = [*FAILSTOP, "chaos", "--only", "usb-drop-permission", "--each", "3"]
+    command = [*FAILSTOP, "chaos", "--only", "usb-drop-permission", "--each", "1"]
     done = subprocess.run([*WITHOUT, *command, "--json", str(out)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     row = json.loads(out.read_text())["rows"][0]
-    assert (row["count"], row["missed"], row["motion_after"], row["wrong"]) == (3, 0, 0, 0)
+    assert (row["count"], row["missed"], row["motion_after"], row["wrong"]) == (1, 0, 0, 0)
 
 
 @pytest.mark.slow
-def test_settings_of_the_user(tmp_path: Path) -> None:
-    config = tmp_path / "mine.toml"
-    config.write_text("[gate]\ncommand_timeout_s = 0.2\n")
-    only = ("--only", "client-hung", "--count", "1", "--json", str(tmp_path / "chaos.json"))
-    assert chaos(*only, "--config", str(config)).returncode == 0
-    row = json.loads((tmp_path / "chaos.json").read_text())["rows"][0]
-    assert 190 < row["max_ms"] < 300
+def test_a_campaign_is_repeated_from_any_fault_on_with_settings_of_the_user(tmp_path: Path) -> None:
+    """The first that are drawn are left out, and the rest is the same (tests/faults/test_judge.py)."""
+    out, config = tmp_path / "chaos.json", tmp_path / "mine.toml"
+    config.write_text("[gate]\ncommand_timeout_s = 0.12\n")
+    only = ("--only", "kill-gate,client-hung", "--seed", "7", "--count", "2", "--first", "1", "--config", str(config))
+    assert chaos(*only, "--json", str(out)).returncode == 0
+    rows = {row["name"]: row for row in json.loads(out.read_text())["rows"]}
+    drawn = Counter(
+        draw(tuple(EVERY[name] for name in ("kill-gate", "client-hung")), index, 7).name for index in (1, 2)
+    )
+    assert {name: row["count"] for name, row in rows.items()} == drawn == {"kill-gate": 1, "client-hung": 1}
+    assert 110 < rows["client-hung"]["max_ms"] < 280, "before the 300 ms that hold where nothing is set"
     config.write_text("[gate]\nlease_s = 9.0\n")
-    assert "gate.lease_s" in chaos(*only, "--config", str(config)).stderr
+    assert "gate.lease_s" in chaos(*only).stderr
 
 
 def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
@@ -97,18 +93,20 @@ def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
     assert "interrupted; the same again: --seed " in err
 
 
-def test_list_names_every_row() -> None:
-    listed = chaos("--list").stdout.splitlines()
-    assert [line.split()[0] for line in listed] == list(EVERY)
-    assert len(chaos("--list", "--only", "kill-*-hang-gate").stdout.splitlines()) == 4
+def test_list_names_every_row(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["chaos", "--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(EVERY)
+    assert cli.main(["chaos", "--list", "--only", "kill-*-hang-gate"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4
 
 
-def test_a_page_from_a_result(tmp_path: Path) -> None:
+def test_a_page_from_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "chaos.json"
     machine = dict.fromkeys(("version", "date", "python", "kernel", "machine", "cores", "took_s"), "x")
     totals = dict.fromkeys(("count", "missed", "motion_after", "wrong"), 0)
     out.write_text(json.dumps({"machine": machine, "seed": 1, **totals, "rows": [], "stories": []}))
-    page = chaos("--markdown", "--from", str(out)).stdout
+    assert cli.main(["chaos", "--markdown", "--from", str(out)]) == 0
+    page = capsys.readouterr().out
     assert all(f"| `{name}` |" in page for name in EVERY)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -96,44 +96,25 @@ def test_a_seed_is_a_campaign() -> None:
 
 
 @pytest.mark.slow
-def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
+def test_a_row_that_does_not_hold_is_told_and_its_scene_is_left_nowhere(scene: Scene) -> None:
     """Rows that are not true: the campaign must say so, with what the board and the service said."""
-    lies = (
-        (FAULT_BY_NAME["kill-gate"], {"latched": ((KEY, 9),)}, "a latch: key 9"),
-        (FAULT_BY_NAME["kill-gate"], {"logged": "never said"}, "the service to say 'never said'"),
-        (FAULT_BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
-        (FAULT_BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
-        (
-            FAULT_BY_NAME["stop-request"],
-            {"latched": (), "cleared": "by itself", "bar_ms": None},
-            "latched: stop request: nobody says so",
-        ),
-        (
-            FAULT_BY_NAME["stop-request"],
-            {"latched": (), "cleared": "by itself", "bar_ms": None},
-            "the wheels stand, and",
-        ),
-        (
-            FAULT_BY_NAME["stop-request"],
-            {"latched": (), "cleared": "by itself", "bar_ms": None},
-            "the wheels to turn again",
-        ),
-        (FAULT_BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),
-        (FAULT_BY_NAME["board-garbles-up"], {"cleared": "enable"}, "blocked: disabled"),
+    garbled = "NO STOP", "the wheels to stand", "blocked: disabled"
+    asked = "nothing was to stop", "latched: stop request: nobody says so", "the wheels to turn again"
+    lies: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
+        ("kill-gate", {"latched": ((KEY, 9),), "logged": "never said"}, ("a latch: key 9", "to say 'never said'")),
+        ("board-garbles-up", {"bar_ms": 5.0, "cleared": "enable"}, garbled),
+        ("stop-request", {"latched": (), "cleared": "by itself", "bar_ms": None}, asked),
     )
-    for (fault, changes, told), index in zip(lies, itertools.count()):
-        outcome = inject_one(scene, dataclasses.replace(fault, **changes), index, "lies", seen_s=0.3)  # type: ignore[arg-type]
-        assert any(told in text for text in outcome.wrong), outcome.wrong
-        assert told in outcome.story("lies")
-    assert not inject_one(scene, KILL_GATE, 0, "and on").wrong, "the next scene is whole"
-
-
-def test_the_state_of_a_failed_scene_is_left_nowhere(scene: Scene, tmp_path: Path) -> None:
     before = scene.look_up_pids()
-    scene.renew()
-    after = scene.look_up_pids()
-    assert not set(before.values()) & set(after.values())
-    assert not any(Path(f"/proc/{pid}").exists() for pid in before.values())
+    for index, (name, changes, told) in enumerate(lies):
+        lie = dataclasses.replace(FAULT_BY_NAME[name], **changes)
+        outcome = inject_one(scene, lie, index, "lies", seen_s=0.3)
+        for each in told:
+            assert any(each in text for text in outcome.wrong), (each, outcome.wrong)
+            assert each in outcome.story("lies")
+    assert not set(before.values()) & set(scene.look_up_pids().values()), "a failed scene is made anew"
+    assert not any(Path(f"/proc/{pid}").exists() for pid in before.values()), "and left nowhere"
+    assert not inject_one(scene, KILL_GATE, 0, "and on").wrong, "the next scene is whole"
 
 
 def alone(**scene: object) -> _Injection:

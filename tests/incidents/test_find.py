@@ -110,16 +110,18 @@ def test_a_file_is_named_for_the_incident_or_as_it_was_asked_for(
     pytest.importorskip("matplotlib")
     pytest.importorskip("mcap_ros2.writer")
     monkeypatch.chdir(tmp_path)
-    for action, suffix in (("plot", "png"), ("export", "mcap")):
-        name = f"{IDS[-1]}.{suffix}"
-        assert main(["incident", action]) == 0
+    asked = ["-o", "mine.mcap"]
+    for action, words, name in (
+        ("plot", [], f"{IDS[-1]}.png"),
+        ("export", [], f"{IDS[-1]}.mcap"),
+        ("export", asked, asked[1]),
+    ):
+        assert main(["incident", action, *words]) == 0
         assert capsys.readouterr().out.startswith(f"wrote {name}")
-        assert main(["incident", action, IDS[0], "-o", f"mine.{suffix}"]) == 0
-        for made in (name, f"mine.{suffix}"):
-            assert (tmp_path / made).stat().st_size > 1000
-        capsys.readouterr()
-        other = tmp_path / "state" / "incidents" / f"{IDS[0]}.incident"
-        before = other.read_bytes()
+        assert (tmp_path / name).stat().st_size > 1000
+    other = tmp_path / "state" / "incidents" / f"{IDS[0]}.incident"
+    before = other.read_bytes()
+    for action in ("plot", "export"):
         assert main(["incident", action, "-o", str(other)]) == 1
         assert f"{other}: " in capsys.readouterr().err
         assert other.read_bytes() == before, "an incident is not written over"

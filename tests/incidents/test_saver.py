@@ -101,6 +101,8 @@ def test_one_file_with_everything(saving: Saving) -> None:
     assert incident.head["versions"]["failstop"]
     assert incident.machine["cores"] == os.cpu_count()
     assert abs(incident.head["t"] - time.time()) < 60
+    assert saving.save(**saving.live(keep=1))["id"] != incident.id
+    assert [path.stem for path in (saving.state / "incidents").iterdir()] == [saving.newest().id], "as many as are kept"
 
 
 def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> None:

@@ -43,17 +43,17 @@ TOLD = {
 
 def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
     news = notes(scene)
-    scene.run(20.0)
+    scene.run(10.0)
     assert news() == []
     for servo, fault in FAULTS.items():
         scene.servos.change(servo, scene.clock(), **fault)
-    scene.run(20.0)
+    scene.run(10.0)
     assert sorted(news()) == sorted(("warning", f"joint {of} {text}") for of, text in TOLD.items())
     assert sorted(scene.state()["wrong"]) == sorted(f"joint {of.partition(' ')[0]} {text}" for of, text in TOLD.items())
     assert scene.state()["silent"] == [2]
     for servo in FAULTS:
         scene.servos.change(servo, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
-    scene.run(20.0)
+    scene.run(10.0)
     assert sorted(news()) == sorted(("", f"joint {of} is well again") for of in TOLD)
     assert scene.state()["wrong"] == []
 
@@ -62,33 +62,33 @@ def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
 
 
 def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make) -> None:
-    scene = arm_with(arm__auto_tuck_s=10.0, arm__tuck_notice_s=4.0)
+    scene = arm_with(arm__auto_tuck_s=5.0, arm__tuck_notice_s=2.0)
     news = notes(scene)
-    scene.run(12.0)
+    scene.run(6.0)
     assert scene.moves == [], "never used, never tucked"
     assert scene.state()["auto_tuck_s"] is None
     scene.travel({1: 0.5})
     scene.finish()
-    assert scene.state()["auto_tuck_s"] == 10
+    assert scene.state()["auto_tuck_s"] == 5
     assert not scene.state()["tucks"]
     alone_ns = scene.clock()
-    scene.run(5.9)
+    scene.run(2.9)
     assert news() == []
     scene.run(0.2)
-    assert news() == [("", "the arm was left alone: it goes to its tuck pose in 4 s")]
+    assert news() == [("", "the arm was left alone: it goes to its tuck pose in 2 s")]
     assert scene.state()["tucks"]
-    assert scene.state()["auto_tuck_s"] == 4
+    assert scene.state()["auto_tuck_s"] == 2
     count = len(scene.moves)
-    scene.run(6.0)
+    scene.run(3.0)
     assert scene.state()["by"] == "auto-tuck"
     assert scene.state()["auto_tuck_s"] is None
     assert not scene.state()["tucks"]
     began_s = (scene.moves[count][0] - alone_ns) * 1e-9
-    assert 9.9 < began_s < 10.3
+    assert 4.9 < began_s < 5.3
     scene.run(10.0)
     assert [scene.at(servo) for servo in SERVOS] == pytest.approx(TUCK, abs=2)
     assert scene.state()["pose"] == "tuck"
-    scene.run(15.0)
+    scene.run(7.0)
     assert news() == []
 
 

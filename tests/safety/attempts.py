@@ -27,8 +27,9 @@ from failstop.files import instance
 from failstop.lab.trial import Trial, TrialError
 from failstop.messages import layout, segments
 from failstop.shm import claim
-from tests.safety.table import MEMBER, SERVICE, STRANGER
+from tests.safety.table import MEMBER, SERVICE, STRANGER, USERS
 from tests.support.children import NOBODY, Child
+from tests.support.shared_trial import IMU_HZ
 
 VICTIM = 61_000 + os.getpid() % 4000
 """A user that no one is, another one in each process of the tests."""
@@ -214,19 +215,29 @@ def open_port_too(attempt: Attempt) -> bool:
     return bool(attempt.does(lambda: open_port(attempt.trial.link, exclusive=False)))
 
 
-def take_names(attempt: Attempt) -> bool:
-    """Take names before the service starts, as if they were a run's."""
-    name = f"{attempt.name}-next"
-    files = [f"/dev/shm/failstop.{name}.{of}" for of in ("supervisor", "gate", "0000000000000007.supervisor")]
+_TAKEN: dict[str, bool] = {}
 
-    def plant() -> bool:
-        for path in files:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+
+def take_names(attempt: Attempt) -> bool:
+    """Take names before the service starts, as if they were a run's: all users at once, each another one."""
+    if attempt.name not in _TAKEN:
+        _TAKEN[attempt.name] = _take_names(attempt)
+    return _TAKEN[attempt.name]
+
+
+def _take_names(attempt: Attempt) -> bool:
+    name = f"{attempt.name}-next"
+    names = ("supervisor", "gate", "0000000000000007.supervisor", "0000000000000007.gate")
+    files = {f"/dev/shm/failstop.{name}.{of}": user for of, user in zip(names, USERS, strict=True)}
+
+    def plant(path: str) -> bool:
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         return True
 
     try:
-        assert attempt.does(plant)
-        with Trial(name) as trial:
+        for path, user in files.items():
+            assert attempt.does(lambda path=path: plant(path), user)  # type: ignore[misc]
+        with Trial(name, imu_hz=IMU_HZ) as trial:
             return not _enabled(trial.robot)
     except TrialError:
         return True
@@ -361,25 +372,8 @@ def be_in_the_way(attempt: Attempt) -> bool:
 ATTEMPTS: dict[str, Callable[[Attempt], bool]] = {
     attempt.__name__: attempt
     for attempt in (
-        stop,
-        read_state,
-        read_reasons,
-        keep_stopped,
-        enable,
-        drive,
-        pose,
-        take_slot,
-        overhear,
-        write_memory,
-        replace,
-        hold_lock,
-        signal_it,
-        open_port_too,
-        take_names,
-        look_alive,
-        pass_off_memory,
-        pass_off_directory,
-        plant_link,
-        be_in_the_way,
+        *(stop, read_state, read_reasons, keep_stopped, enable, drive, pose, take_slot, overhear, write_memory),
+        *(replace, hold_lock, signal_it, open_port_too, take_names, look_alive, pass_off_memory, pass_off_directory),
+        *(plant_link, be_in_the_way),
     )
 }

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import sys
-import termios
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Attempt
 from tests.safety.table import TABLE, USERS, Row
 from tests.support.children import needs_root, reachable
-from tests.support.shared_trial import IMU_HZ
+from tests.support.shared_trial import IMU_HZ, patient, unheard
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[Trial]:
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
     """One service for all."""
-    with Trial(f"safety-{os.getpid()}", imu_hz=IMU_HZ) as trial:
+    with Trial(f"safety-{os.getpid()}", patient(tmp_path_factory.mktemp("safety")), imu_hz=IMU_HZ) as trial:
         yield trial
 
 
@@ -34,19 +30,10 @@ def trial(running: Trial) -> Trial:
     """Stopped by nobody, driven by nobody, and whole."""
     running.leave()
     wait_for("the service to be whole", running.service.ready)
-    wait_for("the last stop request to be heard", lambda: not _unheard(running.name))
+    wait_for("the last stop request to be heard", lambda: not unheard(running.name))
     if running.robot.state.estop:
         wait_for("a reset to be taken", running.reset)
     return running
-
-
-def _unheard(name: str) -> int:
-    """Bytes in the stop pipe, of who has ended too: the port owner lets the pipe rest after a request."""
-    pipe = os.open(instance.stop_path(instance.find(name)), os.O_WRONLY | os.O_NONBLOCK)
-    try:
-        return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
-    finally:
-        os.close(pipe)
 
 
 @needs_root

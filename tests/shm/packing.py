@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 from collections.abc import Iterator
 from typing import NamedTuple
+
+from tests.support.starting import nodes
 
 ROOMS = ("shm", "supervisor", "procs", "failstop")
 
@@ -21,6 +24,10 @@ FORBIDDEN = frozenset(
 STRUCT_CALLS = frozenset({"Struct", "pack", "unpack", "unpack_from", "iter_unpack", "calcsize", "pack_into"})
 SHARED = frozenset({"_view", "view", "mapped", "_mapped", "_cells"})
 """Attributes under which this project keeps shared memory."""
+
+
+MAY_HAVE_ONE = re.compile(rf"\b({'|'.join(FORBIDDEN | STRUCT_CALLS | SHARED)}|memoryview)\b")
+"""Found in the text of every file with a violation, so that the others need no parsing."""
 
 
 class Finding(NamedTuple):
@@ -83,10 +90,12 @@ def _targets(node: ast.AST) -> list[ast.expr]:
 
 def read(path: str, text: str) -> list[Finding]:
     """Every violation in one file's text."""
-    nodes = list(ast.walk(ast.parse(text, path)))
+    if not MAY_HAVE_ONE.search(text):
+        return []
+    found = nodes(ast.parse(text, path))
     constants: dict[str, str] = {}
     views: set[str] = set()
-    for node in nodes:
+    for node in found:
         value = getattr(node, "value", None)
         for target in _targets(node):
             if isinstance(value, ast.Constant) and isinstance(value.value, str):
@@ -94,7 +103,7 @@ def read(path: str, text: str) -> list[Finding]:
             if value is not None and _makes_view(value):
                 views.add(_name(target))
     return [
-        Finding(path, getattr(node, "lineno", 0), what) for node in nodes for what in _wrong(node, constants, views)
+        Finding(path, getattr(node, "lineno", 0), what) for node in found for what in _wrong(node, constants, views)
     ]
 
 
@@ -115,8 +124,6 @@ def _wrong(node: ast.AST, constants: dict[str, str], views: set[str]) -> Iterato
         elif _name(part.value) in SHARED and not (isinstance(node, ast.Assign) and isinstance(part.slice, ast.Slice)):
             yield "store into shared memory that is not one slice assignment"
     if isinstance(node, ast.FunctionDef):
-        stores = [
-            each for each in ast.walk(node) if isinstance(each, ast.Subscript) and isinstance(each.ctx, ast.Store)
-        ]
+        stores = [each for each in nodes(node) if isinstance(each, ast.Subscript) and isinstance(each.ctx, ast.Store)]
         for _ in [each for each in stores if _name(each.value) in SHARED][1:]:
             yield "a second store into shared memory in one function"

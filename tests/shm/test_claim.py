@@ -107,7 +107,7 @@ def test_a_closed_descriptor_holds_nothing(path: str, fds: list[int]) -> None:
 def test_the_claim_is_gone_at_the_latest_when_the_death_is_reported(path: str, fds: list[int]) -> None:
     """The gate looks at the claim when the holder's pidfd becomes readable: it must not find it held then."""
     fds.append(fd := claim.open_claims(path))
-    for _ in range(50):
+    for _ in range(15):
         with holder(path, 0, 7) as child:
             assert [claim.held(fd, index) for index in (0, 2, 7)] == [True, False, True]
             pidfd = os.pidfd_open(child.pid)

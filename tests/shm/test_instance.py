@@ -22,17 +22,6 @@ from .simulated import OTHER, USER, content, give, kill, living, mode, open_fds,
 MS = 1_000_000
 
 
-@pytest.fixture
-def bases(on: SimpleNamespace) -> list[str]:
-    """The three candidate directories of a user, who is the test; none is made yet, and each can be."""
-    on.os.chmod("/run", 0o1777)
-    on.os.makedirs(f"/run/user/{USER}")
-    on.os.chown(f"/run/user/{USER}", USER, USER)
-    on.own.uid = on.own.gid = USER
-    found: list[str] = on.instance.bases()
-    return found
-
-
 GOOD = ("a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_")
 BAD = ("", "a" * 33, "A", "a b", "a/b", "..", ".", "a.b", "ä", "a\n", "a\0", "\u0661", "/", "a:b", "~", "$x")
 

@@ -14,6 +14,7 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
 
 from failstop.shm import cell
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes
+from tests.support.amounts import amount
 from tests.support.children import Child
 
 from .memory import Death, exit_after, genuine, payload_of, time_of
@@ -104,7 +105,10 @@ class RingModel(RuleBasedStateMachine):
 TestRingModel = RingModel.TestCase
 
 
-TestRingModel.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+TestRingModel.settings = settings(max_examples=amount(60, 1000), stateful_step_count=40, deadline=None)
+
+
+ENTRIES = amount(600, 20_000)
 
 
 def flat_out(writer: RingWriter, size: int) -> Callable[[object, object], None]:
@@ -147,9 +151,9 @@ def test_a_writer_at_full_speed(capacity: int, cells: int, pause: int) -> None:
     memory = mmap.mmap(-1, AT + cells * cell_bytes(capacity))
     with Child(flat_out(writer_of(memory, cells, capacity), capacity)):
         reader = reader_of(memory, cells, capacity)
-        seen, lost = read_all_the_while(reader, capacity, 2_000, pause)
+        seen, lost = read_all_the_while(reader, capacity, ENTRIES, pause)
         if pause:
             assert lost > 0, "the reader was to be lapped"
         late = reader_of(memory, cells, capacity, from_oldest=True)
         read_all_the_while(late, capacity, 50, 0)
-    assert seen == 2_000
+    assert seen == ENTRIES

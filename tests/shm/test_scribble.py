@@ -16,7 +16,7 @@ from tests.support.amounts import amount
 from .segments import NAMES, path_of
 from .written import Written
 
-ROUNDS = amount(120, 1500)
+ROUNDS = amount(32, 1500)
 TAKEN_OVER = amount(8, 80)
 
 
