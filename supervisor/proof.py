@@ -10,6 +10,7 @@ Levels of proof are kept apart everywhere: the board may be silent while the IMU
 
 from __future__ import annotations
 
+from failstop.board.interface import BY_IMU
 from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
     LINK_ALIVE,
@@ -87,7 +88,8 @@ class Proof:
         self._looked_ns = self._looked_ns or now_ns
         if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
-        late = self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
+        # A board's reports are of a moment, not of a window: wheels that came to rest after the cause have turned.
+        late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
         if not still_ns:
             self._was_still = False
             if now_ns >= self._again_ns:

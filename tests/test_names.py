@@ -21,13 +21,6 @@ EVERYWHERE = {
     "from_settings": "what a room makes of the settings, under the name of the module",
 }
 """Names that several modules of the core define, and why they may."""
-ALONE = {
-    "Motion": "of a board's wire, a kind of frame; of the port owner's admission, one such frame with epoch and time",
-    "Stop": "of a board's wire, the bytes that stop it; of the supervisor, a cause until it is answered",
-    "Wire": "of a board, its language; of the port owner, the port that it is spoken on",
-    "ZERO": "of a board's wire, a way to stop; of the port owner's schedule, a repeat of it",
-}
-"""Names of two things that are still to be told apart."""
 OF_THE_LAB = {
     "HELLO": "the first packet of usbredir",
     "Imu": "the simulated one",
@@ -67,8 +60,8 @@ def core() -> dict[str, list[str]]:
 
 def test_a_name_is_defined_once_in_the_core() -> None:
     twice = {name: places for name, places in core().items() if len(places) > 1}
-    assert {name: places for name, places in twice.items() if name not in {*EVERYWHERE, *ALONE}} == {}
-    assert sorted(twice) == sorted({*EVERYWHERE, *ALONE}), "a name that is defined once by now needs no row"
+    assert {name: places for name, places in twice.items() if name not in EVERYWHERE} == {}
+    assert sorted(twice) == sorted(EVERYWHERE), "a name that is defined once by now needs no row"
 
 
 def test_the_lab_uses_no_name_of_the_core_for_something_else() -> None:

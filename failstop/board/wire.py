@@ -56,7 +56,7 @@ class Write(Data):
     data: bytes
 
 
-class Stop(Data):
+class TimedStop(Data):
     """Writes that stop the wheels whatever state the board's receiver is in."""
 
     writes: tuple[Write, ...]
@@ -177,7 +177,7 @@ class Wire(Data):
 
     name: str
     port: Port
-    stop: Stop
+    stop: TimedStop
     pace: Pace
     watchdog: Watchdog
     motion: Motion

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
-Motion = tuple[bytes, int, int]
+DatedFrame = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 _COMMAND_AT = 4
@@ -66,7 +66,7 @@ class Admission:
 
     def decide(
         self,
-        motion: Motion,
+        motion: DatedFrame,
         epoch: int,
         now_ns: int,
         gate_ns: int | None,
@@ -91,7 +91,7 @@ class Admission:
         fault = self._board.check_motion(frame, self._max_rps)
         return causes.BAD_FRAME(fault) if fault else None
 
-    def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
+    def current(self, motion: DatedFrame, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""
         _, frame_epoch, frame_ns = motion
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
@@ -121,7 +121,7 @@ class ServoBus:
         self.servos = servos
         self._free_ns = 0
         self._rest_ns = 0
-        self.waiting: deque[Motion] = deque(maxlen=MOST_WAITING)
+        self.waiting: deque[DatedFrame] = deque(maxlen=MOST_WAITING)
         """The gate's frames for the servos that are not yet written, in order; every stop ends them."""
 
     def check(self, frame: bytes) -> Cause | None:

@@ -12,13 +12,13 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
-    from failstop.procs.port_owner.wire import Wire
+    from failstop.procs.port_owner.port_writer import PortWriter
 
 
 class Asking(Pings):
     """The board's pings, by the clock and after stops."""
 
-    def __init__(self, context: Context, loop: Loop, wire: Wire, hears_ns: int) -> None:
+    def __init__(self, context: Context, loop: Loop, wire: PortWriter, hears_ns: int) -> None:
         """`hears_ns`: before that nobody would hear one."""
         board, settings = context.board, context.settings
         due = loop.timer() if board.pings else Timer()

@@ -15,12 +15,12 @@ from failstop.procs.context import Context
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.procs.port_owner import admission, requests, schedule
-from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
+from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
 from failstop.procs.port_owner.asking import Asking
 from failstop.procs.port_owner.port import OpenPort
+from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
 from failstop.procs.port_owner.schedule import Repeats
-from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell
 from failstop.shm.lifeline import give_way
@@ -47,7 +47,7 @@ class PortOwner:
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._motion_backlog = max((len(ping) for ping in board.pings), default=0)
         """A ping (70 us of wire) is no backlog that motion has to stay behind."""
-        self._held: Motion | None = None
+        self._held: DatedFrame | None = None
         """The newest motion, while the line has to be silent before it."""
         self._line = self.loop.timer()
         """When it has been."""
@@ -64,7 +64,7 @@ class PortOwner:
         """A servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
-        self.wire = Wire(context.fd("port"), board, self.bus.servos)
+        self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
         self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
         self.pings = Asking(context, self.loop, self.wire, self.port.hears_ns)
         self._attach(context)
@@ -282,7 +282,7 @@ class PortOwner:
             due_ns = NEVER
         self._arm_due.set(due_ns)
 
-    def _write_arm(self, move: Motion) -> None:
+    def _write_arm(self, move: DatedFrame) -> None:
         """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
@@ -302,7 +302,7 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _decide(self, motion: Motion, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
+    def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
         """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
         pass what was young then."""
         requested = self._requests.waits()
@@ -319,7 +319,7 @@ class PortOwner:
         elif not isinstance(verdict, int):
             self.stop(now_ns, verdict)
 
-    def _forward_motion(self, motion: Motion) -> None:
+    def _forward_motion(self, motion: DatedFrame) -> None:
         """Where the line has to be silent first, it waits: what may go out is decided when it does."""
         now_ns = monotonic_ns()
         self._line.set(NEVER)
@@ -333,7 +333,7 @@ class PortOwner:
         else:
             self._obey(verdict, now_ns)
 
-    def _write_motion(self, motion: Motion) -> None:
+    def _write_motion(self, motion: DatedFrame) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
         raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
         starved here, for however long, may live."""
@@ -384,7 +384,7 @@ class PortOwner:
         due = self.repeats.take(now_ns)
         if due == schedule.REPEAT:
             self.wire.burst()
-        elif due == schedule.ZERO:
+        elif due == schedule.REFRESH:
             self.wire.frame(self.board.refresh)
 
 

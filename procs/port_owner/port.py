@@ -14,7 +14,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
-    from failstop.procs.port_owner.wire import Wire
+    from failstop.procs.port_owner.port_writer import PortWriter
 
 RECEIVED_CHUNK = 512
 
@@ -22,7 +22,7 @@ RECEIVED_CHUNK = 512
 class OpenPort:
     """Its number, and what others are told of it."""
 
-    def __init__(self, context: Context, loop: Loop, wire: Wire, now_ns: int) -> None:
+    def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
         own = context.own
         self._loop, self._wire = loop, wire
         self.number, self._path = context.port_number, context.settings.text("device.path")

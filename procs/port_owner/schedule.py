@@ -13,7 +13,7 @@ from __future__ import annotations
 from failstop.procs.loop import NEVER, Timer
 
 REPEAT = 1
-ZERO = 2
+REFRESH = 2
 ZERO_EVERY_NS = 200_000_000
 PING_GAP_NS = 50_000_000
 """Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
@@ -48,14 +48,14 @@ class Repeats:
         self._due.wait(until_ns)
 
     def take(self, now_ns: int) -> int:
-        """REPEAT, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
+        """REPEAT, REFRESH or 0: what is to be written now. Asking takes it off the schedule."""
         if not self._due.take(now_ns):
             return 0
         if self._bursts:
             self._bursts -= 1
             return REPEAT
         self._due.set(now_ns + ZERO_EVERY_NS)
-        return ZERO
+        return REFRESH
 
 
 class Pings:

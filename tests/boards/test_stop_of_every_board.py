@@ -11,7 +11,7 @@ import pytest
 
 from failstop.board.hoverboard import codec
 from failstop.board.kinds import wire_of
-from failstop.board.wire import Stop, Wire
+from failstop.board.wire import TimedStop, Wire
 from failstop.lab.boards.hoverboard import Hoverboard
 from failstop.lab.boards.line import (
     AT_ONCE,
@@ -46,7 +46,7 @@ every_board = pytest.mark.parametrize("kind", EVERY_KIND)
 class Trial:
     """One board that drives and is stopped."""
 
-    def __init__(self, kind: str, stop: Stop | None = None) -> None:
+    def __init__(self, kind: str, stop: TimedStop | None = None) -> None:
         self.wire: Wire = wire_of(kind)
         self.model: ReceiverModel = model_of(kind)
         self.stop = stop or self.wire.stop

@@ -17,7 +17,7 @@ from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
-from failstop.procs.port_owner.wire import Wire
+from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 from tests.support.incident_parts import KeptRing, Recorder, at, drive_and_die
 
@@ -108,7 +108,7 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
     seen: list[bytes] = []
     kept = Watched()
-    wire = Wire(writes, BOARD)
+    wire = PortWriter(writes, BOARD)
     wire.burst()
     wire.keep(kept)  # type: ignore[arg-type]
     wire.burst()

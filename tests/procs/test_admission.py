@@ -14,7 +14,7 @@ from failstop.board.rrc.board import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, Motion
+from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, DatedFrame
 
 MS = 1_000_000
 LEASE_NS = 60 * MS
@@ -34,7 +34,7 @@ def admission() -> Admission:
 
 def decided(
     admission: Admission,
-    motion: Motion = (FRAME, EPOCH, NOW),
+    motion: DatedFrame = (FRAME, EPOCH, NOW),
     *,
     epoch: int = EPOCH,
     gate_ns: int | None = NOW,

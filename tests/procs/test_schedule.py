@@ -8,7 +8,7 @@ import pytest
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.port_owner.schedule import PING_GAP_NS, QUICK, REPEAT, ZERO, Pings, Repeats
+from failstop.procs.port_owner.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
@@ -192,16 +192,16 @@ def repeats() -> Schedule:
 
 
 def test_before_any_stop_zero_frames_go_out() -> None:
-    assert written(Schedule(), 0, 450) == [(0, ZERO), (200, ZERO), (400, ZERO)]
+    assert written(Schedule(), 0, 450) == [(0, REFRESH), (200, REFRESH), (400, REFRESH)]
 
 
 def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(repeats: Schedule) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
-    assert written(repeats, 0, 650) == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]
+    assert written(repeats, 0, 650) == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
     repeats.restart(BEGIN + 650 * MS)
     assert written(repeats, 650, 700) == [(670, REPEAT)]
     repeats.restart(BEGIN + 700 * MS)
-    assert written(repeats, 700, 950) == [(720, REPEAT), (800, REPEAT), (900, ZERO)]
+    assert written(repeats, 700, 950) == [(720, REPEAT), (800, REPEAT), (900, REFRESH)]
 
 
 def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) -> None:
@@ -210,14 +210,14 @@ def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) 
     assert repeats.next.ns == NEVER
     assert written(repeats, 30, 2_000) == []
     repeats.restart(BEGIN + 5_000 * MS)
-    assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, ZERO)]
+    assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, REFRESH)]
     repeats.motion()
     assert repeats.take(BEGIN + 9_000 * MS) == 0
 
 
 def test_overdue_bursts_are_each_written(repeats: Schedule) -> None:
     late = BEGIN + 1_000 * MS
-    assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, ZERO, 0]
+    assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, REFRESH, 0]
 
 
 def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
@@ -227,4 +227,4 @@ def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
         assert repeats.next.ns > now_ns, "a wake-up that is over already would spin"
         now_ns = repeats.next.ns
         found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
-    assert found == [(20, REPEAT), (100, REPEAT), (200, ZERO), (400, ZERO), (600, ZERO)]
+    assert found == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]

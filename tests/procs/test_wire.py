@@ -16,7 +16,7 @@ from failstop.messages import box
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 
-MODULE = "failstop.procs.port_owner.wire"
+MODULE = "failstop.procs.port_owner.port_writer"
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 OTHER = codec.buzzer(1400, 100, 100, 5)
 FILL = bytes(Port.ROOM)

@@ -9,7 +9,7 @@ import pytest
 from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
-from failstop.procs.port_owner.wire import DRAIN_NS
+from failstop.procs.port_owner.port_writer import DRAIN_NS
 from tests.support.stage import MS, PortMachine, Wire
 
 T0 = 3_000 * MS

@@ -151,6 +151,16 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
     assert still_after(1.25) == "about 1.2 s"
 
 
+def test_wheels_that_a_board_reports_to_stand_since_after_the_cause_have_turned() -> None:
+    """However soon after it they stood; an IMU's window may end so by chance."""
+    stop = Stop(T0, "gate", why("gate died"))
+    stop.answered_by("port owner", T0 + MS, stop, 2)
+    for by, observed_ms in (("wheels", 40.0), ("IMU", None)):
+        last = Proof(stop, AFTER, T0, 1.0, ("answer", by))
+        last.judged(T0 + 40 * MS, T0 + 40 * MS, T0 + 45 * MS)
+        assert last.as_record()["observed_ms"] == observed_ms
+
+
 def test_what_programs_are_told_of_it() -> None:
     last = proof()
     told = {"reason": "gate died", "cause": "died", "noticed_ns": T0, "epoch": 2, "link": "alive", "sent": True}

@@ -18,7 +18,7 @@ from failstop.board.wire import (
     Pace,
     Port,
     Question,
-    Stop,
+    TimedStop,
     Watchdog,
     Wheels,
     Wire,
@@ -31,7 +31,7 @@ WIRE = Wire(
     name="ros_arduino_bridge",
     # Opening raises DTR, which resets the board; its bootloader waits 1.4 s for a program.
     port=Port(baud=57_600, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
-    stop=Stop(
+    stop=TimedStop(
         writes=(Write(0, codec.STOP),),
         after_ns=0,
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from failstop.board.hoverboard import codec
 from failstop.board.hoverboard.feedback import Feedback
-from failstop.board.wire import COAST, ECHOED, OBSERVED, Motion, Pace, Port, Stop, Watchdog, Wire, Write
+from failstop.board.wire import COAST, ECHOED, OBSERVED, Motion, Pace, Port, TimedStop, Watchdog, Wire, Write
 
 IDLE_NS = 200_000
 """Twice a byte's time and a little more: the receiver sees an idle line after one."""
@@ -20,7 +20,7 @@ _MS = 1_000_000
 WIRE = Wire(
     name="hoverboard-firmware-hack-FOC",
     port=Port(baud=115_200, dtr=False, rts=False, deaf_ns=0, opening=()),
-    stop=Stop(
+    stop=TimedStop(
         writes=(Write(IDLE_NS, codec.STOP),),
         after_ns=IDLE_NS,
         repeats_ns=tuple(

@@ -18,7 +18,7 @@ from failstop.board.wire import (
     Pace,
     Port,
     Question,
-    Stop,
+    TimedStop,
     Watchdog,
     Wire,
     Write,
@@ -38,7 +38,7 @@ WIRE = Wire(
         deaf_ns=5000 * _MS,
         opening=(codec.STOP, codec.watchdog(WATCHDOG_NS)),
     ),
-    stop=Stop(
+    stop=TimedStop(
         writes=(Write(0, codec.STOP),),
         after_ns=0,
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from failstop.board.arduino.codec import PERIODS
-from failstop.board.wire import Stop, Write
+from failstop.board.wire import TimedStop, Write
 from failstop.lab.boards.line import ReceiverModel
 
 BYTE_NS = 175_000
@@ -179,7 +179,7 @@ MODEL = ReceiverModel(
     any_state=_longest_answers,
     every_state=_receivers,
     before=(),
-    not_enough=Stop((Write(0, b"m 0 0\r"),), 0, ((0,),)),
+    not_enough=TimedStop((Write(0, b"m 0 0\r"),), 0, ((0,),)),
     fuses=False,
     stalls=True,
 )

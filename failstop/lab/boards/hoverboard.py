@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from struct import Struct
 
 from failstop.board.hoverboard import codec, feedback
-from failstop.board.wire import Stop, Write
+from failstop.board.wire import TimedStop, Write
 from failstop.lab.boards.line import ReceiverModel
 
 BUFFER = 64
@@ -148,7 +148,7 @@ MODEL = ReceiverModel(
     # Any number of bytes may have come since the last look.
     before=tuple(bytes(count) for count in range(1, BUFFER + 2)),
     # Both writers at the times of the RRC board's writers.
-    not_enough=Stop((Write(0, codec.STOP),), 0, ((0, 20 * _MS, 100 * _MS), (0, 20 * _MS, 100 * _MS))),
+    not_enough=TimedStop((Write(0, codec.STOP),), 0, ((0, 20 * _MS, 100 * _MS), (0, 20 * _MS, 100 * _MS))),
     # By the end of its feedback in the middle: cdab0000 of a cut frame and cdab0000 of a stop, for one.
     fuses=True,
     stalls=False,

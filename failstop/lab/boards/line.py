@@ -12,7 +12,7 @@ from typing import Protocol
 
 from failstop.board import own
 from failstop.board.kinds import is_own
-from failstop.board.wire import Stop
+from failstop.board.wire import TimedStop
 
 TimedWrite = tuple[int, bytes]
 """When it is written, in ns, and what."""
@@ -49,7 +49,7 @@ class ReceiverModel:
     """All of these states."""
     before: tuple[bytes, ...]
     """Bytes that may have come before a stop, beside cuts of the board's frames."""
-    not_enough: Stop
+    not_enough: TimedStop
     """A stop that looks enough and is not: the control."""
     fuses: bool
     """Whether pieces of two frames can pass its check as one frame, with any speed, until the next stop."""
@@ -92,7 +92,7 @@ def arrivals(writes: Iterable[TimedWrite], byte_ns: int, tick: Tick = AT_ONCE) -
             yield free_ns, value
 
 
-def stop_writes(stop: Stop, writer: int, begin_ns: int, byte_ns: int) -> Iterator[TimedWrite]:
+def stop_writes(stop: TimedStop, writer: int, begin_ns: int, byte_ns: int) -> Iterator[TimedWrite]:
     """All writes of one writer's stop and its repeats. The writer keeps the gaps between its own writes alone."""
     for repeat_ns in stop.repeats_ns[writer]:
         at_ns = begin_ns + repeat_ns

@@ -18,7 +18,7 @@ import random
 from collections.abc import Iterator
 
 from failstop.board.ugv import codec
-from failstop.board.wire import Stop, Write
+from failstop.board.wire import TimedStop, Write
 from failstop.lab.boards import arduino_json
 from failstop.lab.boards.line import ReceiverModel
 
@@ -189,7 +189,7 @@ MODEL = ReceiverModel(
     every_state=_every_state,
     # Some are JSON by themselves, or become it by the line feed of the stop.
     before=(b"{}", b"null", b"0" * 300, b"x" * 300, b"\0" * 4, b'"L":0.2,"R":0.2}', b'{"T":13,"X":0.2,"Z":0.1}', b"\r"),
-    not_enough=Stop((Write(0, codec.STOP[1:]),), 0, ((0,),)),
+    not_enough=TimedStop((Write(0, codec.STOP[1:]),), 0, ((0,),)),
     fuses=False,
     stalls=True,
 )

@@ -13,7 +13,7 @@ from failstop.lab.simulate.seeds import seeds, used_s
 
 ADMISSION_MODULE = "failstop.procs.port_owner.admission"
 PORT_OWNER_MODULE = "failstop.procs.port_owner.main"
-WIRE_MODULE = "failstop.procs.port_owner.wire"
+WIRE_MODULE = "failstop.procs.port_owner.port_writer"
 STOPPER_MODULE = "failstop.procs.stopper.main"
 SUPERVISOR_MODULE = "failstop.supervisor.main"
 STATUS_MODULE = "failstop.supervisor.status"

@@ -1,4 +1,4 @@
-"""Wire: writing to the port without ever blocking and without ever building up a backlog."""
+"""Port writer: writing to the port without ever blocking and without ever building up a backlog."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""
 
 
-class Wire(StopPort):
+class PortWriter(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
