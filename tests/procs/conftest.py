@@ -31,7 +31,7 @@ def board(machine: PortMachine) -> Wire:
 @pytest.fixture
 def wire(machine: PortMachine) -> Any:
     """The port owner's writing to that port."""
-    return machine.load("failstop.procs.port_owner.port_writer").Wire(machine.open(machine.wire), BOARD)
+    return machine.load("failstop.procs.port_owner.port_writer").PortWriter(machine.open(machine.wire), BOARD)
 
 
 @pytest.fixture

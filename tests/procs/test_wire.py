@@ -46,7 +46,7 @@ def test_frames_and_bursts_arrive_whole(board: Wire, wire: Any) -> None:
 
 
 def test_no_port_takes_nothing(machine: PortMachine) -> None:
-    wire = machine.load(MODULE).Wire(-1, BOARD)
+    wire = machine.load(MODULE).PortWriter(-1, BOARD)
     assert wire.lost
     wire.burst()
     wire.flush()
@@ -156,7 +156,7 @@ def test_bursts_until_the_port_is_full_are_cut_short_and_still_stop(board: Wire,
 @pytest.mark.parametrize("frame", [MOTION, codec.STOP])
 def test_a_burst_after_a_cut_motion_frame_stops(machine: PortMachine, frame: bytes) -> None:
     """Wherever it was cut. The rest of it is dropped, but for that of a zero frame."""
-    made = machine.load(MODULE).Wire
+    made = machine.load(MODULE).PortWriter
     for cut in range(1, len(frame)):
         wire, board = made(machine.open(machine.wire), BOARD), machine.wire
         board.port.takes(cut)
@@ -188,7 +188,7 @@ def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(board: Wire, wire:
 )
 @pytest.mark.parametrize("again", [False, True])
 def test_a_cut_burst_is_finished_also_by_a_stop_after_it(machine: PortMachine, before: bytes, again: bool) -> None:
-    made = machine.load(MODULE).Wire
+    made = machine.load(MODULE).PortWriter
     for cut in (0, 1, 31, 32, 33, 45, 58, 59, 60, 200, 315, 316, 330, 343, 396):
         wire, board = made(machine.open(machine.wire), BOARD), machine.wire
         board.receive(before)
