@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
+from tests.support.leases import LEASES
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -36,9 +37,6 @@ WAIT_S = 0.5
 """A node is asked so seldom for what it has not heard yet."""
 IMU_HZ = 20.0
 """Enough for most: each of the 110 samples a second of a real board wakes the bridge and three processes."""
-TIMEOUT_S = 1.5
-LEASES = f"gate.lease_s = 1.0\ngate.command_timeout_s = {TIMEOUT_S}\n"
-"""Silences that a busy machine keeps: no test of the bridge is about a process of the service that hangs."""
 REQUIRED = "FAILSTOP_ROS"
 """The setup file of a real ROS: `make ros2` sets it. Without it the stand-in alone is tried, whatever is installed."""
 OVERLAY = "FAILSTOP_ROS_OVERLAY"

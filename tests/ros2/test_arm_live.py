@@ -105,7 +105,7 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: BridgeTrial, planne
     wait_for("the arm to move", lambda: scene.state()["arm_moving"])
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
-    assert "nobody hears of the goal any more: held" in scene.bridge.said()
+    wait_for("the line", lambda: "nobody hears of the goal any more: held" in scene.bridge.said())
 
 
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: BridgeTrial, planner: Node) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from failstop.lab.ros2_demo import rows
 from failstop.lab.trial import Trial
-from tests.ros2.scene import LEASES, Ros, new_name
+from tests.ros2.scene import Ros, new_name
+from tests.support.leases import LEASES
 
 ROWS = ["cmd_vel node ends", "a second one joins", "the bridge is killed"]
 

@@ -17,11 +17,11 @@ from tests.ros2.scene import (
     SCAN,
     SENSOR,
     STAMPED,
-    TIMEOUT_S,
     TWIST,
     BridgeTrial,
 )
 from tests.support.commands import failstop
+from tests.support.leases import TIMEOUT_S
 
 NOT_FINITE = (
     *(("linear", "x", math.nan), ("linear", "y", math.inf), ("linear", "z", math.nan)),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from failstop.ros2.mirrors import TABLE
-from tests.ros2.scene import NODE, TIMEOUT_S, BridgeTrial
+from tests.ros2.scene import NODE, BridgeTrial
+from tests.support.leases import TIMEOUT_S
 
 BRIDGE = (
     *("--ros-args", "-p", "max_linear:=0.5", "-p", f"cmd_timeout:={TIMEOUT_S}", "-p", "gyro_noise_rad_s:=0.1"),

@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from bench.web.parts import Web
 from failstop.lab.trial import Trial
+from tests.support.leases import LEASES
+from tests.support.shared_trial import IMU_HZ
 
 _numbers = itertools.count()
 
@@ -18,19 +21,26 @@ _numbers = itertools.count()
 def settings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The settings' file."""
     path = tmp_path_factory.mktemp("settings") / "failstop.toml"
-    path.write_text(getattr(request.module, "SETTINGS", ""))
+    path.write_text(LEASES + getattr(request.module, "SETTINGS", ""))
     return str(path)
 
 
 @pytest.fixture(scope="module")
 def trial(settings: str) -> Iterator[Trial]:
     """Board, service and client."""
-    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings)) as running:
+    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings), IMU_HZ) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    """The page of it, which finds the trial's incidents."""
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of what the page says, besides its address."""
+    return tmp_path_factory.mktemp("journal") / "web"
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, settings: str, journal: Path) -> Iterator[Web]:
+    """The page of it, which finds the trial's incidents, and is ended in order."""
+    with journal.open("wb") as file, Web(trial.name, "--config", settings, state=trial.state, says=file) as running:
         yield running
+        assert running.close() == 0
