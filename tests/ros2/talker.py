@@ -174,7 +174,7 @@ class Talker:
         return {}
 
     def take(self, topic: str, wait_s: float = 0.0) -> dict:
-        """What was heard since the last time; `wait_s`: wait so long for the first of it."""
+        """Messages heard since the last time; `wait_s`: wait so long for the first of it."""
         until_s = time.monotonic() + wait_s
         while not self.heard[topic] and (left_s := until_s - time.monotonic()) > 0:
             self._turn(min(left_s, LONGEST_S))
