@@ -108,6 +108,8 @@ class Node:
         environment: dict[str, str] | None = None,
     ) -> None:
         self.name = name
+        self.sent_goals = False
+        """A client of an action stays in the graph of a real ROS for as long as its process."""
         self.process = subprocess.Popen(
             [*interpreter, str(HERE / "talker.py"), name, *words],
             env={**ros.environment, **(environment or {})},
@@ -135,6 +137,7 @@ class Node:
 
     def ask(self, what: str, **words: Any) -> dict[str, Any]:
         """Have it do something."""
+        self.sent_goals |= what == "send_goal"
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": what, **words}) + "\n")
         return self._answer()
@@ -347,7 +350,7 @@ class BridgeTrial:
     def leave(self, node: Node) -> None:
         """End a node in order."""
         self.nodes.remove(node)
-        if node.process.poll() is None:
+        if node.process.poll() is None and not node.sent_goals:
             self._idle.append(node)
             node.ask("retire")
         else:

@@ -84,8 +84,6 @@ class Talker:
         """Leave the graph in order, and wait to become another: that costs a fraction of a process."""
         executor, self.executor = self.executor, None
         executor.shutdown()
-        for client in self.actions.values():
-            client.destroy()
         self.node.destroy_node()
         rclpy.try_shutdown()
         return {}

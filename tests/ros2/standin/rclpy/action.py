@@ -143,9 +143,6 @@ class ActionClient:
         topic = f"{name}/_action/feedback"
         node.create_subscription(kind.Impl.FeedbackMessage, topic, self._fed_back, QoSProfile(depth=10))
 
-    def destroy(self) -> None:
-        pass
-
     def _fed_back(self, message: object) -> None:
         if heard := self._heard.get(tuple(message.goal_id.uuid)):
             heard(message)
