@@ -23,6 +23,8 @@ IDLE = door.MOST + 5
 STOPS = "/api/stop/live"
 DEEP = "[" * 4000
 TOO_LARGE = "1" + "0" * 3000
+POLL_S = 0.2
+"""Between two looks at what is being made: each takes time from the process that makes it."""
 SETTINGS = '[web]\npairing = "on"\n'
 
 
@@ -188,7 +190,7 @@ def test_nonsense_fills_no_journal(trial: Trial, web: Web, journal: Path) -> Non
 
 def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> None:
     """Each that asks hears at once what there is, however many ask."""
-    wait_for("a card", lambda: web.get("/api/incidents")["incidents"], 30)
+    wait_for("a card", lambda: time.sleep(POLL_S) or web.get("/api/incidents")["incidents"], 30)
     identity = web.get("/api/incidents")["incidents"][0]["id"]
     found = [web.ask("GET", f"/api/incidents/{identity}/{what}") for what in ("story", "picture") for _ in range(8)]
     assert (found[0][0], found[8][0]) == (202, 202), "to draw one takes longer"
@@ -196,6 +198,7 @@ def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> N
     assert web.post("/api/stop")[1]["written"]
 
     def whole() -> bool:
+        time.sleep(POLL_S)
         told = json.loads(web.ask("GET", f"/api/incidents/{identity}/story")[2])
         return bool(told.get("story")) and told["picture"] is True
 
@@ -203,6 +206,7 @@ def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> N
     drawn: list[tuple[int, dict[str, str], bytes]] = []
 
     def there() -> bool:
+        time.sleep(POLL_S)
         drawn.append(web.ask("GET", f"/api/incidents/{identity}/picture"))
         return drawn[-1][0] != 429
 
