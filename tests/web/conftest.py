@@ -28,9 +28,10 @@ def settings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """Board, service and client."""
-    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings), IMU_HZ) as running:
+def trial(settings: str, request: pytest.FixtureRequest) -> Iterator[Trial]:
+    """Board, service and client. A module may say how often the IMU tells (IMU_HZ)."""
+    imu_hz = getattr(request.module, "IMU_HZ", IMU_HZ)
+    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings), imu_hz) as running:
         yield running
 
 
