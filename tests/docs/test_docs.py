@@ -94,7 +94,7 @@ def test_what_a_page_shows_is_what_happens(page: Path, tmp_path: Path) -> None:
     found = blocks(page)
     with Session(f"docs-{os.getpid()}-{next(_numbers)}", tmp_path) as session:
         if not any(block.mark == ALONE for block in found):
-            session.stay("failstop sim --device /tmp/board")
+            session.stay("failstop sim --device /tmp/board --imu-hz 20")
             session.stay("failstop run --device /tmp/board")
         for block in found:
             if block.mark == ALONE:

@@ -125,8 +125,10 @@ def published(
             process.kill()
 
 
-def test_a_real_robot_is_stopped_and_confirms(trial: Trial, published: Any, listener: Listener) -> None:
-    _, options = published
+def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
+    trial: Trial, published: Any, listener: Listener
+) -> None:
+    process, options = published
     trial.enable()
     trial.drive(0.2)
     assert trial.moving()
@@ -146,6 +148,9 @@ def test_a_real_robot_is_stopped_and_confirms(trial: Trial, published: Any, list
     pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
     again = failstop("fleet", "stop", "once more", *options)
     assert (again.returncode, again.stdout.splitlines()[0]) == (0, "1 of 1 robots have confirmed the stop")
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+    pump("OFFLINE", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
 
 
 def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, listener: Listener) -> None:
@@ -159,13 +164,6 @@ def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, list
     assert done.returncode == 1
     assert done.stdout.startswith("0 of 1 robots have confirmed the stop\n")
     assert "no answer: its connection is broken" in done.stdout
-
-
-def test_sigterm_ends_it_in_order(published: Any, listener: Listener) -> None:
-    process, _ = published
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
-    pump("OFFLINE", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
 
 
 def test_without_a_broker_nobody_was_stopped(key: str, tmp_path: Path) -> None:

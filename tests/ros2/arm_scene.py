@@ -8,7 +8,11 @@ from failstop.lab.trial import wait_for
 from tests.ros2.scene import NODE, Node
 from tests.support.arm_settings import ARM
 
-ARM_SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
+GOAL_TIMEOUT_S = 1.0
+"""Renewed within this time by a busy machine, too."""
+ARM_SETTINGS = "".join(
+    f"{key} = {json.dumps(value)}\n" for key, value in {**ARM, "arm.goal_timeout_s": GOAL_TIMEOUT_S}.items()
+)
 GOAL = "trajectory_msgs/msg/JointTrajectory"
 ACTION = f"{NODE}/arm/follow_joint_trajectory"
 ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"

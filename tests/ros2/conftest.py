@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.ros2.scene import BridgeTrial, Ros, new_name
+from tests.ros2.scene import IMU_HZ, BridgeTrial, Ros, new_name
 
 
 @pytest.fixture(scope="module", params=["stand-in", "real"])
@@ -22,10 +22,11 @@ def name() -> str:
 
 @pytest.fixture(scope="module")
 def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[BridgeTrial]:
-    """A service and a bridge for all cases of a module, which may name options of the one (BRIDGE) and settings of the
-    other (SETTINGS)."""
+    """A service and a bridge for all cases of a module, which may name options of the one (BRIDGE), settings of the
+    other (SETTINGS), and how often the IMU tells (IMU_HZ)."""
     words = getattr(request.module, "BRIDGE", ())
-    with BridgeTrial(ros, new_name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
+    settings, imu_hz = getattr(request.module, "SETTINGS", ""), getattr(request.module, "IMU_HZ", IMU_HZ)
+    with BridgeTrial(ros, new_name(), *words, settings=settings, imu_hz=imu_hz) as made:
         yield made
 
 
@@ -36,7 +37,7 @@ def scene(stage: BridgeTrial) -> BridgeTrial:
     return stage
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def offers(ros: Ros) -> bool:
     """True where this ROS has the action; the stand-in has none."""
     done = ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")

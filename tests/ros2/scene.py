@@ -3,6 +3,7 @@ what a test tells them."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
@@ -20,6 +21,7 @@ from typing import Any, NoReturn
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
+from tests.support.leases import LEASES
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -31,6 +33,10 @@ BOOL = "std_msgs/msg/Bool"
 FORWARD = {"linear": {"x": 0.2}}
 SENSOR = {"reliable": False, "depth": 5}
 DEADLINE_S = 20.0
+WAIT_S = 0.5
+"""A node is asked so seldom for what it has not heard yet."""
+IMU_HZ = 20.0
+"""Enough for most: each of the 110 samples a second of a real board wakes the bridge and three processes."""
 REQUIRED = "FAILSTOP_ROS"
 """The setup file of a real ROS: `make ros2` sets it. Without it the stand-in alone is tried, whatever is installed."""
 OVERLAY = "FAILSTOP_ROS_OVERLAY"
@@ -102,6 +108,8 @@ class Node:
         environment: dict[str, str] | None = None,
     ) -> None:
         self.name = name
+        self.sent_goals = False
+        """A client of an action stays in the graph of a real ROS for as long as its process."""
         self.process = subprocess.Popen(
             [*interpreter, str(HERE / "talker.py"), name, *words],
             env={**ros.environment, **(environment or {})},
@@ -129,6 +137,7 @@ class Node:
 
     def ask(self, what: str, **words: Any) -> dict[str, Any]:
         """Have it do something."""
+        self.sent_goals |= what == "send_goal"
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": what, **words}) + "\n")
         return self._answer()
@@ -143,9 +152,9 @@ class Node:
     def hear(self, topic: str, kind: str, **qos: Any) -> None:
         self.ask("hear", topic=topic, type=kind, qos=qos)
 
-    def take(self, topic: str) -> list[tuple[int, float, dict[str, Any]]]:
-        """Messages since the last call: monotonic ns, Unix time, the message."""
-        found: list[tuple[int, float, dict[str, Any]]] = self.ask("take", topic=topic)["heard"]
+    def take(self, topic: str, wait_s: float = 0.0) -> list[tuple[int, float, dict[str, Any]]]:
+        """Messages since the last call, waiting so long for the first: monotonic ns, Unix time, the message."""
+        found: list[tuple[int, float, dict[str, Any]]] = self.ask("take", topic=topic, wait_s=wait_s)["heard"]
         return found
 
     def next(self, topic: str, wanted: Any = lambda message: True, timeout_s: float = DEADLINE_S) -> dict[str, Any]:
@@ -153,11 +162,10 @@ class Node:
         until_s = time.monotonic() + timeout_s
         last: dict[str, Any] | None = None
         while time.monotonic() < until_s:
-            for _, _, message in self.take(topic):
+            for _, _, message in self.take(topic, WAIT_S):
                 last = message
                 if wanted(message):
                     return message
-            time.sleep(0.005)
         pytest.fail(f"no such message on {topic}; the last one: {last}")
 
     def call(self, service: str, **fields: Any) -> tuple[bool, str]:
@@ -166,6 +174,11 @@ class Node:
         found = self.ask("call", service=f"{NODE}/{service}", type=kind, fields=fields)
         assert "error" not in found, found
         return found["success"], found["message"]
+
+    def become(self, name: str) -> None:
+        """Be another node: the one before has left, as one does that ends in order."""
+        self.ask("become", name=name)
+        self.name = name
 
     def kill(self) -> None:
         self.process.kill()
@@ -228,21 +241,25 @@ class BridgeTrial:
     """Board, service, bridge, and a node that looks on."""
 
     def __init__(
-        self, ros: Ros, name: str, *words: str, settings: str = "", environment: Mapping[str, str] | None = None
+        self,
+        ros: Ros,
+        name: str,
+        *words: str,
+        settings: str = "",
+        environment: Mapping[str, str] | None = None,
+        imu_hz: float = IMU_HZ,
     ) -> None:
-        """`environment`: more of it, for the bridge."""
+        """`settings`: of the service, besides its leases; `environment`: more of it, for the bridge."""
         self.ros = ros
         self._environment = environment
-        options: tuple[str, ...] = ()
-        self._settings = ""
-        if settings:
-            fd, self._settings = tempfile.mkstemp(suffix=".toml")
-            with open(fd, "w") as file:
-                file.write(settings)
-            options = ("--config", self._settings)
-        self.trial = Trial(name, options)
+        fd, self._settings = tempfile.mkstemp(suffix=".toml")
+        with open(fd, "w") as file:
+            file.write(LEASES + settings)
+        self.trial = Trial(name, ("--config", self._settings), imu_hz)
         self.words = words
         self.nodes: list[Node] = []
+        self._idle: list[Node] = []
+        """Processes of nodes that have ended, for the next ones."""
 
     def __enter__(self) -> BridgeTrial:
         self.trial.__enter__()
@@ -260,7 +277,7 @@ class BridgeTrial:
         self.close()
 
     def close(self) -> None:
-        for node in self.nodes:
+        for node in (*self.nodes, *self._idle):
             node.close()
         if hasattr(self, "bridge"):
             self.bridge.close()
@@ -269,9 +286,13 @@ class BridgeTrial:
             os.unlink(self._settings)
             self._settings = ""
 
-    def node(self, name: str, *words: str) -> Node:
+    def node(self, name: str) -> Node:
         """Make another node; it ends with the scene."""
-        self.nodes.append(Node(self.ros, name, *words))
+        if self._idle:
+            self.nodes.append(self._idle.pop())
+            self.nodes[-1].become(name)
+        else:
+            self.nodes.append(Node(self.ros, name))
         return self.nodes[-1]
 
     def state(self, wanted: Any = lambda state: True) -> dict[str, Any]:
@@ -316,15 +337,33 @@ class BridgeTrial:
         self.trial.board.wait_wheels(moving=False, timeout_s=DEADLINE_S)
 
     def fresh(self) -> None:
-        """Return to the start: nobody commands, nothing is latched, motion is disabled."""
+        """Return to the start: the bridge runs, nobody commands, nothing is latched, motion is disabled."""
+        if self.bridge.process.poll() is not None:
+            self.bridge.start()
         for node in [node for node in self.nodes if node is not self.eyes]:
             self.leave(node)
-        self.state(lambda state: not state["publishers"])
-        self.trial.robot.reset()
+        self.state(lambda state: not state["publishers"] and state["state_age_ms"] is not None)
+        wait_for("a reset to be taken", self.trial.reset)
         self.trial.robot.disable()
         self.state(lambda state: state["blocked"] == "disabled")
 
     def leave(self, node: Node) -> None:
         """End a node in order."""
-        node.close()
         self.nodes.remove(node)
+        if node.process.poll() is None and not node.sent_goals:
+            self._idle.append(node)
+            node.ask("retire")
+        else:
+            node.close()
+
+    @contextlib.contextmanager
+    def another(self, *words: str, environment: Mapping[str, str] | None = None) -> Iterator[Bridge]:
+        """A bridge with other options in the place of the scene's."""
+        self.bridge.end()
+        own, self.bridge = self.bridge, Bridge(self.ros, self.trial.name, *words, environment=environment)
+        try:
+            self.state(lambda state: state["state_age_ms"] is not None)
+            yield self.bridge
+        finally:
+            self.bridge.close()
+            self.bridge = own

@@ -58,6 +58,12 @@ def profile(words: dict) -> QoSProfile:
 
 class Talker:
     def __init__(self, name: str) -> None:
+        self.asked: queue.Queue = queue.Queue()
+        self.become(name)
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def become(self, name: str) -> dict:
+        """A node of this name, and nothing of the one before."""
         rclpy.init(args=["talker", *sys.argv[2:]])
         self.node = rclpy.create_node(name)
         self.publishers: dict = {}
@@ -70,10 +76,17 @@ class Talker:
         self.actions: dict = {}
         self.feedback: list = []
         self.goal: Any = None
-        self.executor = SingleThreadedExecutor()
+        self.executor: Any = SingleThreadedExecutor()
         self.executor.add_node(self.node)
-        self.asked: queue.Queue = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
+        return {}
+
+    def retire(self) -> dict:
+        """Leave the graph in order, and wait to become another: that costs a fraction of a process."""
+        executor, self.executor = self.executor, None
+        executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+        return {}
 
     def _read(self) -> None:
         for line in sys.stdin:
@@ -82,21 +95,26 @@ class Talker:
 
     def _put(self, asked: dict) -> None:
         self.asked.put(asked)
-        self.executor.create_task(lambda: None)  # it wakes up
+        if executor := self.executor:
+            executor.create_task(lambda: None)  # it wakes up
 
     def run(self) -> None:
         answer({"ready": True})
         while True:
-            due_s = min((repeat["due_s"] for repeat in self.repeats.values()), default=math.inf)
-            self.executor.spin_once(timeout_sec=min(max(due_s - time.monotonic(), 0.0), LONGEST_S))
-            self._repeat()
-            while not self.asked.empty():
+            if self.executor:
+                self._turn(LONGEST_S)
+            while not self.executor or not self.asked.empty():
                 asked = self.asked.get()
                 if asked["do"] == "quit":
-                    self.node.destroy_node()
-                    rclpy.try_shutdown()
+                    if self.executor:
+                        self.retire()
                     return
                 answer(getattr(self, asked.pop("do"))(**asked))
+
+    def _turn(self, longest_s: float) -> None:
+        due_s = min((repeat["due_s"] for repeat in self.repeats.values()), default=math.inf)
+        self.executor.spin_once(timeout_sec=min(max(due_s - time.monotonic(), 0.0), longest_s))
+        self._repeat()
 
     def _repeat(self) -> None:
         now_s = time.monotonic()
@@ -153,7 +171,11 @@ class Talker:
         self.node.destroy_subscription(self.subscriptions.pop(topic))
         return {}
 
-    def take(self, topic: str) -> dict:
+    def take(self, topic: str, wait_s: float = 0.0) -> dict:
+        """Messages heard since the last time; `wait_s`: wait so long for the first of it."""
+        until_s = time.monotonic() + wait_s
+        while not self.heard[topic] and (left_s := until_s - time.monotonic()) > 0:
+            self._turn(min(left_s, LONGEST_S))
         found, self.heard[topic][:] = list(self.heard[topic]), []
         return {"heard": found}
 

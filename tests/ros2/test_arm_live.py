@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, goal, point, publish_once, send
+from failstop.ros2.alive import DISCOVERY_NS
+from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, GOAL_TIMEOUT_S, goal, point, publish_once, send
 from tests.ros2.scene import NODE, BridgeTrial, Node
 from tests.support.arm_settings import DRIVE, SERVOS
 
 SETTINGS = ARM_SETTINGS
+UNHEARD = f"a node that hears of the goal has acknowledged nothing for {GOAL_TIMEOUT_S:g} s: held"
+
+
+@pytest.fixture
+def planner(scene: BridgeTrial, offers: bool) -> Node:
+    """A client of the action."""
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    return scene.node("planner")
 
 
 def test_drive_pose_hold_and_state(scene: BridgeTrial) -> None:
@@ -35,6 +46,17 @@ def test_enable_goes_to_the_drive_pose_and_the_arm_is_refused_then(scene: Bridge
     assert scene.eyes.call("enable", data=False) == (True, "disabled")
 
 
+def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: BridgeTrial, planner: Node) -> None:
+    assert not send(planner, goal(point(1, 9.0)))
+    assert not send(planner, goal(point(1, 0.0), joint="tail"))
+    assert not send(planner, goal(point(1)))
+    scene.enable()  # soon, as the arm is in the drive pose
+    assert not send(planner, goal(point(1, 0.0)))
+    said = scene.bridge.said()
+    for words in ("joint base to 9 rad: allowed is", "no joint 'tail'", "a point without", "refused: wheels enabled"):
+        assert words in said
+
+
 def test_a_blocked_joint_refuses_in_the_words_of_the_driver_before(scene: BridgeTrial) -> None:
     scene.trial.board.servo(2, position=400, blocked=True)
     try:
@@ -53,14 +75,6 @@ def test_the_arm_s_joints_are_joint_states(scene: BridgeTrial) -> None:
     scene.eyes.next(f"{NODE}/arm_busy", lambda message: message["data"] is False)
 
 
-@pytest.fixture
-def planner(scene: BridgeTrial, offers: bool) -> Node:
-    """A client of the action."""
-    if not offers:
-        pytest.skip("this ROS has no control_msgs")
-    return scene.node("planner")
-
-
 def test_a_trajectory_by_the_action(scene: BridgeTrial, planner: Node) -> None:
     assert send(planner, goal(point(0, 0.0), point(1, 0.2), point(2, 0.1)))
     assert not send(planner, goal(point(1, 0.0))), "a second one while the first is under way"
@@ -72,17 +86,6 @@ def test_a_trajectory_by_the_action(scene: BridgeTrial, planner: Node) -> None:
     assert {tuple(row["joint_names"]) for row in heard} == {("base",)}
     desired = [row["desired"]["positions"][0] for row in heard]
     assert max(desired) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
-
-
-def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: BridgeTrial, planner: Node) -> None:
-    assert not send(planner, goal(point(1, 9.0)))
-    assert not send(planner, goal(point(1, 0.0), joint="tail"))
-    assert not send(planner, goal(point(1)))
-    scene.enable()
-    assert not send(planner, goal(point(1, 0.0)))
-    said = scene.bridge.said()
-    for words in ("joint base to 9 rad: allowed is", "no joint 'tail'", "a point without", "refused: wheels enabled"):
-        assert words in said
 
 
 def test_a_goal_that_is_cancelled_is_held(scene: BridgeTrial, planner: Node) -> None:
@@ -102,7 +105,7 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: BridgeTrial, planne
     wait_for("the arm to move", lambda: scene.state()["arm_moving"])
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
-    assert "nobody hears of the goal any more: held" in scene.bridge.said()
+    wait_for("the line", lambda: "nobody hears of the goal any more: held" in scene.bridge.said())
 
 
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: BridgeTrial, planner: Node) -> None:
@@ -163,10 +166,45 @@ def test_a_goal_that_is_old_moves_nothing(scene: BridgeTrial) -> None:
         before = planner.ask("sent", topic="arm/goal")["count"]
         planner.ask("repeat", topic="arm/goal", fields=late, hz=5.0)
         wait_for(
-            "goals for longer than one counts", lambda: planner.ask("sent", topic="arm/goal")["count"] > before + 3
+            "goals for longer than one counts", lambda: planner.ask("sent", topic="arm/goal")["count"] > before + 6
         )
         planner.ask("rest", topic="arm/goal")
     finally:
         scene.bridge.send(signal.SIGCONT)
     wait_for("the refusal for its age", lambda: "arm/goal: refused: it waited" in scene.bridge.said())
     assert scene.state()["arm_pose"]["1"] == pytest.approx(at, abs=4)
+
+
+def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: BridgeTrial) -> None:
+    if scene.ros.real:
+        pytest.skip("the stand-in alone can be without")
+    with scene.another(environment={"FAILSTOP_STANDIN_WITHOUT": "control_msgs"}) as bridge:
+        said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
+        wait_for("the line", lambda: bridge.said().count(said) == 1)
+        listener = scene.node("listener")
+        listener.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        rows = listener.next("/diagnostics", lambda message: said in str(message))["status"]
+        assert [row["level"] for row in rows if said in row["message"]] == [0]
+
+
+def test_a_client_of_the_action_that_is_stopped_or_killed_holds_the_arm(scene: BridgeTrial, planner: Node) -> None:
+    """DDS counts it for 20 s: what is missing at once is its acknowledgement of the feedback."""
+    other = scene.node("other")
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        held = scene.bridge.said().count(UNHEARD)
+        assert send(planner, goal(point(20, -0.5)))
+        scene.state(lambda state: state["arm_moving"])
+        time.sleep(DISCOVERY_NS / 1e9 + 0.5)  # so that it can't be what is given to discovery that holds the arm
+        assert scene.state()["arm_moving"], "as long as it lives, it goes on"
+        planner.process.send_signal(number)
+        scene.state(lambda state: not state["arm_moving"])
+        assert scene.bridge.said().count(UNHEARD) == held + 1
+        at = scene.trial.board.joints()[1]
+        assert not send(other, goal(point(1, 0.0))), "it can't be watched while the dead one counts"
+        assert "DDS counts it for up to 20 s" in scene.bridge.said()
+        assert scene.trial.board.joints()[1] == pytest.approx(at, abs=2)
+        if number == signal.SIGSTOP:
+            planner.process.send_signal(signal.SIGCONT)
+            wait_for("the next goal to be taken", lambda: send(other, goal(point(1, 0.0))))
+            assert other.ask("outcome")["status"] == 4
+    planner.process.wait()

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import pytest
-
 from failstop.api.errors import NoService, Refused
-from failstop.lab.trial import wait_for
 from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
-from tests.ros2.scene import NODE, BridgeTrial
 from tests.support import states
 
 RELIABLE_10 = Qos(10, reliable=True, transient_local=False)
@@ -132,34 +126,3 @@ def test_words_of_the_driver_before() -> None:
     assert words.NO_ANSWER == "no answer from the gate in 0.5 s: wheels stopped"
     assert words.HELD.format(0.62) == "wheels held: no LiDAR scan for 0.6 s while commanded"
     assert words.RELEASED == "LiDAR scan back: wheels released"
-
-
-@pytest.mark.parametrize("topic", [*INWARD, *OUTWARD], ids=lambda topic: topic.name)
-def test_the_running_bridge_offers_it(scene: BridgeTrial, topic: contract.Topic) -> None:
-    name = topic.name.replace("~", NODE)
-    name = name if name.startswith("/") else f"/{name}"
-    of = "subscriptions" if topic in INWARD else "publishers"
-    wanted = [topic, contract.ESTOP_LOSSY] if topic is contract.ESTOP else [topic]
-
-    def offered() -> list[dict[str, Any]]:
-        return [end for end in scene.eyes.ask("ends", topic=name, of=of)["ends"] if end["node"] == NODE]
-
-    if topic is contract.STATUS and not offered():
-        pytest.skip("failstop_msgs is not built here")
-    wait_for("its ends to be seen", lambda: len(offered()) >= len(wanted))
-    ends = offered()
-    assert sorted(ends, key=lambda end: not end["reliable"]) == [
-        {
-            "node": NODE,
-            "type": each.type,
-            "reliable": each.qos.reliable,
-            "lasting": each.qos.transient_local,
-        }
-        for each in wanted
-    ]
-
-
-def test_the_running_bridge_offers_the_services(scene: BridgeTrial) -> None:
-    services = scene.eyes.ask("graph")["services"]
-    for name, kind in SERVICE_TYPES.items():
-        assert services[name.replace("~", NODE)] == [kind]

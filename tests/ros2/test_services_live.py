@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import time
-
-import pytest
-
 from failstop.ros2.mirrors import TABLE
 from tests.ros2.scene import NODE, BridgeTrial
+from tests.support.leases import TIMEOUT_S
 
 BRIDGE = (
-    *("--ros-args", "-p", "max_linear:=0.5", "-p", "cmd_timeout:=0.3", "-p", "gyro_noise_rad_s:=0.1"),
-    *("-p", "imu_frame_id:=imu_left"),
+    *("--ros-args", "-p", "max_linear:=0.5", "-p", f"cmd_timeout:={TIMEOUT_S}", "-p", "gyro_noise_rad_s:=0.1"),
+    *("-p", "imu_frame_id:=imu_left", "-p", "allowed_publishers:=['/nav', 'teleop']"),
+)
+REFUSED = (
+    ("max_linear", 0.7, "change limits.vx_mps and limits.vy_mps in failstop's TOML file"),
+    ("scan_timeout", 0.7, "change scan.timeout_s and scan.gate in failstop's TOML file"),
+    ("gyro_noise_rad_s", 0.7, "read-only"),
+    ("cmd_vel_type", "twist", "read once, at the start of the bridge"),
 )
 
 
@@ -39,16 +42,12 @@ def test_reset(scene: BridgeTrial) -> None:
 
 def test_stop_tells_its_three_levels(scene: BridgeTrial) -> None:
     scene.eyes.call("enable", data=True)
-    begun_s = time.monotonic()
     done, text = scene.eyes.call("stop")
     assert done
-    assert time.monotonic() - begun_s < 3.0
     assert text.startswith("stop latched (stop service): written after ")
     assert "acknowledged after " in text
     assert scene.trial.robot.state.estop
-    begun_s = time.monotonic()
     assert scene.eyes.call("stop")[1].startswith("stop latched (stop service): written after ")
-    assert time.monotonic() - begun_s < 3.0
 
 
 def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
@@ -66,7 +65,7 @@ def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
         "max_angular": 1.0,
         "max_accel_linear": 0.5,
         "max_accel_angular": 2.0,
-        "cmd_timeout": 0.3,
+        "cmd_timeout": TIMEOUT_S,
         "scan_timeout": 0.5,
         "accel_offset_g": [0.0, 0.0, 0.0],
         "accel_scale": [1.0, 1.0, 1.0],
@@ -83,21 +82,11 @@ def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [
-        ("max_linear", 0.7, "change limits.vx_mps and limits.vy_mps in failstop's TOML file"),
-        ("scan_timeout", 0.7, "change scan.timeout_s and scan.gate in failstop's TOML file"),
-        ("gyro_noise_rad_s", 0.7, "read-only"),
-        ("cmd_vel_type", "twist", "read once, at the start of the bridge"),
-    ],
-)
-def test_a_parameter_is_not_set_and_says_what_to_change(
-    scene: BridgeTrial, name: str, value: float | str, says: str
-) -> None:
-    results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=value)["results"]
-    assert [result["successful"] for result in results] == [False]
-    assert says in results[0]["reason"]
+def test_a_parameter_is_not_set_and_says_what_to_change(scene: BridgeTrial) -> None:
+    for name, value, says in REFUSED:
+        results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=value)["results"]
+        assert [result["successful"] for result in results] == [False], name
+        assert says in results[0]["reason"]
     test_parameters_show_the_settings(scene)
 
 
@@ -111,3 +100,18 @@ def test_a_launch_file_that_wants_otherwise_is_told_of_by_name(scene: BridgeTria
 def test_frames_are_the_bridges_own_parameters(scene: BridgeTrial) -> None:
     scene.eyes.hear("imu/data_raw", "sensor_msgs/msg/Imu")
     assert scene.eyes.next("imu/data_raw")["header"]["frame_id"] == "imu_left"
+
+
+def test_who_is_on_the_list_of_publishers_drives_and_a_stranger_latches(scene: BridgeTrial) -> None:
+    scene.scan()
+    for who in ("nav", "teleop"):
+        driver = scene.drive(who)
+        scene.enable()
+        scene.moving()
+        scene.trial.robot.disable()
+        scene.standing()
+        scene.leave(driver)
+    scene.trial.board.events()
+    scene.drive("intruder")
+    scene.state(lambda state: state["estop"] == "stranger on cmd_vel: /intruder (allowed: /nav, teleop)")
+    assert not [event for event in scene.trial.board.events() if event.is_motion]

@@ -9,12 +9,17 @@ from pathlib import Path
 import pytest
 
 from failstop.files import root
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, wait_for
+from tests.support.shared_trial import IMU_HZ
 
 
 @pytest.fixture(scope="module")
-def service() -> Iterator[Trial]:
-    with Trial(f"screen-{os.getpid()}") as running:
+def service(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
+    """With the command timeout that `failstop teleop` counts on. A module may say how often the IMU tells (IMU_HZ)."""
+    settings = tmp_path_factory.mktemp("screen") / "failstop.toml"
+    imu_hz = getattr(request.module, "IMU_HZ", IMU_HZ)
+    settings.write_text("gate.lease_s = 0.25\n")
+    with Trial(f"screen-{os.getpid()}", ("--config", str(settings)), imu_hz) as running:
         yield running
 
 
@@ -22,8 +27,10 @@ def service() -> Iterator[Trial]:
 def trial(service: Trial) -> Iterator[Trial]:
     """A trial for all tests of a module, each from the start: nothing latched, motion disabled, nobody else
     connected."""
+    if service.service.process is None or service.service.process.poll() is not None:
+        service.service.start()
     if service.robot.state.estop:
-        service.robot.reset()
+        wait_for("a reset to be taken", service.reset)
     service.robot.disable()
     service.leave()
     service.board.events()

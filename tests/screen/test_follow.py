@@ -21,13 +21,14 @@ from failstop.incidents import left
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 from tests.support.commands import failstop
+from tests.support.shared_trial import IMU_HZ
 
 SECONDS = 20
 
 
 @pytest.fixture(scope="module")
 def trial() -> Iterator[Trial]:
-    with Trial(f"left-{os.getpid()}") as running:
+    with Trial(f"left-{os.getpid()}", imu_hz=IMU_HZ) as running:
         yield running
 
 
@@ -110,7 +111,12 @@ def test_what_starts_it_is_what_started_it_the_last_time(installed: Callable[[st
     assert host.start("right") == "`sudo systemctl start failstop@right`"
 
 
-def test_where_nothing_is_left(trial: Trial) -> None:
+def test_an_end_and_a_start_anew(trial: Trial) -> None:
+    """One that looks meanwhile is told that nothing is there; one that does not notices that it is another run, though
+    the memory of the old one can still be read."""
+    often, seldom = Follower(trial.name), Follower(trial.name)
+    before = seldom.read(0.0)
+    assert before is not None
     trial.leave()
     assert trial.service.end() == 0
     assert left.left(trial.name) is None
@@ -118,31 +124,13 @@ def test_where_nothing_is_left(trial: Trial) -> None:
         done = run(trial, word)
         assert (done.returncode, done.stdout) == (3, "")
         assert f"`failstop run --name {trial.name} --device {trial.board.link}`" in done.stderr
+    assert often.read(10.0) is None
+    assert "no service named" in often.note
     trial.service.start()
-
-
-def test_a_restart_between_two_looks_is_noticed() -> None:
-    """The new run is there at the next look, and the memory of the old one can still be read."""
-    with Trial(f"screen-{os.getpid()}-fast") as own:
-        follower = Follower(own.name)
-        before = follower.read(0.0)
-        assert before is not None
-        own.leave()
-        own.service.end()
-        own.service.start()
-        after = follower.read(CHECK_S)
-        assert after is not None
-        assert after.processes[layout.SUPERVISOR].pid == own.service.pids()[layout.SUPERVISOR]
-        assert after.processes[layout.SUPERVISOR].pid != before.processes[layout.SUPERVISOR].pid
-
-
-def test_a_service_that_has_gone_is_said() -> None:
-    with Trial(f"screen-{os.getpid()}-gone") as own:
-        follower = Follower(own.name)
-        own.leave()
-        own.service.end()
-        assert follower.read(10.0) is None
-        assert "no service named" in follower.note
+    after = seldom.read(CHECK_S)
+    assert after is not None
+    assert after.processes[layout.SUPERVISOR].pid == trial.service.pids()[layout.SUPERVISOR]
+    assert after.processes[layout.SUPERVISOR].pid != before.processes[layout.SUPERVISOR].pid
 
 
 def test_there_must_be_one_at_first() -> None:

@@ -12,7 +12,7 @@ from failstop.cli.screen.progress import Progress
 from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.trial import Trial
 from failstop.procs.gate.core import LEAST_LIMIT
-from tests.support.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 
 
@@ -67,12 +67,12 @@ def test_progress_is_one_line_that_is_gone_at_the_end(
 
 
 def test_enabling_with_an_arm_is_one_line() -> None:
-    with ArmTrial(f"requests-{os.getpid()}-arm") as trial:
-        done = failstop("enable", "--name", trial.name)
-        assert (done.returncode, done.stdout) == (0, "motion enabled\n"), done.stderr
-        trial.robot.disable()
-        with Typist([*FAILSTOP, "arm", "tuck", "--name", trial.name]) as typist:
-            assert typist.end() == 0
-            assert "s left" in typist.raw, "how far it is"
-            assert "s left" not in typist.raw.rstrip().rpartition("\r")[2], "gone at the end"
-            assert typist.raw.count("\n") == 1
+    with (
+        ArmTrial(f"requests-{os.getpid()}-arm") as trial,
+        Typist([*FAILSTOP, "enable", "--name", trial.name]) as typist,
+    ):
+        assert typist.end() == 0
+        assert "s left" in typist.raw, "how far it is"
+        assert "motion enabled" in typist.raw
+        assert "s left" not in typist.raw.rstrip().rpartition("\r")[2], "gone at the end"
+        assert typist.raw.count("\n") == 1

@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from bench.web.parts import Web
 from failstop.lab.trial import Trial
+from tests.support.leases import LEASES
+from tests.support.shared_trial import IMU_HZ
 
 _numbers = itertools.count()
 
@@ -18,19 +21,29 @@ _numbers = itertools.count()
 def settings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The settings' file."""
     path = tmp_path_factory.mktemp("settings") / "failstop.toml"
-    path.write_text(getattr(request.module, "SETTINGS", ""))
+    text = getattr(request.module, "SETTINGS", "")
+    # Where the page drives, how long its commands count is what is tried.
+    path.write_text(text if "[sources.page]" in text else LEASES + text)
     return str(path)
 
 
 @pytest.fixture(scope="module")
-def trial(settings: str) -> Iterator[Trial]:
-    """Board, service and client."""
-    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings)) as running:
+def trial(settings: str, request: pytest.FixtureRequest) -> Iterator[Trial]:
+    """Board, service and client. A module may say how often the IMU tells (IMU_HZ)."""
+    imu_hz = getattr(request.module, "IMU_HZ", IMU_HZ)
+    with Trial(f"web-{os.getpid()}-{next(_numbers)}", ("--config", settings), imu_hz) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    """The page of it, which finds the trial's incidents."""
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of what the page says, besides its address."""
+    return tmp_path_factory.mktemp("journal") / "web"
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, settings: str, journal: Path) -> Iterator[Web]:
+    """The page of it, which finds the trial's incidents, and is ended in order."""
+    with journal.open("wb") as file, Web(trial.name, "--config", settings, state=trial.state, says=file) as running:
         yield running
+        assert running.close() == 0

@@ -19,6 +19,8 @@ from failstop.lab.trial import Trial, judge, wait_for
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
 LEASE_S = 0.5
+IMU_HZ = 110.0
+"""A stop is seen to be one by the samples of a real board."""
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
 WORD = "document.getElementById('word').textContent"
 SAID = "document.getElementById('stop-said').textContent"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -10,6 +11,7 @@ import time
 import pytest
 
 from bench.web.parts import HEADERS, Web
+from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import assets, guard
 
@@ -43,19 +45,19 @@ def test_stopped_again_while_it_is_stopped(trial: Trial, web: Web) -> None:
     assert (status, said["written"]) == (200, True)
 
 
-def test_while_the_board_is_unplugged_no_stop_is_said_to_be_written() -> None:
+def test_while_the_board_is_unplugged_no_stop_is_said_to_be_written(trial: Trial, web: Web) -> None:
     """The wheels may turn: who has touched STOP must hear of the power switch."""
-    with Trial(f"web-gone-{os.getpid()}") as lost, Web(lost.name) as page:
-        lost.enable()
-        lost.drive(0.3)
-        lost.board.unplug()
-        wait_for("the loss", lambda: "is gone" in lost.service.said())
-        status, said = page.post("/api/stop")
-        assert (status, said["written"]) == (200, False)
-        lost.board.replug()
-        wait_for("the port", lambda: "is back" in lost.service.said())
-        status, said = page.post("/api/stop")
-        assert (status, said["written"]) == (200, True)
+    trial.enable()
+    trial.drive(0.3)
+    told = trial.service.written()
+    trial.board.unplug()
+    wait_for("the loss", lambda: "is gone" in trial.service.said(told))
+    status, said = web.post("/api/stop")
+    assert (status, said["written"]) == (200, False)
+    trial.board.replug()
+    wait_for("the port", lambda: "is back" in trial.service.said(told))
+    status, said = web.post("/api/stop")
+    assert (status, said["written"]) == (200, True)
 
 
 def test_everything_that_is_answered_carries_the_headers(web: Web) -> None:
@@ -132,6 +134,16 @@ def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
         status, said = alone.post("/api/stop")
         assert status == 503
         assert "no service" in said["error"]
+        with Viewer(alone, path="/api/stop/live") as stopping:
+            stopping.send(stop="a")
+            assert "no service" in stopping.next()["error"]
+
+
+def test_without_pairing_nobody_may(web: Web) -> None:
+    assert web.post("/api/pair", {"code": "0000-0000"})[0] == 403
+    assert web.post("/api/disable", headers=HEADERS)[0] == 401
+    assert "pairing is off" in web.command("pair").stderr
+    assert json.loads(web.ask("GET", "/api/state")[2])["live"]
 
 
 def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> None:

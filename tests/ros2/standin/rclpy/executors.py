@@ -93,4 +93,4 @@ class SingleThreadedExecutor:
                 service.send_response(end.value, header)
         else:
             self._tasks.append((service, header, coroutine))
-            time.sleep(0.001)
+            time.sleep(0.005)

@@ -65,6 +65,8 @@ class Wire:
                 os.utime(os.path.join(self.folder, f"{self.name}.json"))
 
     def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # its thread ends
         for ending in ("json", "sock"):
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(os.path.join(self.folder, f"{self.name}.{ending}"))
@@ -103,7 +105,7 @@ class Wire:
         while True:
             try:
                 number, packet = pickle.loads(self._socket.recv(MOST_BYTES))
-            except OSError:
+            except (OSError, EOFError):
                 return
             if handler := self.handlers.get(number):
                 handler(packet)
