@@ -38,8 +38,7 @@ DIRECTORY = "failstop-container-"
 END_S = 10.0
 TIMEOUT_S = 120.0
 """Of a command inside: an installation waits for the disk."""
-POLL_S = 0.03
-"""Each look at a unit costs some 10 ms of a processor."""
+POLL_S = 0.03  # each look at a unit costs some 10 ms of a processor
 
 BASE = (
     *(f"{name}.target" for name in ("basic", "sysinit", "sockets", "paths", "timers", "slices", "multi-user")),
