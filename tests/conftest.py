@@ -69,12 +69,11 @@ def _refuse(event: str, _: object) -> None:
 
 
 LONGEST = (
-    *("systemd/test_install.py", "prove/test_prove.py", "machine/test_campaign.py", "test_model.py"),
-    *("systemd/test_service.py", "faults/test_table.py", "prove/test_campaign.py"),
-    *("shm/test_torn.py", "incidents/test_live.py", "ros2/test_ends.py", "web/test_sockets.py"),
-    *("screen/test_teleop.py", "screen/test_commands.py", "e2e/test_hostile_clients.py", "docs/test_docs.py"),
-    *("faults/test_chaos.py", "safety/test_table.py", "e2e/test_package.py", "ros2/test_driving.py"),
-    *("procs/test_gate_arm.py", "ros2/test_arm_live.py", "used/test_used.py", "incidents/test_pictures.py"),
+    *("prove/test_prove.py", "faults/test_table.py", "systemd/test_install.py", "test_model.py"),
+    *("machine/test_campaign.py", "docs/test_docs.py", "systemd/test_service.py", "prove/test_campaign.py"),
+    *("ros2/test_arm_live.py", "incidents/test_live.py", "web/test_sockets.py", "prove/test_arm.py"),
+    *("boards/test_proofs.py", "e2e/test_hostile_clients.py", "e2e/test_package.py", "docs/test_readme.py"),
+    *("machine/test_both_worlds.py", "screen/test_teleop.py", "ros2/test_driving.py", "e2e/test_kills.py"),
 )
 """Files of tests by how long they take, as `pytest --durations=0` has it, the longest first."""
 

@@ -43,8 +43,8 @@ def wire(folder: str) -> Wire:
 
 def load(folder: str, name: str, value: str) -> Any:
     """A value of a module of that folder. Raises OwnBoardError."""
+    _check(folder)
     path = os.path.join(folder, f"{name}.py")
-    _check(path)
     try:
         module = __import__(f"{_package(folder).__name__}.{name}", fromlist=[value])
     except Exception as error:
@@ -66,18 +66,27 @@ def _package(folder: str) -> ModuleType:
     return known
 
 
-def _check(path: str) -> None:
-    """Refuse what another user may change, at any place on the way."""
-    here = os.path.realpath(path)
-    while True:
-        try:
-            found = os.stat(here)
-        except OSError as error:
-            raise OwnBoardError(f"{here}: {error.strerror}") from None
-        if found.st_uid not in (0, os.geteuid()):
-            raise OwnBoardError(f"{here} belongs to another user: sudo chown root {here}")
-        if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX:
-            raise OwnBoardError(f"others may write {here}: sudo chmod go-w {here}")
-        if here == os.path.dirname(here):
-            return
-        here = os.path.dirname(here)
+def _check(folder: str) -> None:
+    """Refuse what another user may change: the folder's files, and every place on the way to them, links too."""
+    try:
+        files = [os.path.join(folder, name) for name in os.listdir(folder)]
+    except OSError as error:
+        raise OwnBoardError(f"{folder}: {error.strerror}") from None
+    seen: set[str] = set()
+    for path in (folder, *files):
+        for here in {path, os.path.realpath(path)}:
+            while here not in seen:
+                seen.add(here)
+                _check_one(here)
+                here = os.path.dirname(here)
+
+
+def _check_one(path: str) -> None:
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        raise OwnBoardError(f"{path}: {error.strerror}") from None
+    if found.st_uid not in (0, os.geteuid()):
+        raise OwnBoardError(f"{path} belongs to another user: sudo chown root {path}")
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX:
+        raise OwnBoardError(f"others may write {path}: sudo chmod go-w {path}")

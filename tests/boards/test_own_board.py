@@ -52,13 +52,16 @@ def test_it_takes_two_speeds(folder: str) -> None:
 
 
 WRONG = {
-    "no such folder": (lambda at: shutil.rmtree(at), "wire.py: No such file or directory"),
+    "no such folder": (lambda at: shutil.rmtree(at), "tank: No such file or directory"),
     "no WIRE": (lambda at: (at / "wire.py").write_text("wire = 1\n"), "wire.py has no WIRE"),
     "not a Wire": (lambda at: (at / "wire.py").write_text("WIRE = 1\n"), "is no failstop.board.wire.Wire"),
     "an error of its own": (
         lambda at: (at / "wire.py").write_text("import nothing_like_that\n"),
         "ModuleNotFoundError",
     ),
+    "no wire.py": (lambda at: (at / "wire.py").unlink(), "wire.py: ModuleNotFoundError"),
+    "a link that leads nowhere": (lambda at: (at / "more.py").symlink_to(at / "gone.py"), "No such file or directory"),
+    "others may write what it imports": (lambda at: (at / "codec.py").chmod(0o666), "others may write"),
     "others may write it": (lambda at: (at / "wire.py").chmod(0o666), "others may write"),
     "others may write the folder": (lambda at: at.chmod(0o777), "sudo chmod go-w"),
 }
@@ -89,7 +92,7 @@ def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path)
     done = commands.failstop(*words, str(file))
     assert done.returncode == 1
     [line] = done.stderr.splitlines()
-    assert f"{tmp_path}/none/wire.py: No such file or directory" in line
+    assert f"{tmp_path}/none: No such file or directory" in line
     assert "no stop can be written to it: use the POWER SWITCH" in line
 
 
