@@ -1,4 +1,4 @@
-"""The same as in test_made_while_it_starts, by threads of this process and a real service, while both cores are busy."""
+"""As in test_made_while_it_starts, by threads of this process and a real service, while both cores are busy."""
 
 from __future__ import annotations
 
