@@ -292,7 +292,8 @@ class Client:
         """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
         the gate does not take it for a death."""
         if in_order:
-            self._farewell.append(records.LEFT.pack(self._session))
+            lies = self._segment.latest_reader("left").read()
+            self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
         self._drop()
 
 

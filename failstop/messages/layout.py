@@ -15,7 +15,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.segment import Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 9
+LAYOUT_VERSION = 10
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -72,7 +72,7 @@ def _client(index: int) -> SegmentSpec:
         "the client that holds the slot's claim",
         CLIENTS_WRITE,
         (
-            _latest("left", records.LEFT, "gate"),  # the goodbye of a client before: it stays when the slot is taken
+            _latest("left", records.LEFT, "gate"),  # the goodbyes of clients before: they stay when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", records.HELLO, "gate"),
             *(_latest(name, FEWER.get(name, shape), "gate") for name, shape in records.OF_SESSION.items()),

@@ -263,8 +263,21 @@ SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 
 """A line of a client session on itself: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 """The holder of a client slot: a random session number, its pid and in which namespace of pids, its name."""
-LEFT: Payload[int] = Payload("<Q")
-"""The goodbye of the session that has left a client slot in order."""
+GOODBYES = 64
+LEFT = Shape(f"<{GOODBYES}Q")
+"""The sessions that have left a client slot in order, the last one first: many may come and go between two looks of the
+gate."""
+
+
+def goodbye(session: int, before: bytes) -> bytes:
+    """The goodbye of a session, in front of those that lay there."""
+    try:
+        earlier = LEFT.unpack(before)
+    except ValueError:
+        earlier = (0,) * GOODBYES
+    return LEFT.pack(session, *earlier[:-1])
+
+
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")

@@ -75,7 +75,11 @@ class Slot:
 
     def parted(self) -> bool:
         """True when the session that holds the slot has said goodbye."""
-        return self._believed(records.LEFT, self._left.read()) is not None
+        entry = self._left.read()
+        try:
+            return entry is not None and self.session in records.LEFT.unpack(entry[2])
+        except ValueError:
+            return False
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""

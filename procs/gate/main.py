@@ -181,15 +181,16 @@ class Gate:
         if self._rings == MOST_RINGS:
             self.loop.forget(self._client_bell)
 
-    def _hear_clients(self) -> None:
+    def _hear_clients(self, now_ns: int) -> None:
         if self._rings >= MOST_RINGS:
-            bell.take(self._client_bell)  # every slot in use is looked at in this tick anyway
+            rung = self.clients.hinted(bell.take(self._client_bell))  # a new client among them is in no slot in use yet
+            self._follow_clients(self.clients.look(rung), now_ns)
             self.loop.watch(self._client_bell, READ)
         self._rings = 0
 
     def _tick(self, now_ns: int) -> None:
         """The periodic part; a tick that was missed is left out, not made up for."""
-        self._hear_clients()
+        self._hear_clients(now_ns)
         self._next_tick.set(max(self._next_tick.ns + self.period_ns, now_ns + self.period_ns // 2))
         self._ticks += 1
         if self._ticks % LOOK_AT_ALL_EVERY:

@@ -137,7 +137,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     ),
     "latch": (lambda text: records.LATCH.pack(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.PORT.pack(TOP, TOP, 2, text), ["port_owner/port"]),
-    "left": (lambda _: records.LEFT.pack(TOP), each("client.{}/left")),
+    "left": (lambda _: records.LEFT.pack(*[TOP] * records.GOODBYES), each("client.{}/left")),
     "hello": (lambda text: records.HELLO.pack(TOP, 2**32 - 1, TOP, text), each("client.{}/hello")),
     "reply": (
         lambda text: records.REPLY.pack(TOP, TOP, True, 0, text, causes.PIPED(text).pack()),
@@ -270,7 +270,7 @@ LEAST: dict[str, tuple[Shape, int]] = {
     "stopped": (records.STOPPED, 24),
     "port": (records.PORT, 17),
     "latch": (records.LATCH, 24),
-    "left": (records.LEFT, 8),
+    "left": (records.LEFT, 8 * records.GOODBYES),
     "hello": (records.HELLO, 20),
     "reply": (records.REPLY, 20),
     "request": (records.REQUEST, 17),

@@ -60,7 +60,7 @@ class Client:
         self.hello(session, name)
 
     def goodbye(self) -> None:
-        self.write("left", records.LEFT.pack(self.session))
+        self.write("left", records.goodbye(self.session, b""))
 
     def write(self, record: str, payload: bytes, t_ns: int | None = None) -> None:
         """Leave something in its slot, without a ring."""
