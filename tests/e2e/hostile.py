@@ -239,7 +239,9 @@ def replay(name: str, index: str) -> None:
             time.sleep(REST_S)
     claims = claim.open_claims(instance.claims_path(instance.find(name)))
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
-    begun(claim.acquire(claims, int(index)))
+    while not (has_claim := claim.acquire(claims, int(index))):  # who leaves lets go of it last
+        time.sleep(REST_S)
+    begun(has_claim)
     while True:
         os.pwrite(fd, found, 0)
         bell.send(to_bell, bytes([int(index)]))
