@@ -9,18 +9,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib.metadata
-import importlib.util
-import marshal
 import os
+import py_compile
 import re
-import struct
 import sys
 import warnings
 from collections.abc import Callable, Collection, Iterator
-from importlib.machinery import SourceFileLoader
 from importlib.metadata import Distribution
 from pathlib import Path
-from types import CodeType
 
 import failstop
 from failstop.version import VERSION
@@ -94,33 +90,9 @@ def write(entries: Collection[Entry], directory: Path) -> None:
         path.chmod(0o755 if entry.executable else 0o644)
         if path.suffix == ".py":
             # A package may have files for another Python version.
-            with warnings.catch_warnings(), contextlib.suppress(SyntaxError):
+            with warnings.catch_warnings(), contextlib.suppress(py_compile.PyCompileError):
                 warnings.simplefilter("ignore")
-                _compile(path, entry)
-
-
-class _Compiled(SourceFileLoader):
-    """A module's code, from where the running environment has it compiled, if it has; nothing is written there."""
-
-    def set_data(self, path: str, data: object, *, _mode: int = 0o666) -> None:
-        """Keep what was compiled to oneself."""
-
-
-def _compile(path: Path, entry: Entry) -> None:
-    """Write the module's code beside it, as Python does, for the place that it is to have."""
-    code = _Compiled(path.stem, entry.source or str(path)).get_code(path.stem)
-    assert code is not None
-    found = path.stat()
-    header = struct.pack("<III", 0, int(found.st_mtime) & 0xFFFFFFFF, found.st_size & 0xFFFFFFFF)
-    cached = Path(importlib.util.cache_from_source(str(path)))
-    cached.parent.mkdir(exist_ok=True)
-    cached.write_bytes(importlib.util.MAGIC_NUMBER + header + marshal.dumps(_placed(code, f"{PREFIX}/{entry.path}")))
-
-
-def _placed(code: CodeType, where: str) -> CodeType:
-    """The code of this file, as tracebacks have it, with all that is defined in it."""
-    inside = tuple(_placed(one, where) if isinstance(one, CodeType) else one for one in code.co_consts)
-    return code.replace(co_filename=where, co_consts=inside)
+                py_compile.compile(str(path), dfile=f"{PREFIX}/{entry.path}", doraise=True)
 
 
 def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Distribution]:
