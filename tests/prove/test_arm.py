@@ -20,6 +20,7 @@ from failstop.lab.prove.watch import Move, moves
 from failstop.lab.sim.client import SimBoard
 from failstop.policy.joints import PULSES_PER_RAD, from_settings
 from failstop.policy.settings import Settings
+from failstop.supervisor import status
 from tests.prove.judged import firm
 from tests.support.arm_settings import ARM
 from tests.support.commands import failstop
@@ -28,7 +29,7 @@ MS = 1_000_000
 PERIOD_NS = 40 * MS
 BASE = from_settings(Settings(ARM))[0]
 SWING = Swing(BASE, 0.0, 0.5)
-SETTINGS = {**ARM, "interlocks.dock.timeout_s": 0.3, "gate.lease_s": 0.2}
+SETTINGS = {**ARM, "interlocks.dock.timeout_s": 0.3, status.LEASE: status.LEASE_WITHOUT_S}
 STEP = PULSES_PER_RAD * 0.04
 
 

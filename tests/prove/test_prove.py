@@ -26,6 +26,7 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
+from failstop.supervisor import status
 from tests.prove.judged import UNSEEN, firm
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
@@ -33,8 +34,6 @@ from tests.support.commands import FAILSTOP, failstop
 WORD = "spin\n"
 LIMIT_S = 240
 TRIES = 5
-LEASE_S = 0.2
-"""A machine that is busy for a moment is no hang here."""
 MINE = {"limits.vx_mps": 0.1, "limits.wz_radps": 1.5, "interlocks.dock.timeout_s": 0.3, "device.path": "/dev/x"}
 ROWS = ("timeout", "scan", "kill-supervisor", "service-stop")
 """Of the short form: who stops is the gate, the port owner, and the service as it ends."""
@@ -47,7 +46,7 @@ def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
 @contextlib.contextmanager
 def on_stand(place: Path, **settings: object) -> Iterator[Stand]:
     """Its rows are not excused by what else this machine does (test_starved_rows.py)."""
-    settings["gate.lease_s"] = LEASE_S
+    settings[status.LEASE] = status.LEASE_WITHOUT_S
     with SimBoard(place / "board") as board, Stand(board.link, settings, str(place), board) as stand:
         stand.held.starved = lambda *_: ""  # type: ignore[method-assign]
         yield stand
@@ -55,7 +54,7 @@ def on_stand(place: Path, **settings: object) -> Iterator[Stand]:
 
 def one(stand: Stand, path: str, velocity: str = "0.2") -> Result:
     """A row; one in which a busy machine had no wheel turn proves nothing, and is taken again."""
-    wanted = BY_PATH[path].leased(LEASE_S)
+    wanted = BY_PATH[path].leased(status.LEASE_WITHOUT_S)
     for _ in range(TRIES):
         result = PathRun(stand, SIMULATED, wanted, BY_TURNING[velocity], None, random.Random()).take()
         if UNSEEN not in result.wrong:
@@ -73,7 +72,7 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
 def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_judge.py."""
     settings = tmp_path / "own.toml"
-    settings.write_text(f"gate.lease_s = {LEASE_S}\n")
+    settings.write_text(f"{status.LEASE} = {status.LEASE_WITHOUT_S}\n")
     out = tmp_path / "evidence"
     words = ("--only", ",".join(ROWS), "--at", "0.2", "--config", str(settings), "--out", str(out))
     done = prove("--sim", "--quick", "--json", *words)

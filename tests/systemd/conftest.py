@@ -15,12 +15,13 @@ import pytest
 from bench.container import Bind, Container, ContainerMissing
 from bench.service_scene import CONFIG, HARDY, UNIT, Scene
 from failstop.lab.sim.client import SimBoard
+from failstop.supervisor import status
 from tests.support.deb import tree
 from tests.support.pages import ROOT
 
 from .installing import OLDER, SETTINGS, Place
 
-LEASE = f"printf '[gate]\\nlease_s = 0.2\\n' >> {CONFIG}\n"
+LEASE = f"printf '[gate]\\nlease_s = {status.LEASE_WITHOUT_S}\\n' >> {CONFIG}\n"
 """A machine that is busy for a moment is no hang in these tests."""
 
 
