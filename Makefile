@@ -70,7 +70,7 @@ model:
 BOARD ?=
 board: $(VENV)/.dev
 	@[ -n "$(BOARD)" ] || { echo "which folder? make board BOARD=/path/to/folder"; exit 1; }
-	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards -k $(notdir $(abspath $(BOARD)))
+	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards -k $(abspath $(BOARD))
 	$(BIN)/failstop demo --board $(abspath $(BOARD))
 
 # All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.

@@ -16,6 +16,11 @@ def is_own(kind: str) -> bool:
     return kind.startswith("/")
 
 
+def is_described(kind: str) -> bool:
+    """A Wire describes it."""
+    return kind in KINDS or is_own(kind)
+
+
 def wire_of(kind: str) -> Wire:
     """The description of one of KINDS, or of an own board. Nothing of another board is imported. Raises ValueError."""
     if is_own(kind):
@@ -40,7 +45,7 @@ def watchdog_of(kind: str) -> tuple[float, str]:
 def board_of(kind: str, diameter_m: float, per_rps: float) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
     boards usually have it. Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
-    if is_own(kind) or kind in KINDS:
+    if is_described(kind):
         from failstop.board.described import Described
 
         wire = wire_of(kind)

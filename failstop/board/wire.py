@@ -25,7 +25,7 @@ ANSWERED = "answered"
 ECHOED = "echoed"
 """Proof: the board reports the command that it obeys, and that is zero."""
 OBSERVED = "observed"
-"""Proof: the wheels' own encoders or the IMU say that they stand."""
+"""Proof: the board's reports of its wheels' speeds or positions say that they stand; without it an IMU may."""
 
 BITS_PER_BYTE = 10
 """On the wire: a start bit, eight of data, a stop bit."""

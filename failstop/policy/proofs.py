@@ -8,7 +8,7 @@ LINK_DEAF = "deaf"
 LINK_UNASKED = "unasked"
 NOT_SENT = "NOT sent: the board takes no bytes"
 """For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
-ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo", "": "nothing"}
+ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """For people: what acknowledges a stop, by the word of the board's interface."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """For people: what observes that the wheels stand, likewise."""

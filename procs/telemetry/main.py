@@ -62,7 +62,7 @@ class GateState:
         """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
         self.tucks = False
         """The arm has announced that it goes to its tuck pose."""
-        self.velocity = STANDSTILL  # m/s forward, m/s left, rad/s counter-clockwise
+        self.velocity = STANDSTILL
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""

@@ -58,25 +58,33 @@ def wheels(steer: int, speed: int) -> tuple[float, float]:
     return max(-LIMIT, min(left, LIMIT)), max(-LIMIT, min(right, LIMIT))
 
 
-def speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right of a command frame, exact; None for other bytes."""
+def _words(frame: bytes) -> tuple[int, int] | None:
+    """Steer and speed of bytes that look like a command frame, whatever their xor is."""
     if len(frame) != _COMMAND.size:
         return None
-    start, steer, speed, check = _COMMAND.unpack(frame)
-    whole = start == START and check == START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF)
-    return (speed + steer / 2, speed - steer / 2) if whole else None
+    start, steer, speed, _ = _COMMAND.unpack(frame)
+    return (steer, speed) if start == START else None
+
+
+def _exact(steer: int, speed: int) -> tuple[float, float]:
+    """Left and right without the board's clamps."""
+    return speed + steer / 2, speed - steer / 2
+
+
+def speeds(frame: bytes) -> tuple[float, float] | None:
+    """Left and right of a command frame, exact; None for other bytes."""
+    found = _words(frame)
+    return _exact(*found) if found and seal(*found) == frame else None
 
 
 def check_motion(frame: bytes, limit: float) -> str:
     """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
-    if len(frame) != _COMMAND.size:
+    found = _words(frame)
+    if found is None:
         return "not a command frame"
-    start, steer, speed, check = _COMMAND.unpack(frame)
-    if start != START:
-        return "not a command frame"
-    if check != START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
+    if seal(*found) != frame:
         return "bad xor"
-    if abs(steer) > APART:
-        return f"steer {steer}, must be within {APART:g}"
+    if abs(found[0]) > APART:
+        return f"steer {found[0]}, must be within {APART:g}"
     # The exact values: what the board's clamps would hide is refused too.
-    return beyond((speed + steer / 2, speed - steer / 2), limit, LIMIT)
+    return beyond(_exact(*found), limit, LIMIT)

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.board.kinds import KINDS, is_own
+from failstop.board.kinds import is_described
 from failstop.lab.boards.live import LiveModel
 from failstop.lab.sim import upward
 from failstop.lab.sim.control import SUFFIX, ControlMessage, ControlServer, Wait
@@ -298,7 +298,7 @@ class Simulator:
 
 
 def _model(options: Options, start_ns: int) -> BoardModel:
-    if options.board in KINDS or is_own(options.board):
+    if is_described(options.board):
         return LiveModel(options.board, start_ns, options.seed)
     return BoardModel(
         start_ns,

@@ -1,7 +1,7 @@
 // A chart: the last half minute, newest on the right; a gap where nothing was known.
 const POINTS = 300;
 const EVERY_MS = 400; // more often nobody sees, and a finger on STOP waits for what is being drawn
-const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
+export const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
 
 export class Chart {
   constructor(canvas, least) {

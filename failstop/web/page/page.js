@@ -1,5 +1,5 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
-import {Chart} from "/chart.js";
+import {Chart, later} from "/chart.js";
 import {connect} from "/link.js";
 import "/hands.js";
 import "/device.js";
@@ -13,7 +13,6 @@ const STALE_MS = 1000; // no news for this long: the last word is not shown as i
 const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
-const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
 let face = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
 
 function text(id, value) {
