@@ -41,6 +41,12 @@ ANSWER_S = 1.0
 POLL_S = 0.0003
 
 
+def pause_s(begun_s: float) -> float:
+    """How long to sleep until the next look for what has been waited for since then (time.monotonic()): an answer comes
+    within a tick, or takes long."""
+    return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
+
+
 def _ready(state: State) -> bool:
     """Every process runs, and an enable would be granted; while a stop is latched, a reset."""
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
@@ -191,10 +197,12 @@ class Session:
         turn, said = (threading.get_ident(), object() if awaited else None), ""
         asked_ns = asked_ns or time.monotonic_ns()
         try:
+            begun_s = time.monotonic()
             while not (sent := self._send(verb, turn, about, asked_ns)):
-                yield POLL_S
+                yield pause_s(begun_s)
             client, run, number = sent
-            before, until_s = self._enabled, time.monotonic() + self._answer_s
+            begun_s = time.monotonic()
+            before, until_s = self._enabled, begun_s + self._answer_s
             if verb == records.ENABLE:
                 self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
@@ -210,7 +218,7 @@ class Session:
                 if time.monotonic() > until_s:
                     what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
                     raise NoAnswer(f"{what}: see `failstop status`")
-                yield POLL_S
+                yield pause_s(begun_s)
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled
                 raise self._refused(verb, answer)

@@ -269,6 +269,8 @@ class Gate:
     # Requests.
 
     def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
+        if self.requests.is_answered(slot, number):
+            return
         request = Request(verb, asked_ns, number, slot.session, slot)
         enabled = self.core.enabled
         reply = self.requests.refusal(request, self._raised_ns, self._last)

@@ -17,11 +17,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from failstop.shm.cell import LatestReader
+
 UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
 """Requests after which something may move, and the later ones that each of them gives way to; and all to a stop."""
+GIVEN_UP_NS = 1_000_000_000
+"""A client waits for an answer for so long, unless it asks for more patience (Robot, `answer_s`)."""
 
 
 class Request(Data):
@@ -55,8 +59,9 @@ class Requests:
         self._asked_ns: dict[int, int] = {}
         """By verb: when what was last done was asked for."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
-        self._replied = [(0, 0)] * layout.CLIENT_SLOTS
-        """The session and the number of the last request that was answered there."""
+        self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
+        """The session and the number of the last request that was answered there, by a gate before this one too."""
+        self._oldest_ns = now_ns - GIVEN_UP_NS
         self._answers: list[tuple[int, bytes]] = []
         """Answers that are not written yet, each with its slot."""
         self._resets: list[Request] = []
@@ -67,18 +72,23 @@ class Requests:
         self._budget = Budget(now_ns)
         self._barrier = Barrier()
 
+    def is_answered(self, slot: Slot, number: int) -> bool:
+        """True for a request that has its answer: a gate that starts finds the newest one of each client."""
+        return (slot.session, number) == self._replied[slot.index]
+
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """The refusal of a reset whose person had not seen the newest stop; and of what would move something, when a
-        stop, or something that ends it, was asked for since. `stopped_ns`, `last`: of the last stop."""
+        """The refusal of what would move something, when a stop, or something that ends it, was asked for since; of what
+        nobody waits for any more; and of a reset whose person had not seen the newest stop. `stopped_ns`, `last`: of
+        the last stop."""
+        if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
+            return asked_before(last)
+        if request.asked_ns < self._oldest_ns:
+            return refused("the gate has started since: ask again")
         if request.verb == records.RESET:
             _, seen = request.about("seen") or (0, 0)
             # A stop that comes after this look is newer than the request, which the supervisor refuses for that.
             return refused(UNSEEN) if seen and seen != self._epoch_word.get() else None
-        if request.verb not in GIVES_WAY:
-            return None
-        if request.asked_ns < stopped_ns:
-            return asked_before(last)
-        if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY[request.verb]):
+        if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY.get(request.verb, ())):
             return refused("a later request took its place: ask again")
         return None
 
@@ -148,3 +158,10 @@ class Requests:
         if self._resets:
             self._pass_reset_on()
         self.settle(request, unpack_reply(entry[2])[2], now_ns)
+
+
+def _answered(replies: LatestReader) -> tuple[int, int]:
+    """The session and the number of the request that the newest whole answer ended; zeros where there is none."""
+    entry = replies.read()
+    session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
+    return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

@@ -116,6 +116,19 @@ def test_a_restart_is_noticed_by_the_next_call(simulated: Simulated, end: str) -
         simulated.board.wait_wheels(moving=True)
 
 
+@pytest.mark.parametrize("client", ["known to the gate before", "that comes meanwhile"])
+def test_a_reset_while_no_gate_runs_is_answered_by_the_next_one(simulated: Simulated, client: str) -> None:
+    with simulated.failstop.Robot(client="lidar") as robot:
+        if client == "known to the gate before":
+            robot.sensed()
+        simulated.die(layout.GATE)
+        robot.wait_for("latched", 1.0)
+        assert robot.state.processes[layout.GATE].state != "running"
+        robot.reset()
+        state = robot.state
+        assert (state.cause, state.enabled) == (None, False)
+
+
 @pytest.fixture
 def robots(simulated: Simulated) -> Iterator[dict[str, Any]]:
     """A Robot that has been used, for each of the calls."""

@@ -126,7 +126,8 @@ def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
 # A gate that starts again.
 
 
-def test_a_successor_acts_on_nothing_that_its_predecessor_saw_or_missed(service: Service) -> None:
+def test_a_successor_hears_of_what_was_there_before_it_only_the_request(service: Service) -> None:
+    """Whether it has its answer already is in the gate's own record."""
     client = service.join()
     client.command()
     client.request(records.ENABLE)
@@ -134,6 +135,7 @@ def test_a_successor_acts_on_nothing_that_its_predecessor_saw_or_missed(service:
     client.command()
     client.request(records.ENABLE)
     service.start()
+    assert service.look() == [("request", 11, 2, records.ENABLE)]
     assert service.look() == []
     assert service.sessions() == [11], "the client is still there"
     client.command(0.2)

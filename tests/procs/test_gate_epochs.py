@@ -146,7 +146,7 @@ def test_a_request_of_before_the_stop_did_not_know_of_it(
 
 
 def test_nothing_was_stopped_yet_for_the_first_gate(scene: Scene) -> None:
-    scene.ask_for(records.RESET, asked_ns=1)
+    scene.ask_for(records.RESET, asked_ns=scene.clock() - MS)
     for _ in range(main.LOOK_AT_ALL_EVERY):
         scene.tick()
     assert scene.answered() == (True, "no stop is latched")

@@ -7,6 +7,7 @@ import pytest
 from failstop.messages import records
 from failstop.procs.gate.main import MOST_RINGS, NO_ARM
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE
+from failstop.procs.gate.requests import GIVEN_UP_NS
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
@@ -139,3 +140,55 @@ def test_after_a_flood_of_refusals_how_many_were_left_out_is_told_once(scene: Sc
         scene.turn(EVERY_NS)
         scene.ask(99)
         assert scene.told() == expected
+
+
+def restarted(scene: Scene, after_ns: int = 80 * MS) -> None:
+    """The gate dies, which is a stop, and another one starts after a while."""
+    scene.clock.now_ns += MS
+    scene.stop("gate died")
+    scene.clock.now_ns += after_ns
+    scene.start_gate()
+    scene.turn()
+
+
+def test_a_reset_that_no_gate_has_heard_is_answered_by_the_next_one(scene: Scene) -> None:
+    scene.turn()
+    scene.stop("gate died")
+    scene.clock.now_ns += MS
+    scene.ask_for(records.RESET)
+    scene.start_gate()
+    scene.turn()
+    assert (scene.answered()[0], scene.latched()) == (records.DONE, None)
+    assert not scene.gate.core.enabled
+
+
+def test_what_was_asked_of_a_gate_before_its_death_moves_nothing_by_the_next_one(scene: Scene) -> None:
+    scene.turn()
+    scene.ask_for(records.ENABLE)
+    restarted(scene)
+    assert scene.answered() == (
+        records.REFUSED,
+        "asked before the last stop (gate died): see to that, then ask again",
+    )
+
+
+def test_what_was_answered_before_the_gate_s_death_is_not_done_again(scene: Scene) -> None:
+    scene.limit(50)
+    assert scene.ask(records.LIMIT)[0]
+    before = scene.replied()
+    restarted(scene)
+    scene.told()
+    scene.turn()
+    assert (scene.replied(), scene.told()) == (before, [])
+
+
+def test_a_request_that_nobody_waits_for_any_more_is_not_done(scene: Scene) -> None:
+    scene.turn()
+    scene.stop("gate died")
+    scene.clock.now_ns += MS
+    scene.ask_for(records.RESET)
+    scene.clock.now_ns += GIVEN_UP_NS + MS
+    scene.start_gate()
+    scene.turn()
+    assert scene.answered() == (records.REFUSED, "the gate has started since: ask again")
+    assert scene.latched() == "gate died"
