@@ -9,7 +9,7 @@ from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
-JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793)}
+JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
 SLOW_MPS = 0.01
 LOOKS = 60
