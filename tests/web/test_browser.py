@@ -197,6 +197,31 @@ def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: 
     wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
 
 
+TOPS = """
+window.tops = new Set();
+(function look() {
+  tops.add(JSON.stringify([...document.querySelectorAll("#hands button, #attend")].map((button) =>
+    [button.id || button.dataset.percent, Math.round(button.getBoundingClientRect().top + scrollY)])));
+  requestAnimationFrame(look);
+})()"""
+
+
+def test_no_button_moves_while_the_state_changes(trial: Trial, paired: Tab) -> None:
+    """A finger that is on its way lands on what it was meant for."""
+    driving(trial, paired)
+    paired.run(TOPS)
+    paired.until(f"{WORD} === 'CAN MOVE'")
+    paired.tap("#disable")
+    paired.until(f"{WORD} === 'STOPPED'")
+    enabled(trial)
+    paired.until(f"{WORD} === 'CAN MOVE'")
+    trial.robot.estop("a hand near the left front wheel")
+    paired.until(f"{WORD} === 'STOPPED' && document.getElementById('next').textContent.includes('RESET')")
+    trial.robot.reset()
+    paired.until("!document.getElementById('next').textContent.includes('RESET')")
+    assert len(paired.run("[...tops]")) == 1, "\n".join(paired.run("[...tops]"))
+
+
 def test_a_lower_speed_takes_a_touch_and_a_higher_one_is_held(trial: Trial, paired: Tab) -> None:
     paired.tap("#limit [data-percent='25']")
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.25)
