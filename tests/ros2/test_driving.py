@@ -132,6 +132,7 @@ def test_one_message_of_estop_is_one_stop(scene: BridgeTrial) -> None:
 def test_who_looks_late_sees_the_emergency_stop(scene: BridgeTrial) -> None:
     scene.trial.robot.estop("hand near wheel")
     latched(scene)
+    scene.eyes.next(f"{NODE}/emergency_stop", lambda message: message["data"])
     dashboard = scene.node("dashboard")
     dashboard.hear("late", BOOL)
     dashboard.ask("hear", topic=f"{NODE}/emergency_stop", type=BOOL, qos={"lasting": True, "depth": 1})
