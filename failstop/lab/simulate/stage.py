@@ -27,6 +27,7 @@ RPS_PER_MPS = 3.98
 SCENARIO_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
 LIVE_NS = 2_000 * MS
+READY_S = 1.0
 ARM_NS = 8_000 * MS
 """An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
@@ -86,7 +87,7 @@ class Stage:
         while True:
             try:
                 robot = self.failstop.Robot()
-                robot.wait_for("ready", 3.0)
+                robot.wait_for("ready", READY_S)
             except (self.failstop.NoService, self.failstop.TimedOut):
                 self.time.sleep(0.005)
             else:
@@ -95,7 +96,7 @@ class Stage:
 
     def enable(self, robot: Any) -> None:
         """Reset where a stop is latched, and enable."""
-        robot.wait_for("ready", 3.0)
+        robot.wait_for("ready", READY_S)
         if robot.state.cause is not None:
             robot.reset()
         self.witness.asks_for_motion()
@@ -119,7 +120,7 @@ class Stage:
 
     def reset(self, robot: Any) -> None:
         """Clear the latch."""
-        robot.wait_for("ready", 3.0)
+        robot.wait_for("ready", READY_S)
         robot.reset()
 
     def disable(self, robot: Any) -> None:
