@@ -42,8 +42,7 @@ POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """How long to sleep until the next look for what has been waited for since then (time.monotonic()): an answer comes
-    within a tick, or takes long."""
+    """Seconds to the next look, after a wait since then (time.monotonic()): an answer comes in a tick, or takes long."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
@@ -194,15 +193,13 @@ class Session:
         for, if not now: a stop that comes while it waits for its turn is one that its caller did not know of;
         `awaited`: by a task of an event loop; else the thread itself waits, and its tasks with it. Raises Refused,
         NoAnswer, NoService, FailstopError."""
-        turn, said = (threading.get_ident(), object() if awaited else None), ""
+        turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
         try:
-            begun_s = time.monotonic()
             while not (sent := self._send(verb, turn, about, asked_ns)):
                 yield pause_s(begun_s)
             client, run, number = sent
-            begun_s = time.monotonic()
-            before, until_s = self._enabled, begun_s + self._answer_s
+            before, until_s = self._enabled, time.monotonic() + self._answer_s
             if verb == records.ENABLE:
                 self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
