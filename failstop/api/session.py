@@ -42,7 +42,7 @@ POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """Seconds to the next look, after a wait since then (time.monotonic()): an answer comes in a tick, or takes long."""
+    """Seconds to the next look, after a wait since then (time.monotonic()): an answer comes at once, or takes long."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 

@@ -77,9 +77,9 @@ class Requests:
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """The refusal of what would move something, when a stop, or something that ends it, was asked for since; of what
-        nobody waits for any more; and of a reset whose person had not seen the newest stop. `stopped_ns`, `last`: of
-        the last stop."""
+        """The refusal of what would move something, when a stop, or something that ends it, was asked for since; of
+        what nobody waits for any more; and of a reset whose person had not seen the newest stop. `stopped_ns`, `last`:
+        of the last stop."""
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:

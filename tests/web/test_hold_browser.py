@@ -150,8 +150,8 @@ def test_sliding_off_cancels(ready: Trial, tab: Tab) -> None:
 
 
 def test_a_page_whose_words_all_come_late_enables_nothing(ready: Trial, web: Web, tab: Tab) -> None:
-    """The server stands still for a whole hold, and then hears all of it at once; its begin too, where that was still on
-    its way: such a hold is let go of before it is one."""
+    """The server stands still for a whole hold, and then hears all of it at once; its begin too, where that was still
+    on its way: such a hold is let go of before it is one."""
     pressed(tab, "enable")
     os.kill(web.process.pid, signal.SIGSTOP)
     try:
