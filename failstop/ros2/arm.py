@@ -7,7 +7,6 @@ it, so nothing here waits in it: a job runs beside it, and whoever asked is answ
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Callable
 from time import monotonic_ns
 from typing import Any
@@ -20,6 +19,7 @@ from failstop.ros2.commanders import FRESH_NS, Asking, names, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch, publishers
+from failstop.ros2.job import Job
 from failstop.ros2.link import RobotLink
 from failstop.ros2.shared import Shared
 from failstop.ros2.stamps import Stamps
@@ -28,34 +28,6 @@ from failstop.ros2.turn import Turn
 
 BUSY_NS = 100_000_000
 END_S = 1.0
-
-
-class Job:
-    """Something asked of the service, in a thread of its own. Called: whether it has ended."""
-
-    def __init__(self, link: RobotLink, act: Callable[[Robot], Any], *, at_once: bool = False) -> None:
-        """`at_once`: as for Link.call."""
-        self._found: Any = None
-        self._error: FailstopError | None = None
-        self._thread = threading.Thread(target=self._run, args=(link, act, at_once), daemon=True)
-        self._thread.start()
-
-    def _run(self, link: RobotLink, act: Callable[[Robot], Any], at_once: bool) -> None:
-        try:
-            self._found = link.call(act, at_once=at_once)
-        except FailstopError as error:
-            self._error = error
-        except ValueError as error:
-            self._error = FailstopError(str(error))
-
-    def __call__(self) -> bool:
-        return not self._thread.is_alive()
-
-    def result(self) -> Any:
-        """The result. Raises FailstopError."""
-        if self._error:
-            raise self._error
-        return self._found
 
 
 class ArmFace:
@@ -112,7 +84,7 @@ class ArmFace:
             node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
         self._action: TrajectoryFace | None = None
         try:
-            self._action = TrajectoryFace(node, group, self, shared)
+            self._action = TrajectoryFace(node, group, shared, self.go, self.hold_way, lambda: self.goal_timeout_s)
         except FailstopError as error:
             shared.lacks = (f"{ARM_ACTION.name} is not offered: {error}",)
             node.get_logger().info(shared.lacks[0])

@@ -8,7 +8,7 @@ since the settings of the service have them.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import nan
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from failstop.ros2.turn import Turn
 
 if TYPE_CHECKING:
     from failstop.api.snapshot import ArmState, State
-    from failstop.ros2.arm import ArmFace, Job
+    from failstop.ros2.job import Job
     from failstop.ros2.shared import Shared
 
 FEEDBACK_NS = 100_000_000
@@ -108,15 +108,24 @@ class Feedback:
 class TrajectoryFace:
     """The action's server. One goal at a time: a second one is rejected while the first is under way."""
 
-    def __init__(self, node: Any, group: Any, arm: ArmFace, shared: Shared) -> None:
-        """Raises FailstopError where this ROS has no such action."""
+    def __init__(
+        self,
+        node: Any,
+        group: Any,
+        shared: Shared,
+        go: Callable[[Way, Callable[[str], None]], Job],
+        hold: Callable[[], None],
+        timeout_s: Callable[[], float],
+    ) -> None:
+        """`go`: asks the gate for a path, and tells of what the gate says; `hold`: holds the arm, if the path moves it
+        still; `timeout_s`: how long a client may be unseen. Raises FailstopError where this ROS has no such action."""
         self._kind = type_of(ARM_ACTION.type)
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
         self._accept, self._reject = GoalResponse.ACCEPT, GoalResponse.REJECT
         self._cancelling = CancelResponse.ACCEPT
         self._node = node
-        self._arm = arm
+        self._go, self._hold, self._timeout_s = go, hold, timeout_s
         self._shared = shared
         self._jobs: dict[int, Job] = {}
         """Of goals that were accepted and are not carried out yet, by the identity of the message."""
@@ -136,7 +145,7 @@ class TrajectoryFace:
         taken = threading.Event()
         try:
             await self._settle()
-            job = self._arm.go(way(goal.trajectory), lambda _: taken.set())
+            job = self._go(way(goal.trajectory), lambda _: taken.set())
             while not (ended := job()) and not taken.is_set():
                 await Turn()
             if ended:
@@ -149,7 +158,7 @@ class TrajectoryFace:
 
     def _cancel(self, _handle: Any) -> Any:
         """The arm is held; the goal ends by that."""
-        self._arm.hold_way()
+        self._hold()
         return self._cancelling
 
     async def _settle(self) -> None:
@@ -164,7 +173,7 @@ class TrajectoryFace:
         job = self._jobs.pop(id(handle.request))
         names = list(handle.request.trajectory.joint_names)
         told_ns = looked_ns = 0
-        client: Alive | None = Alive(monotonic_ns(), self._arm.goal_timeout_s)
+        client: Alive | None = Alive(monotonic_ns(), self._timeout_s())
         while not job():
             now_ns = monotonic_ns()
             if client and now_ns - looked_ns >= TRAJECTORY_LOOK_NS:
@@ -172,7 +181,7 @@ class TrajectoryFace:
                 if gone := client.look(self._feedback.heard(), self._feedback.acknowledged(), now_ns):
                     client = None
                     self._node.get_logger().warning(f"{ARM_ACTION.name}: {gone}: held")
-                    self._arm.hold_way()
+                    self._hold()
             if now_ns - told_ns >= FEEDBACK_NS:
                 told_ns = now_ns
                 self._feedback.send(handle, names, self._shared.state)

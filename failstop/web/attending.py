@@ -13,33 +13,33 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from failstop.web.sockets import Live
+    from failstop.web.viewer import Viewer
 
 
 class Attending:
     """The operators who attend by the page."""
 
-    def __init__(self, name: str, ended: Callable[[Live], None]) -> None:
+    def __init__(self, name: str, ended: Callable[[Viewer], None]) -> None:
         """`ended`: is told of a viewer that attends no more."""
         self._name = name
         self._ended = ended
         self._robot: Robot | None = None
-        self._leases: dict[Live, tuple[str, Lease]] = {}
+        self._leases: dict[Viewer, tuple[str, Lease]] = {}
 
-    def of(self, viewer: Live) -> Lease | None:
+    def of(self, viewer: Viewer) -> Lease | None:
         """The lease of a viewer that attends."""
         found = self._leases.get(viewer)
         return found[1] if found else None
 
-    def begin(self, viewer: Live, who: str, key: bytes) -> None:
+    def begin(self, viewer: Viewer, who: str, key: bytes) -> None:
         """A device attends, from its first answer on."""
         self._leases[viewer] = who, Lease(key)
 
-    def proven(self, viewer: Live) -> str:
+    def proven(self, viewer: Viewer) -> str:
         """The answer of this viewer has proven something new; returns what is wrong with telling the gate."""
         return self._tell() if self._leases[viewer] is self._last() else ""
 
-    def end(self, viewer: Live) -> None:
+    def end(self, viewer: Viewer) -> None:
         """A device attends no more: the gate is told at once who is left, and when that one was proven, which may be
         too long ago."""
         last = self._last()

@@ -22,7 +22,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from failstop.web.server import Page
+    from failstop.web.page import Page
 
 TIMEOUT_S = 5.0
 REFUSED = 409

@@ -15,7 +15,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.api.state import State
     from failstop.policy.settings import Settings
-    from failstop.web.sockets import Live
+    from failstop.web.viewer import Viewer
 
 SOURCE = "page"
 """Commands are given as this source where the settings declare it, else as the one that is always there."""
@@ -44,18 +44,18 @@ class Driving:
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
         self._robot: Robot | None = None
-        self._driver: tuple[Live, str] | None = None
+        self._driver: tuple[Viewer, str] | None = None
         self._last_s = 0.0
         self._chosen: set[str] = set()
         """Devices that have chosen a speed limit since they last began to attend."""
-        self._spent: set[Live] = set()
+        self._spent: set[Viewer] = set()
         """Viewers whose stick counts only after it was let go: motion was not enabled while they held it."""
 
     def chose(self, device: str) -> None:
         """A device has chosen the speed limit."""
         self._chosen.add(device)
 
-    def command(self, viewer: Live, said: str, proven_ns: int, state: State | None) -> str:
+    def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
         """A proven command of a viewer that attends; returns what stands in its way."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
@@ -85,14 +85,14 @@ class Driving:
             return str(error)
         return ""
 
-    def release(self, viewer: Live) -> None:
+    def release(self, viewer: Viewer) -> None:
         """The stick is let go: to zero along the ramp. That takes no proof, as it moves nothing."""
         self._spent.discard(viewer)
         if self._driver and self._driver[0] is viewer:
             self._driver = None
             self._drive(viewer.who(), 0.0, 0.0, None)
 
-    def end(self, viewer: Live) -> None:
+    def end(self, viewer: Viewer) -> None:
         """A viewer attends no more: zero at once; when it comes back it has to choose the limit again."""
         if device := viewer.device():
             self._chosen.discard(device.id)

@@ -10,12 +10,12 @@ from typing import Any
 from tornado.web import HTTPError, RequestHandler
 
 from failstop.api.errors import FailstopError
-from failstop.web import assets, devices, guard, lease, messages, stopping
+from failstop.web import assets, devices, guard, lease, messages
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.web.devices import Device
-    from failstop.web.server import Page
+    from failstop.web.page import Page
 
 YEAR_DAYS = 365
 NOT_YET = 202
@@ -139,8 +139,7 @@ class StopHandler(Guarded):
 
     async def post(self) -> None:
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
-        request = stopping.ask(self.page, self.who(), self.body().get("id"))
-        status, found = await stopping.answer(self.page, request)
+        status, found = await self.page.stopped(self.page.asked.ask(self.who(), self.body().get("id")))
         self.set_status(status)
         self.finish(found)
 

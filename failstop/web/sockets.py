@@ -17,11 +17,9 @@ from failstop.web.handlers import Guarded
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.web.server import Page
+    from failstop.web.page import Page
 
 MOST_VIEWERS = 64
-MOST_STOPS = 64
-"""Connections for STOP alone. A page that has none stops by a request."""
 MOST_ASKED = 8
 STUCK_S = 10.0
 """A viewer that takes nothing for this long is let go."""
@@ -69,14 +67,14 @@ class StopSocket(Socket):
     def on_message(self, message: str | bytes) -> None:
         """A STOP by its id, asked for before anything else is done. Many at a time are not answered each."""
         if identity := messages.read(message).get("stop"):
-            request = stopping.ask(self.page, self.who(), identity)
+            request = self.page.asked.ask(self.who(), identity)
             if len(self._asked) < MOST_ASKED:
                 asked = asyncio.ensure_future(self._answer(identity, request))
                 self._asked.add(asked)
                 asked.add_done_callback(self._asked.discard)
 
     async def _answer(self, identity: object, request: stopping.Request) -> None:
-        _, found = await stopping.answer(self.page, request)
+        _, found = await self.page.stopped(request)
         self.later({"id": identity, **found})
 
 

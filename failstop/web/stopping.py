@@ -5,16 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from typing import Any
 
 from failstop.api.client import attach, run, send_stop
-from failstop.api.errors import FailstopError, NoService
+from failstop.api.errors import FailstopError
 from failstop.data import Data
 from failstop.messages import layout
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.web.server import Page
 
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
@@ -22,27 +17,6 @@ LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
 REASON = "STOP on the page"
-
-
-class Asked:
-    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
-
-    def __init__(self) -> None:
-        self._ids: dict[str, int] = {}
-
-    def ask(self, name: str, who: str, identity: object) -> int:
-        """Ask for a stop, unless that was done for this id; returns when it was (CLOCK_MONOTONIC ns). Raises NoService,
-        FailstopError, and then it was not."""
-        known = str(identity)[:MOST_OF_AN_ID] if identity else ""
-        if known in self._ids:
-            return self._ids[known]
-        asked_ns = time.monotonic_ns()
-        send_stop(name, REASON, who)
-        if known:
-            self._ids[known] = asked_ns
-            if len(self._ids) > MOST_IDS:
-                del self._ids[next(iter(self._ids))]
-        return asked_ns
 
 
 class Request(Data):
@@ -53,22 +27,33 @@ class Request(Data):
     error: FailstopError | None = None
 
 
-def ask(page: Page, who: str, identity: object) -> Request:
-    """Ask for a stop, at once."""
-    unix_s = time.time()
-    try:
-        return Request(unix_s, page.asked.ask(page.name, who, identity))
-    except FailstopError as error:
-        return Request(unix_s, error=error)
+class Asked:
+    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
 
+    def __init__(self, name: str) -> None:
+        """`name`: the service."""
+        self._name = name
+        self._ids: dict[str, int] = {}
 
-async def answer(page: Page, request: Request) -> tuple[int, dict[str, Any]]:
-    """Wait until the stop is written, for WRITTEN_S at most: an HTTP status, and what the page is told."""
-    if request.error:
-        return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
-    is_written = await written(page.name, request.asked_ns)
-    page.look()
-    return 200, {"asked": request.unix_s, "written": is_written, "face": page.watcher.shown}
+    def ask(self, who: str, identity: object) -> Request:
+        """Ask for a stop at once, unless that was done for this id."""
+        unix_s = time.time()
+        try:
+            return Request(unix_s, self._ask(who, str(identity)[:MOST_OF_AN_ID] if identity else ""))
+        except FailstopError as error:
+            return Request(unix_s, error=error)
+
+    def _ask(self, who: str, known: str) -> int:
+        """When it was asked for (CLOCK_MONOTONIC ns). Raises NoService, FailstopError, and then it was not."""
+        if known in self._ids:
+            return self._ids[known]
+        asked_ns = time.monotonic_ns()
+        send_stop(self._name, REASON, who)
+        if known:
+            self._ids[known] = asked_ns
+            if len(self._ids) > MOST_IDS:
+                del self._ids[next(iter(self._ids))]
+        return asked_ns
 
 
 async def written(name: str, asked_ns: int) -> bool:

@@ -14,7 +14,7 @@ import pytest
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
-from failstop.web import door, hold, sockets
+from failstop.web import door, hold, page
 from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
@@ -84,7 +84,7 @@ def test_idle_connections_of_one_address_close_no_websocket(trial: Trial, web: W
 def test_there_is_an_end_to_the_connections_for_stop_and_the_newest_has_one(trial: Trial, web: Web) -> None:
     with ExitStack() as stack:
         first = stack.enter_context(Viewer(web, path=STOPS))
-        for _ in range(sockets.MOST_STOPS):
+        for _ in range(page.MOST_STOPS):
             newest = stack.enter_context(Viewer(web, path=STOPS))
         with pytest.raises(ConnectionError):
             first.next()

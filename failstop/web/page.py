@@ -1,0 +1,163 @@
+"""Page: the state of one service's page, which its handlers share."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import time
+from typing import Any
+
+from tornado.ioloop import PeriodicCallback
+
+from failstop.api.errors import FailstopError, NoService
+from failstop.web import assets, devices, guard, kept, stopping
+from failstop.web.attending import Attending
+from failstop.web.door import Places
+from failstop.web.driving import Driving
+from failstop.web.hands import Hands
+from failstop.web.incidents import Incidents
+from failstop.web.limits import Limit
+from failstop.web.watcher import PERIOD_S, Watcher
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    import ssl
+    from collections.abc import Callable
+
+    from tornado.iostream import IOStream
+
+    from failstop.policy.settings import Settings
+    from failstop.web.viewer import Closing, Viewer
+
+ID_BYTES = 4
+MOST_STOPS = 64
+"""Connections for STOP alone. A page that has none stops by a request."""
+
+
+class Page:
+    """The state that the handlers share."""
+
+    def __init__(self, name: str, settings: Settings) -> None:
+        """Raises FailstopError."""
+        self.name = name
+        self.address = settings.text("web.address")
+        self.port = int(settings["web.port"])
+        self.assets = assets.load()
+        self.origin = guard.origin_of(settings.text("web.origin"))
+        self.scheme = self.origin.partition(":")[0]
+        self.names = guard.names(socket.gethostname(), settings.text("web.hosts"), self.origin)
+        self.watcher = Watcher(name)
+        self.viewers: list[Viewer] = []
+        self.stops: Places[Closing] = Places(MOST_STOPS)
+        self.let_in: Callable[[IOStream], None] = lambda stream: None
+        self.pairing_on = settings.on("web.pairing")
+        self.pairing = devices.Pairing()
+        self.pair_limit = Limit(0.2, 5)
+        self.verb_limit = Limit(2.0, 6)
+        self.story_limit = Limit(10.0, 60)
+        self.defect_limit = Limit(1 / 60, 2)
+        self.asked = stopping.Asked(name)
+        self.hands = Hands(name)
+        self.driving = Driving(name, settings)
+        self.attending = Attending(name, self.driving.end)
+        self.incidents = Incidents(name)
+        self._kept = kept.Kept(kept.folder(name, os.environ))
+        self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
+        self.tls = self._tls(settings.text("web.tls"))
+        self.fingerprint = self._kept.fingerprint() if self.tls else ""
+        self.control_path = self._kept.path(kept.CONTROL)
+        self._timer = PeriodicCallback(self._tick, PERIOD_S * 1e3)
+
+    def _tls(self, wanted: str) -> ssl.SSLContext | None:
+        if wanted == "off" or (wanted == "auto" and guard.only_here(self.address)):
+            return None
+        return self._kept.tls(sorted(self.names))
+
+    def whereabouts(self) -> dict[str, Any]:
+        """Where it listens, for whoever is to find it."""
+        scheme = "https" if self.tls else "http"
+        where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
+        return {**where, "origin": self.origin}
+
+    def look(self) -> None:
+        """Read the state now, for one request."""
+        self.watcher.look(time.monotonic(), time.time())
+
+    async def stopped(self, request: stopping.Request) -> tuple[int, dict[str, Any]]:
+        """Wait until a stop is written, for WRITTEN_S at most: an HTTP status, and what the page is told."""
+        if request.error:
+            return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
+        written = await stopping.written(self.name, request.asked_ns)
+        self.look()
+        return 200, {"asked": request.unix_s, "written": written, "face": self.watcher.shown}
+
+    def newest_stop(self) -> int:
+        """The epoch that is in force now; 0: no service runs."""
+        self.look()
+        return self.watcher.state.epoch if self.watcher.state else 0
+
+    def limit(self) -> int:
+        """The speed limit that is in force now, in percent of the settings' speeds."""
+        self.look()
+        return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
+
+    def pair(self, code: str, name: str) -> str:
+        """A new device's token. Raises NotPaired, FailstopError."""
+        self.pairing.take(code, time.monotonic())
+        token = secrets.token_urlsafe(devices.TOKEN_BYTES)
+        made = devices.Device(
+            secrets.token_hex(ID_BYTES), self.devices.free_name(name), devices.digest_of(token), round(time.time())
+        )
+        self.devices.add(made)
+        try:
+            self._kept.keep(self.devices)
+        except Exception:
+            self.devices.revoke(made.id)
+            raise
+        return token
+
+    def revoke(self, identity: str) -> str:
+        """The name of the device that may nothing any more; empty when there is none of that id. Raises FailstopError
+        when it may until the page ends only."""
+        found = self.devices.revoke(identity)
+        if found is None:
+            return ""
+        for viewer in tuple(self.viewers):
+            if viewer.device() is None:
+                self.attending.end(viewer)
+        try:
+            self._kept.keep_fewer(self.devices)
+        except FailstopError as error:
+            raise FailstopError(f"{found.name} is revoked, and back after a restart of the page: {error}") from None
+        return found.name
+
+    def join(self, viewer: Viewer) -> None:
+        """Somebody looks: from now on the state is read."""
+        self.viewers.append(viewer)
+        if not self._timer.is_running():
+            self._timer.start()
+        self.look()
+        viewer.show(time.monotonic(), time.time())
+
+    def leave(self, viewer: Viewer) -> None:
+        """End a viewer, and its operator's attendance. The last one ends the reading."""
+        self.attending.end(viewer)
+        if viewer in self.viewers:
+            self.viewers.remove(viewer)
+        if not self.viewers:
+            self._timer.stop()
+
+    def _tick(self) -> None:
+        now_s, unix_s = time.monotonic(), time.time()
+        self.watcher.look(now_s, unix_s)
+        for viewer in tuple(self.viewers):
+            viewer.show(now_s, unix_s)
+
+    def close(self) -> None:
+        """Give everything back."""
+        self._timer.stop()
+        self.attending.close()
+        self.driving.close()
+        self.hands.close()
+        self.incidents.close()
