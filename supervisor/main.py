@@ -356,9 +356,12 @@ class Supervisor:
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
         while self._unanswered:
-            stop = self._unanswered
-            self.loop.wait(HURRY_NS)
-            self._follow_answer(monotonic_ns())
+            stop, now_ns = self._unanswered, monotonic_ns()
+            if now_ns >= stop.answer_by_ns:  # it hangs, maybe in a write of motion, which is to come before the burst
+                self.processes[layout.PORT_OWNER].kill(0)
+            self._follow_answer(now_ns)
+            if self._unanswered:
+                sleep(HURRY_NS / 1e9)  # the loop's wait would end at once: nobody clears its bells any more
         heard_ns = self._hear(stop.written_ns)
         link = self.monitor.link.state
         self.status.notify.stopping("the stop is written; ending every process")

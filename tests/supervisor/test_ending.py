@@ -111,3 +111,18 @@ def test_an_end_without_a_port_owner_has_the_supervisor_s_stop_and_waits_for_nob
     assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 0 us")
     assert scene.wire.read() == 2 * BURST
     assert scene.now_ns == began_ns + KILLED_NS - TAKEDOWN_NS
+
+
+def test_a_port_owner_that_does_not_answer_the_end_is_killed_before_the_burst(scene: Scene) -> None:
+    """The kernel may have a motion frame of it in hand, which comes with its death."""
+    scene.port_owner.word("stopped_epoch").set(1)
+    process = scene.employ(layout.PORT_OWNER)
+    lived: list[bool] = []
+    scene.wire.on_bytes = lambda data: lived.append(not process.dead)
+    began_ns = scene.now_ns
+    well, told = end(scene)
+    assert well
+    assert lived == [False, False]
+    assert scene.wire.read() == 2 * BURST
+    assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 5000 us")
+    assert scene.now_ns == began_ns + main.STOP_ANSWER_NS + KILLED_NS - TAKEDOWN_NS
