@@ -1,13 +1,19 @@
-"""Serial devices of this machine, the controller board's first: for error messages."""
+"""Serial devices of this machine, the board's first: for error messages."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
-# The board's USB serial chip (udev identity 1a86:55d4).
-BOARD_VID = 0x1A86
-BOARD_PID = 0x55D4
-BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
+ADAPTERS = {
+    "0403:6001": "FT232",
+    "0403:6015": "FT231X",
+    "067b:2303": "PL2303",
+    "10c4:ea60": "CP210x",
+    "1a86:55d3": "CH343",
+    "1a86:55d4": "CH9102",
+    "1a86:7523": "CH340",
+}
+"""Chips with a serial port and their makers' identity, in devices of any kind."""
 LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 
@@ -17,12 +23,13 @@ def usb_id(path: str) -> str:
     return next((usb for device, _, usb in _ports() if device == path), "")
 
 
-def candidates() -> list[tuple[str, str]]:
-    """(path, description) of each serial device: controller boards first, then other USB devices, then the rest."""
+def candidates(own: Collection[str]) -> list[tuple[str, str]]:
+    """(path, description) of each serial device: those with one of the board's identities, vendor:product, first, then
+    other USB devices, then the rest."""
     found = []
     for path, described, usb in _ports():
-        whose = ": the board's" if usb == BOARD_USB else ""
-        found.append((usb != BOARD_USB, not usb, path, f"{described}, USB {usb}{whose}" if usb else described))
+        whose = ": the board's" if usb in own else ""
+        found.append((usb not in own, not usb, path, f"{described}, USB {usb}{whose}" if usb else described))
     return [(path, described) for _, _, path, described in sorted(found)]
 
 

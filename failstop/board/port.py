@@ -106,6 +106,25 @@ def unsent_bytes(descriptor: int) -> int:
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
+def has_lines(descriptor: int) -> bool:
+    """True where the port has modem lines: opening it raises them, whoever opens it (the kernel, before anyone can say
+    no), and may reset the board. A pty has none."""
+    try:
+        fcntl.ioctl(descriptor, termios.TIOCMGET, _ZERO)
+    except OSError:
+        return False
+    return True
+
+
+def set_speed(descriptor: int, line: Port) -> None:
+    """Go on at another board's speed, with the modem lines as they are: a change of them may reset the board. Raises
+    OSError."""
+    try:
+        _set_raw(descriptor, termios.tcgetattr(descriptor), getattr(termios, f"B{line.baud}"))
+    except termios.error as error:
+        raise OSError(*error.args) from None
+
+
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
     """Close the port's descriptor; never raises. In the main thread it takes `within_s` at most, also where the port
     does not drain.

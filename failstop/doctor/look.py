@@ -12,11 +12,12 @@ from failstop.api import client
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
+from failstop.board.interface import Board
+from failstop.board.kinds import board_of
 from failstop.doctor.system import Holder, Node, System
 from failstop.files.instance import DEFAULT_NAME, option
 from failstop.instances import unit_of
 from failstop.messages import layout, segments
-from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 
 OK = "ok"
@@ -60,15 +61,34 @@ class Look:
     quick: bool = False
     """Without the timing self-test."""
     system: System = dataclasses.field(default_factory=System)
+    tried: tuple[list[Finding], list[Finding]] | None = None
+    """What a try at the port has shown of the board and of the stop path; None: the port was not opened."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
         """(the file, empty for none; what is set; what is wrong with it, in one line, and the defaults count)."""
         path = config.chosen(self.name, self.config_path)
         try:
-            return path or "", config.load(path), ""
-        except SettingError as error:
+            found = config.load(path)
+            board_of(*found.board())
+            return path or "", found, ""
+        except ValueError as error:
             return path or "", Settings(), str(error)
+
+    @cached_property
+    def told(self) -> Settings:
+        """The settings of the running service, else those that a start would read."""
+        return Settings(dict(StateReader(self.name).settings())) if self.state else self.settings[1]
+
+    @property
+    def kind(self) -> str:
+        """The board's, as these settings name it."""
+        return self.told.text("board.kind")
+
+    @cached_property
+    def board(self) -> Board:
+        """The board that they name."""
+        return board_of(*self.told.board())
 
     @cached_property
     def service(self) -> tuple[State | None, str, str]:

@@ -59,9 +59,15 @@ class Holder:
     """Its systemd service, if it is in one."""
     instance: str = ""
     """The service that it belongs to, if it is one of failstop's processes."""
+    command: str = ""
+    """Its command line."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
+
+    def is_(self, program: str) -> bool:
+        """It runs the program of this name, or a part of its path."""
+        return bool(program) and program in self.command
 
     def end(self) -> str:
         """The command that ends it."""
@@ -164,7 +170,8 @@ class System:
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
         ours = any(word.endswith("/supervisor/child.py") for word in words)
         names = [word.removeprefix("name=") for word in words if ours and word.startswith("name=")]
-        return Holder(pid, self.read(f"/proc/{pid}/comm") or "?", unit, *names[:1])
+        comm = self.read(f"/proc/{pid}/comm") or "?"
+        return Holder(pid, comm, unit, "".join(names[:1]), " ".join(words))
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
         """The processes that have a device open, and how many could not be looked into."""
