@@ -20,8 +20,7 @@ IDLE_S = 3.0
 LOOK_S = 0.25
 ASKED = Path("/run/udev/rules.d/10-modem.rules")
 ASKED_RULE = (
-    f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{VENDOR}", '
-    'ENV{ID_MM_DEVICE_PROCESS}="1"\n'
+    f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{VENDOR}", ENV{{ID_MM_DEVICE_PROCESS}}="1"\n'
 )
 """By itself ModemManager 1.20 does not open the board's port; the default policy of versions before 1.18 lets it."""
 OPENED_S = 20.0

@@ -26,6 +26,20 @@ ANSWER_S = 0.25
 TRIES = 2
 """Questions to a board: one may be lost on the line."""
 
+WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
+"""For people: what is to be looked at where nothing comes."""
+
+ADAPTERS = {
+    "0403:6001": "FT232",
+    "0403:6015": "FT231X",
+    "067b:2303": "PL2303",
+    "10c4:ea60": "CP210x",
+    "1a86:55d3": "CH343",
+    "1a86:55d4": "CH9102",
+    "1a86:7523": "CH340",
+}
+"""Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+
 
 class Heard(Data):
     """A port, as one board's language has it."""
@@ -85,3 +99,23 @@ def _ask(tap: Tap, board: Board, stop: bool) -> float | None:
         if (answered_ms := tap.answered_ms(ANSWER_S)) is not None:
             return answered_ms
     return None
+
+
+def verdict(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
+    """Of what find() has heard where `kind` was wanted: whether it is there (None: nobody can know), that in words, and
+    what helps."""
+    last, deaf_ns = heard[-1], board.port.deaf_ns
+    if last.known and last.kind != kind:
+        remedy = f'set board.kind = "{last.kind}", or plug the other board in'
+        return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy
+    if last.known:
+        reset = f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s"
+        opened = reset if last.after_ns >= deaf_ns else ", and opening the port did not reset it"
+        return True, f"it {'answers' if board.pings else 'reports'} as {kind} does{opened if deaf_ns else ''}", ""
+    if any(each.reports for each in heard if each.kind == kind):
+        return False, f"it reports as {kind} does, and answers no question: it does not hear", WIRES
+    if came := max(each.size for each in heard):
+        return False, f"{came} bytes came, which no board that failstop knows says: it is not {kind}", WIRES
+    if not (board.pings or board.echo_ns):
+        return None, f"{kind} has no question, so that nobody knows whether it is there", "questions, in its wire.py"
+    return False, f"nothing answers, neither as {kind} nor as another board that failstop knows", WIRES

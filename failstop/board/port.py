@@ -3,7 +3,7 @@
 Not pyserial: this opening runs in the supervisor's first 150 ms and in the stop tool. Measured (Python 3.11, x86-64):
 `import serial` takes 1.9 ms and 8 modules where this file takes 0.5 ms and 3, and its Serial opens five descriptors
 (two pipes beside the port, to cancel blocking calls) where this opens one. Its `exclusive` is an flock, which keeps
-nobody out who does not ask. Finding a port, where that cost does not matter, is in discovery.py.
+nobody out who does not ask. Listing ports, where that cost does not matter, is for doctor.
 """
 
 from __future__ import annotations

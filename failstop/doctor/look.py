@@ -4,14 +4,16 @@ finding: what a check has to say, and what helps, a command, or what a person is
 from __future__ import annotations
 
 import dataclasses
+import os
 import shlex
 from functools import cached_property, partial
 
-from failstop import config, discovery
+from failstop import config
 from failstop.api import client
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
+from failstop.board.finder import identity
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.doctor.system import Holder, Node, System
@@ -135,7 +137,9 @@ class Look:
     @cached_property
     def usb_id(self) -> str:
         """vendor:product of the device in hexadecimal; empty: it is nothing on USB."""
-        return discovery.usb_id(self.node.resolved) if self.node else ""
+        tty = f"/sys/class/tty/{os.path.basename(self.node.resolved)}/device" if self.node else ""
+        found = identity(self.system.path(tty)) if tty else None
+        return ":".join(found[:2]) if found else ""
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import re
 
+from failstop.board.asking import ADAPTERS
 from failstop.board.kinds import board_of
-from failstop.discovery import ADAPTERS, LINK
+from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.doctor.system import Holder
 from failstop.policy.settings import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
+LINK = "/dev/failstop"
+"""The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 NO_DESCRIPTION = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
@@ -95,7 +99,7 @@ def held(look: Look) -> list[Finding]:
     for holder in others:
         if not holder.instance:
             text = f"{holder} has the port open: what it writes goes past every check of failstop"
-            known = next((one for one in look.board.commanders if holder.is_(one.program)), None)
+            known = _known(look, holder)
             found += fail(text, known.fix or holder.end(), known.remedy) if known else fail(text, holder.end())
     if unseen and not found:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
@@ -105,14 +109,17 @@ def held(look: Look) -> list[Finding]:
 
 def commanders(look: Look) -> list[Finding]:
     """Nobody but failstop commands the board's wheels."""
-    found = []
-    running = [look.system.holder(int(pid)) for pid in look.system.names("/proc") if pid.isdigit()]
-    for one in look.board.commanders:
-        if not one.program:
-            found += warn(one.who, "", one.remedy)
-        for holder in (each for each in running if each.is_(one.program)):
-            found += warn(f"{holder} runs: {one.who}", one.fix or holder.end(), one.remedy)
+    found = [row for one in look.board.commanders if not one.program for row in warn(one.who, "", one.remedy)]
+    for holder in (look.system.holder(int(pid)) for pid in look.system.names("/proc") if pid.isdigit()):
+        if known := _known(look, holder):
+            found += warn(f"{holder} runs: {known.who}", known.fix or holder.end(), known.remedy)
     return found or ok("nobody is known who could command it beside failstop")
+
+
+def _known(look: Look, holder: Holder) -> Commander | None:
+    """The program of the board's own description that this process runs."""
+    programs = (one for one in look.board.commanders if one.program)
+    return next((one for one in programs if one.program in holder.command), None)
 
 
 def grabbers(look: Look) -> list[Finding]:

@@ -15,13 +15,12 @@ from collections.abc import Callable, Mapping
 from failstop import stopping
 from failstop.api.snapshot import State
 from failstop.board import asking
-from failstop.board.asking import Heard
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of, is_own
 from failstop.board.port import PortError, release_exclusive, set_speed
 from failstop.board.stop_port import StopPort
 from failstop.board.tap import Tap
-from failstop.doctor.look import FAIL, OK, Finding, Look, fail, ok, skip, warn
+from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
@@ -29,10 +28,6 @@ from failstop.policy.settings import BOARDS
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
-DIAMETER_M = 0.08
-"""Of the wheels of boards that are not driven: any."""
-WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
-"""For people: what is to be looked at when nothing comes."""
 UNANSWERED = "written; this board acknowledges nothing"
 
 
@@ -65,7 +60,9 @@ def _left_alone(look: Look) -> list[Finding]:
         why = f"{holders[0]} has the port open"
     elif not (look.device_path or node.pseudo or look.usb_id in look.board.usb):
         text = f"not tested: {node.path} may not be the board, and it is not written to"
-        return skip(text, f"failstop doctor --device {node.path}")
+        deaf_s = look.board.port.deaf_ns / 1e9
+        resets = f"opening the port may reset the board, which is then deaf for {deaf_s:g} s" if deaf_s else ""
+        return skip(text, f"failstop doctor --device {node.path}", resets)
     else:
         return []
     return skip(f"not tested: {why}", "", "see to that first")
@@ -79,7 +76,7 @@ def _known_by_the_service(look: Look, state: State) -> list[Finding]:
         return ok(f"it answers the service's questions as {kind} does{battery}")
     if state.device.link == LINK_UNASKED:
         text = f"the service reads it as {kind}, which answers no question{battery}"
-        return ok(text) if battery or not look.board.echo_ns else warn(f"{text}; no report has come", "", WIRES)
+        return ok(text) if battery or not look.board.echo_ns else warn(f"{text}; no report has come", "", asking.WIRES)
     text = f"it is not known to be {kind}: it answers none of the service's questions{battery}"
     stop = f"sudo systemctl stop {unit_of(look.name)} && " if look.unit else ""
     advice = "with no service running doctor asks for the other boards too"
@@ -101,9 +98,8 @@ def of_service(name: str, state: State) -> list[Finding]:
 def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
     """What is said of the board, and of the stop path; the port is opened once for both."""
     if look.tried is None:
-        others = {other: board_of(other, DIAMETER_M, 0.0) for other in BOARDS if other != look.kind}
-        boards = {look.kind: look.board} | others
-        look.tried = by_hand(look.device[0], boards, f"failstop {look.again()}")
+        others = {kind: board_of(kind, 1.0, 0.0) for kind in BOARDS if kind != look.kind}
+        look.tried = by_hand(look.device[0], {look.kind: look.board} | others, f"failstop {look.again()}")
     return look.tried
 
 
@@ -119,8 +115,10 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
             opened_ns = time.monotonic_ns()
             if not own.stopped:
                 raise PortError("io", f"{path} takes no bytes")
-            told = told_of(kind, board, asking.find(own.fd, boards, opened_ns, strangers=is_own(kind)), again)
-            if told[0].level == FAIL:
+            heard = asking.find(own.fd, boards, opened_ns, strangers=is_own(kind))
+            known, text, remedy = asking.verdict(heard, kind, board)
+            told = fail(text, again, remedy) if known is False else (ok if known else skip)(text, "", remedy)
+            if known is False:
                 return told, skip("not tested: it is not known to be the board", "", "see to that first")
             set_speed(own.fd, board.port)
             tap = Tap(own.fd, board)
@@ -133,27 +131,6 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
     except (OSError, PortError) as error:
         advice = "once that is seen to; wheels that turn: the POWER SWITCH"
         return told, [*found, *fail(f"no stop was written: {error}", again, advice)]
-
-
-def told_of(kind: str, board: Board, heard: list[Heard], again: str) -> list[Finding]:
-    """The verdict on a board that was asked as `kind`, and as others if it did not answer."""
-    last, deaf_ns = heard[-1], board.port.deaf_ns
-    if last.known and last.kind != kind:
-        remedy = f'set board.kind = "{last.kind}", or plug the other board in'
-        return fail(f"the board that answers is {last.kind}, and board.kind is {kind}", again, remedy)
-    if last.known:
-        text = f"it {'reports' if last.answered_ms is None else 'answers'} as {kind} does"
-        if deaf_ns:
-            late = last.after_ns >= deaf_ns
-            text += f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s" if late else ", and opening did not reset it"
-        return ok(text)
-    if any(each.reports for each in heard if each.kind == kind):
-        return fail(f"it reports as {kind} does, and answers no question: it does not hear", again, WIRES)
-    if came := max(each.size for each in heard):
-        return fail(f"{came} bytes came, which no board that failstop knows says: it is not {kind}", again, WIRES)
-    if not (board.pings or board.echo_ns):
-        return skip(f"{kind} has no question, so that nobody knows whether it is there", "", "questions, in its wire.py")
-    return fail(f"nothing answers, neither as {kind} nor as another board that failstop knows", again, WIRES)
 
 
 def _on_duplicate(own: OwnPort, _: str) -> None:

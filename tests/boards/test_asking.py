@@ -10,8 +10,11 @@ from typing import Any
 
 import pytest
 
+from failstop.board.asking import Heard, verdict
+from failstop.board.described import Described
 from failstop.board.interface import HEARD_OBEYED, HEARD_WHEELS, Board
-from failstop.board.kinds import board_of, is_described
+from failstop.board.kinds import board_of, is_described, wire_of
+from failstop.board.wire import Wire
 from failstop.lab.boards.live import LiveModel
 from failstop.lab.machine.robot import DEVICE, Robot
 from failstop.lab.sim.model import BoardModel
@@ -159,3 +162,68 @@ def test_no_stranger_is_written_to_where_the_board_is_the_users_own(tmp_path: Pa
     assert (heard[-1].kind, heard[-1].known) == ("hoverboard", True)
     assert HEARD_OBEYED in heard[-1].reports
     assert set(wrote) <= {*known[folder].pings, known[folder].burst}
+
+
+def heard(kind: str, *, answered_ms: float | None = None, reports: int = 0, size: int = 0, after_s: float = 0) -> Heard:
+    known = answered_ms is not None or (kind == "hoverboard" and reports > 0)
+    return Heard(kind, known, answered_ms, frozenset([HEARD_WHEELS][:reports]), size, int(after_s * 1e9))
+
+
+SILENT = [heard(each) for each in ("ugv", "hoverboard", "arduino", "rrc")]
+
+
+@pytest.mark.parametrize(
+    ("name", "answers", "known", "text", "advice"),
+    [
+        (
+            "ugv",
+            [heard("ugv", answered_ms=3.1)],
+            True,
+            "it answers as ugv does, and opening the port did not reset it",
+            "",
+        ),
+        ("rrc", [heard("rrc", answered_ms=3.1)], True, "it answers as rrc does", ""),
+        ("hoverboard", [heard("hoverboard", reports=1)], True, "it reports as hoverboard does", ""),
+        (
+            "arduino",
+            [heard("arduino"), heard("arduino", answered_ms=3.1, after_s=2.01)],
+            True,
+            "it answers as arduino does; opening the port reset it: deaf for 2 s",
+            "",
+        ),
+        (
+            "rrc",
+            [heard("rrc", size=90), heard("hoverboard", reports=1, size=90)],
+            False,
+            "the board that answers is hoverboard, and board.kind is rrc",
+            'set board.kind = "hoverboard"',
+        ),
+        (
+            "ugv",
+            [heard("ugv", reports=1, size=9), *SILENT],
+            False,
+            "it reports as ugv does, and answers no question: it does not hear",
+            "TX and RX",
+        ),
+        (
+            "ugv",
+            [heard("ugv", size=77), *SILENT],
+            False,
+            "77 bytes came, which no board that failstop knows says: it is not ugv",
+            "baud rate",
+        ),
+        ("ugv", SILENT, False, "nothing answers, neither as ugv nor as another board that failstop knows", "power"),
+    ],
+)
+def test_the_verdict_on_a_board(name: str, answers: list[Heard], known: bool, text: str, advice: str) -> None:
+    found = verdict(answers, name, board_of(name, 0.08, 0.0))
+    assert found[:2] == (known, text)
+    assert advice in found[2]
+
+
+def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> None:
+    silent = Described(Wire(**{**vars(wire_of("arduino")), "questions": ()}), 1.0)
+    known, text, remedy = verdict([heard("/etc/tank"), *SILENT], "/etc/tank", silent)
+    assert known is None
+    assert text.startswith("/etc/tank has no question")
+    assert "questions" in remedy

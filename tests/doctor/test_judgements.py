@@ -7,9 +7,6 @@ from typing import Any
 import pytest
 
 from failstop.api.snapshot import Client, Starved
-from failstop.board.asking import Heard
-from failstop.board.interface import HEARD_WHEELS
-from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
 from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
@@ -57,9 +54,19 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
     ("identity", look(usb_id="2341:0043", told=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
     ("board", look(service=serving(device=but(PORT, link="deaf"))), WARN, "it is not known to be rrc"),
-    ("board", look(service=serving(device=but(PORT, link="unproven"), battery_v=7.2)), WARN, "questions, and reports a battery of 7.2 V"),
+    (
+        "board",
+        look(service=serving(device=but(PORT, link="unproven"), battery_v=7.2)),
+        WARN,
+        "questions, and reports a battery of 7.2 V",
+    ),
     ("board", look(service=serving(device=UNASKED, battery_v=None), told=of("hoverboard")), WARN, "no report has"),
-    ("commanders", look(files=on("python3", command=VENDORS), told=of("ugv")), WARN, "python3 (pid 9) runs: the vendor"),
+    (
+        "commanders",
+        look(files=on("python3", command=VENDORS), told=of("ugv")),
+        WARN,
+        "python3 (pid 9) runs: the vendor",
+    ),
     ("commanders", look(told=of("ugv")), WARN, "its Wi-Fi: "),
     ("commanders", look(told=of("ugv")), WARN, "ESP-NOW: "),
     ("commanders", look(told=of("hoverboard")), WARN, "its other sensor cable"),
@@ -216,57 +223,6 @@ def test_the_verdict_on_a_burst() -> None:
     [found] = stop_path.judged("stop tool", BOARD, None, "failstop doctor")
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
     assert "did not answer the ping behind it" in found.text
-
-
-def heard(kind: str, *, answered_ms: float | None = None, reports: int = 0, size: int = 0, after_s: float = 0) -> Heard:
-    known = answered_ms is not None or (kind == "hoverboard" and reports > 0)
-    return Heard(kind, known, answered_ms, frozenset([HEARD_WHEELS][:reports]), size, int(after_s * 1e9))
-
-
-SILENT = [heard(each) for each in ("ugv", "hoverboard", "arduino", "rrc")]
-
-
-@pytest.mark.parametrize(
-    ("name", "answers", "level", "text", "advice"),
-    [
-        ("ugv", [heard("ugv", answered_ms=3.1)], OK, "it answers as ugv does, and opening did not reset it", ""),
-        ("rrc", [heard("rrc", answered_ms=3.1)], OK, "it answers as rrc does", ""),
-        ("hoverboard", [heard("hoverboard", reports=1)], OK, "it reports as hoverboard does", ""),
-        (
-            "arduino",
-            [heard("arduino"), heard("arduino", answered_ms=3.1, after_s=2.01)],
-            OK,
-            "it answers as arduino does; opening the port reset it: deaf for 2 s",
-            "",
-        ),
-        (
-            "rrc",
-            [heard("rrc", size=90), heard("hoverboard", reports=1, size=90)],
-            FAIL,
-            "the board that answers is hoverboard, and board.kind is rrc",
-            'set board.kind = "hoverboard"',
-        ),
-        (
-            "ugv",
-            [heard("ugv", reports=1, size=9), *SILENT],
-            FAIL,
-            "it reports as ugv does, and answers no question: it does not hear",
-            "TX and RX",
-        ),
-        (
-            "ugv",
-            [heard("ugv", size=77), *SILENT],
-            FAIL,
-            "77 bytes came, which no board that failstop knows says: it is not ugv",
-            "baud rate",
-        ),
-        ("ugv", SILENT, FAIL, "nothing answers, neither as ugv nor as another board that failstop knows", "power"),
-    ],
-)
-def test_the_verdict_on_a_board(name: str, answers: list[Heard], level: str, text: str, advice: str) -> None:
-    [found] = stop_path.told_of(name, board_of(name, 0.08, 0.0), answers, "failstop doctor")
-    assert (found.level, found.text) == (level, text)
-    assert advice in found.advice
 
 
 UNTOUCHED = but(NODE, accessible=False)

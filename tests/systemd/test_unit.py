@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from failstop.api import ask
-from failstop.cli.commands import stop
 from failstop.board.rrc.board import BOARD
+from failstop.cli.commands import stop
 from failstop.files.root import SYSTEM_BASE
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings

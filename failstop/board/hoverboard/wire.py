@@ -68,7 +68,7 @@ WIRE = Wire(
     echo_ns=50 * _MS,
     commanders=(
         Commander(
-            who="what is on its other sensor cable (a side board, a receiver) drives it, in firmware built with DUAL_INPUTS",
+            who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",
             remedy="pull that cable, or build the firmware without DUAL_INPUTS (Inc/config.h)",
         ),
     ),

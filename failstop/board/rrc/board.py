@@ -116,8 +116,8 @@ class Rrc(Board):
     usb_alone = True
     commanders = (
         Commander(
-            who="a gamepad in the board's own socket, or Bluetooth, drives it where the firmware does that without the host",
-            remedy="switch it off in the firmware, or leave nothing plugged in and paired that nobody drives with",
+            who="a gamepad at the board, or Bluetooth, drives it where the firmware does so without the host",
+            remedy="switch that off in the firmware, or leave nothing plugged in and paired that nobody drives with",
         ),
         Commander(
             who="the vendor's ROS node writes to the board, past every check of failstop",

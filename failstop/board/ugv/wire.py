@@ -74,15 +74,16 @@ WIRE = Wire(
     echo_ns=0,
     commanders=(
         Commander(
-            who="its Wi-Fi: whoever joins its access point (UGV, password 12345678, unless changed), or is in the network "
-            "that it joined, drives it by the page at its address",
-            remedy='give it a password of your own, on that page (192.168.4.1): {"T":407,"mode":1,"ap_ssid":"NAME",'
-            '"ap_password":"SECRET","sta_ssid":"none","sta_password":"none"}; then look whether the old one is gone',
+            who="its Wi-Fi: who joins its access point (UGV, 12345678, unless changed), or the network that it has "
+            "joined, drives it by the page at its address",
+            remedy="a password of your own, typed on that page (192.168.4.1) while it stands, as it hears nothing for "
+            '15 s: {"T":407,"mode":1,"ap_ssid":"NAME","ap_password":"SECRET","sta_ssid":"none","sta_password":"none"}; '
+            "then look for the old one with a phone",
         ),
         Commander(
             who="ESP-NOW: any ESP32 near it drives it by radio, without a password (it follows by default)",
-            remedy='{"T":301,"mode":0} on its page ends that until the next power-on; for good, as a step of its mission '
-            'boot: {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
+            remedy='{"T":301,"mode":0} on its page ends that until the next power-on; for good as a step of its '
+            'mission "boot": {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
         ),
         Commander(
             who="the vendor's app (ugv_rpi) writes to the board, and drives it by a page on port 5000",
