@@ -20,6 +20,7 @@ class Refused(FailstopError):
     """The service answered, and said no. The message is the reason and, where there is one, the next step."""
 
     exit_code = 2
+    """Of a command that ends with it."""
 
     def __init__(self, template: str, cause: Cause | None = None, step: str = "", refused_for: int = 0) -> None:
         """`template`: the reason, with CAUSE in the place of the cause's own text; `refused_for`: 1 what is latched, 2
@@ -45,6 +46,7 @@ class NoService(FailstopError):
     """No service of that name runs, or it went away."""
 
     exit_code = 3
+    """Of a command that ends with it."""
 
 
 class Undeclared(FailstopError, ValueError):

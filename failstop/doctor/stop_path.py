@@ -60,8 +60,7 @@ def _left_alone(look: Look) -> list[Finding]:
         why = f"{holders[0]} has the port open"
     elif not (look.device_path or node.pseudo or look.usb_id in look.board.usb):
         text = f"not tested: {node.path} may not be the board, and it is not written to"
-        deaf_s = look.board.port.deaf_ns / 1e9
-        resets = f"opening the port may reset the board, which is then deaf for {deaf_s:g} s" if deaf_s else ""
+        resets = f"opening it may reset the board: deaf for {ns / 1e9:g} s" if (ns := look.board.port.deaf_ns) else ""
         return skip(text, f"failstop doctor --device {node.path}", resets)
     else:
         return []
@@ -70,14 +69,13 @@ def _left_alone(look: Look) -> list[Finding]:
 
 def _known_by_the_service(look: Look, state: State) -> list[Finding]:
     """The board as the service hears it."""
-    kind = look.kind
     battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v else ""
     if state.device.link == LINK_ALIVE:
-        return ok(f"it answers the service's questions as {kind} does{battery}")
+        return ok(f"it answers the service's questions as {look.kind} does{battery}")
     if state.device.link == LINK_UNASKED:
-        text = f"the service reads it as {kind}, which answers no question{battery}"
+        text = f"the service reads it as {look.kind}, which answers no question{battery}"
         return ok(text) if battery or not look.board.echo_ns else warn(f"{text}; no report has come", "", asking.WIRES)
-    text = f"it is not known to be {kind}: it answers none of the service's questions{battery}"
+    text = f"it is not known to be {look.kind}: it answers none of the service's questions{battery}"
     stop = f"sudo systemctl stop {unit_of(look.name)} && " if look.unit else ""
     advice = "with no service running doctor asks for the other boards too"
     return warn(text, f"{stop}failstop doctor{option(look.name)} --device {state.device.path}", advice)
