@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
-TRIES = 2
+QUESTIONS = 2
 """Questions to a board: one may be lost on the line."""
 
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
@@ -56,7 +56,7 @@ class Heard(Data):
     """When it was asked, after the port was opened."""
 
 
-def plan(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
+def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
     """Each turn: how long after the opening of the port, in ns, whom to ask. The first board is the wanted one. The
     silent ones come first among the others: to ask them is to listen. `resets`: opening may have reset the board, which
     is then deaf for its time."""
@@ -68,15 +68,14 @@ def plan(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]
         yield from ((deaf_ns, kind) for deaf_ns, kind in late if deaf_ns)
 
 
-def find(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
+def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
     """Ask one board after the other until one is known, which is the last of the list. The stop of the first is on its
     way already. `strangers`: the other boards are not written to. Raises OSError when the device has gone."""
     found: list[Heard] = []
-    for due_ns, kind in plan(boards, port.has_lines(fd)):
+    for due_ns, kind in turns(boards, port.has_lines(fd)):
         time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
         board, first = boards[kind], not found
         port.set_speed(fd, board.port)
-        Tap(fd, board).read()  # what came at another speed
         silent = not board.pings or (strangers and kind != next(iter(boards)))
         after_ns = time.monotonic_ns() - opened_ns
         tap = Tap(fd, board)
@@ -94,16 +93,15 @@ def _ask(tap: Tap, board: Board, stop: bool) -> float | None:
     """The time until a question was answered, in ms. `stop`: the stop is to be written before it."""
     if stop:
         StopPort(tap.fd, board).burst()
-    for _ in range(TRIES):
+    for _ in range(QUESTIONS):
         time.sleep((len(board.burst) * board.port.byte_ns + board.idle_ns) / 1e9)
         if (answered_ms := tap.answered_ms(ANSWER_S)) is not None:
             return answered_ms
     return None
 
 
-def verdict(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """Of what find() has heard where `kind` was wanted: whether it is there (None: nobody can know), that in words, and
-    what helps."""
+def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
+    """A board that was sought as `kind`: whether it is there (None: nobody can know), that in words, and what helps."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.known and last.kind != kind:
         remedy = f'set board.kind = "{last.kind}", or plug the other board in'

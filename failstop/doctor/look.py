@@ -64,7 +64,7 @@ class Look:
     """Without the timing self-test."""
     system: System = dataclasses.field(default_factory=System)
     tried: tuple[list[Finding], list[Finding]] | None = None
-    """What a try at the port has shown of the board and of the stop path; None: the port was not opened."""
+    """Findings of a try at the port, on the board and on the stop path; None: the port was not opened."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:

@@ -94,7 +94,7 @@ def of_service(name: str, state: State) -> list[Finding]:
 
 
 def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
-    """What is said of the board, and of the stop path; the port is opened once for both."""
+    """Findings on the board, and on the stop path: the port is opened once for both."""
     if look.tried is None:
         others = {kind: board_of(kind, 1.0, 0.0) for kind in BOARDS if kind != look.kind}
         look.tried = by_hand(look.device[0], {look.kind: look.board} | others, f"failstop {look.again()}")
@@ -102,8 +102,8 @@ def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
 
 
 def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Finding], list[Finding]]:
-    """What is said of the board, and of each writer's way to it, ended by one that is not answered. Nobody else may
-    have the port open. The first of the boards is the one that the settings name. `again`: the command that tests once
+    """Findings on the board, and on each writer's way to it, ended by one that is not answered. Nobody else may have
+    the port open. The first of the boards is the one that the settings name. `again`: the command that tests once
     more."""
     kind, board = next(iter(boards.items()))
     told: list[Finding] = []
@@ -113,8 +113,8 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
             opened_ns = time.monotonic_ns()
             if not own.stopped:
                 raise PortError("io", f"{path} takes no bytes")
-            heard = asking.find(own.fd, boards, opened_ns, strangers=is_own(kind))
-            known, text, remedy = asking.verdict(heard, kind, board)
+            heard = asking.seek(own.fd, boards, opened_ns, strangers=is_own(kind))
+            known, text, remedy = asking.told_of(heard, kind, board)
             told = fail(text, again, remedy) if known is False else (ok if known else skip)(text, "", remedy)
             if known is False:
                 return told, skip("not tested: it is not known to be the board", "", "see to that first")

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from failstop.board.asking import Heard, verdict
+from failstop.board.asking import Heard, told_of, turns
 from failstop.board.described import Described
-from failstop.board.interface import HEARD_OBEYED, HEARD_WHEELS, Board
+from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.board.wire import Wire
 from failstop.lab.boards.live import LiveModel
@@ -97,12 +97,13 @@ class There:
         self.machine.at(self.machine.now_ns + NS // 50, self._say)
 
     def asked(self, wanted: str, known: dict[str, Board] | None = None, *, strangers: bool = False) -> list[Any]:
-        """Everything that was heard."""
+        """Everything that was heard, behind the stop that goes out when the port is opened."""
         load = self.robot.loader.load
-        port, asking = load("failstop.board.port"), load("failstop.board.asking")
+        handover, asking = load("failstop.supervisor.port_handover"), load("failstop.board.asking")
         chosen = known or boards(wanted)
-        fd = port.open_port(DEVICE, exclusive=True, line=chosen[wanted].port)
-        found: list[Any] = asking.find(fd, chosen, self.machine.now_ns, strangers=strangers)
+        own = handover.OwnPort.open_and_stop(DEVICE, chosen[wanted])
+        assert own.stopped
+        found: list[Any] = asking.seek(own.fd, chosen, self.machine.now_ns, strangers=strangers)
         return found
 
     def turned(self) -> bool:
@@ -151,16 +152,33 @@ def test_a_line_that_sends_everything_back_is_no_board(there: str) -> None:
         assert board.hearing().feed(sent) == []
 
 
-def test_no_stranger_is_written_to_where_the_board_is_the_users_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("there", ["arduino", "ugv"])
+@pytest.mark.parametrize("wanted", BOARDS)
+def test_half_a_motion_line_is_ended_by_the_stop_before_the_question(there: str, wanted: str) -> None:
+    """Without it the question would be the end of that line, which would then be run."""
+    on, board = There(there, own_speed=False), boards(there)[there]
+    on.robot.board.receive(board.motor_speeds((0.05,) * 4, 0.1)[:-1])
+    assert on.asked(wanted)[-1].kind == there
+    assert not any(on.model.wheels)
+
+
+def test_the_order_in_which_boards_are_asked() -> None:
+    """The wanted one first, again when it must have started; then those that are listened to; late ones last."""
+    order = [(0, "ugv"), (5 * NS, "ugv"), (0, "hoverboard"), (0, "rrc"), (0, "arduino"), (2 * NS, "arduino")]
+    assert list(turns(boards("ugv"), resets=True)) == order
+    assert list(turns(boards("ugv"), resets=False)) == [turn for turn in order if not turn[0]]
+
+
+@pytest.mark.parametrize("there", ["hoverboard", "ugv", "rrc"])
+def test_no_stranger_is_written_to_where_the_board_is_the_users_own(there: str, tmp_path: Path) -> None:
     """It is listened to: who speaks unasked is found."""
     folder = own_folder(tmp_path / "tank")
     known = {folder: board_of(folder, 0.08, 0.0), **boards("rrc")}
-    on = There("hoverboard", own_speed=False)
+    on = There(there, own_speed=False)
     wrote: list[bytes] = []
     on.robot.board.on_bytes = wrote.append
     heard = on.asked(folder, known, strangers=True)
-    assert (heard[-1].kind, heard[-1].known) == ("hoverboard", True)
-    assert HEARD_OBEYED in heard[-1].reports
+    assert (heard[-1].kind, heard[-1].known) == (there, True)
     assert set(wrote) <= {*known[folder].pings, known[folder].burst}
 
 
@@ -216,14 +234,14 @@ SILENT = [heard(each) for each in ("ugv", "hoverboard", "arduino", "rrc")]
     ],
 )
 def test_the_verdict_on_a_board(name: str, answers: list[Heard], known: bool, text: str, advice: str) -> None:
-    found = verdict(answers, name, board_of(name, 0.08, 0.0))
+    found = told_of(answers, name, board_of(name, 0.08, 0.0))
     assert found[:2] == (known, text)
     assert advice in found[2]
 
 
 def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> None:
     silent = Described(Wire(**{**vars(wire_of("arduino")), "questions": ()}), 1.0)
-    known, text, remedy = verdict([heard("/etc/tank"), *SILENT], "/etc/tank", silent)
+    known, text, remedy = told_of([heard("/etc/tank"), *SILENT], "/etc/tank", silent)
     assert known is None
     assert text.startswith("/etc/tank has no question")
     assert "questions" in remedy

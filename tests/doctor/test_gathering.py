@@ -49,6 +49,15 @@ def test_units_by_name() -> None:
     assert unit_of("left") == "failstop@left.service"
 
 
+def test_a_board_s_own_folder_that_can_not_be_used_is_a_fault_of_the_settings(tmp_path: Path) -> None:
+    """Nobody else's language is tried at its port then."""
+    file = tmp_path / "robot.toml"
+    file.write_text(f'[board]\nkind = "{tmp_path}/tank"\n')
+    path, _, problem = Look(config_path=str(file)).settings
+    assert path == str(file)
+    assert f"{tmp_path}/tank: No such file or directory" in problem
+
+
 SYSTEMCTL = """#!/bin/sh
 test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
 """

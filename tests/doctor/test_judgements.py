@@ -69,7 +69,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ),
     ("commanders", look(told=of("ugv")), WARN, "its Wi-Fi: "),
     ("commanders", look(told=of("ugv")), WARN, "ESP-NOW: "),
-    ("commanders", look(told=of("hoverboard")), WARN, "its other sensor cable"),
+    ("commanders", look(told=of("hoverboard")), WARN, "its second cable: "),
     ("grabbers", look(files=on("ModemManager"), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
     ("grabbers", look(files=on("ModemManager"), node=None), FAIL, "ModemM"),
     ("grabbers", look(files=on("brltty")), WARN, "brltty"),
