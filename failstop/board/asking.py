@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 
 from failstop.board import port
+from failstop.board.interface import Board
 from failstop.board.stop_port import StopPort
 from failstop.board.tap import Tap
 from failstop.data import Data
@@ -18,8 +19,6 @@ from failstop.data import Data
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from failstop.board.interface import Board
 
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
@@ -39,6 +38,23 @@ ADAPTERS = {
     "1a86:7523": "CH340",
 }
 """Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+
+
+class Unknown(Board):
+    """A board whose folder can't be used by this user: nothing is known of it, and nothing is said to it."""
+
+    __slots__ = ("why",)
+
+    port = port.ROSORIN_PORT
+    pings = ()
+    echo_ns = 0
+    usb = ()
+    usb_alone = False
+    commanders = ()
+
+    def __init__(self, why: str) -> None:
+        """`why`: in a line, with the remedy."""
+        self.why = why
 
 
 class Heard(Data):

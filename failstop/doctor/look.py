@@ -13,6 +13,7 @@ from failstop.api import client
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
+from failstop.board.asking import Unknown
 from failstop.board.finder import identity
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
@@ -20,6 +21,7 @@ from failstop.doctor.system import Holder, Node, System
 from failstop.files.instance import DEFAULT_NAME, option
 from failstop.instances import unit_of
 from failstop.messages import layout, segments
+from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 
 OK = "ok"
@@ -71,10 +73,8 @@ class Look:
         """(the file, empty for none; what is set; what is wrong with it, in one line, and the defaults count)."""
         path = config.chosen(self.name, self.config_path)
         try:
-            found = config.load(path)
-            board_of(*found.board())
-            return path or "", found, ""
-        except ValueError as error:
+            return path or "", config.load(path), ""
+        except SettingError as error:
             return path or "", Settings(), str(error)
 
     @cached_property
@@ -90,7 +90,10 @@ class Look:
     @cached_property
     def board(self) -> Board:
         """The board that they name."""
-        return board_of(*self.told.board())
+        try:
+            return board_of(*self.told.board())
+        except ValueError as error:
+            return Unknown(str(error))
 
     @cached_property
     def service(self) -> tuple[State | None, str, str]:

@@ -33,6 +33,8 @@ UNANSWERED = "written; this board acknowledges nothing"
 
 def board(look: Look) -> list[Finding]:
     """The board that the settings name answers, and no other."""
+    if isinstance(look.board, asking.Unknown):
+        return (warn if look.state else fail)(look.board.why, f"failstop config --check {look.settings[0]}")
     if look.state:
         return _known_by_the_service(look, look.state)
     return _left_alone(look) or _tried(look)[0]
@@ -50,7 +52,7 @@ def _left_alone(look: Look) -> list[Finding]:
     node, (holders, _) = look.node, look.holders
     if look.service[-1]:
         why = "the running service can't be asked"
-    elif look.settings[-1]:
+    elif look.settings[-1] or isinstance(look.board, asking.Unknown):
         why = "the settings that name the board can't be used"
     elif node is None:
         why = "there is no port"

@@ -49,13 +49,18 @@ def test_units_by_name() -> None:
     assert unit_of("left") == "failstop@left.service"
 
 
-def test_a_board_s_own_folder_that_can_not_be_used_is_a_fault_of_the_settings(tmp_path: Path) -> None:
-    """Nobody else's language is tried at its port then."""
+def test_a_board_s_own_folder_that_can_not_be_used_is_told_and_its_port_is_left_alone(tmp_path: Path) -> None:
+    """No other board's language is tried there."""
     file = tmp_path / "robot.toml"
     file.write_text(f'[board]\nkind = "{tmp_path}/tank"\n')
-    path, _, problem = Look(config_path=str(file)).settings
-    assert path == str(file)
-    assert f"{tmp_path}/tank: No such file or directory" in problem
+    look = Look("nobody-here", config_path=str(file), device_path="/dev/null")
+    [found] = stop_path.board(look)
+    assert found.level == "fail"
+    assert f"{tmp_path}/tank: No such file or directory" in found.text
+    [found] = stop_path.stop_path(look)
+    assert found.text == "not tested: the settings that name the board can't be used"
+    [found] = port.identity(look)
+    assert found.text == f"no USB device; {tmp_path}/tank may be at any port"
 
 
 SYSTEMCTL = """#!/bin/sh
