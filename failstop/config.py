@@ -18,14 +18,9 @@ FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
 
 
-def file_of(name: str) -> str:
-    """The file of an instance in an installed system."""
-    return f"{FOLDER}/{name}.toml"
-
-
 def installed(name: str) -> str:
     """The file of an instance that was installed on this machine."""
-    return root.at(file_of(name))
+    return root.at(f"{FOLDER}/{name}.toml")
 
 
 def chosen(name: str, path: str | None) -> str | None:
