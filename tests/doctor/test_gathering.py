@@ -49,7 +49,7 @@ def test_units_by_name() -> None:
     assert unit_of("left") == "failstop@left.service"
 
 
-def test_a_board_s_own_folder_that_can_not_be_used_is_told_and_its_port_is_left_alone(tmp_path: Path) -> None:
+def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_path: Path) -> None:
     """No other board's language is tried there."""
     file = tmp_path / "robot.toml"
     file.write_text(f'[board]\nkind = "{tmp_path}/tank"\n')
