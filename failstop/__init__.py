@@ -27,30 +27,10 @@ if TYPE_CHECKING:
     from failstop.api.why import Why
 
 __all__ = [
-    "Answer",
-    "AsyncRobot",
-    "Block",
-    "Blocked",
-    "Driving",
-    "Event",
-    "FailstopError",
-    "Imu",
-    "NoAnswer",
-    "NoService",
-    "Odometry",
-    "Pad",
-    "Preempted",
-    "Process",
-    "Refused",
-    "Robot",
-    "State",
-    "Stop",
-    "TimedOut",
-    "Undeclared",
-    "Velocity",
-    "Why",
-    "__version__",
-]
+    "Answer", "AsyncRobot", "Block", "Blocked", "Driving", "Event", "FailstopError", "Imu", "NoAnswer", "NoService",
+    "Odometry", "Pad", "Preempted", "Process", "Refused", "Robot", "State", "Stop", "TimedOut", "Undeclared",
+    "Velocity", "Why", "__version__",
+]  # fmt: skip
 
 _HOMES = ("errors", "snapshot", "events", "robot", "why")
 """Where they are, those first that the others import."""

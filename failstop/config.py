@@ -16,17 +16,11 @@ LONGEST_KEY = 80
 """Twice the longest there is."""
 FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
-BITS = tuple(1 << bit for bit in range(16))
-
-
-def file_of(name: str) -> str:
-    """The file of an instance in an installed system."""
-    return f"{FOLDER}/{name}.toml"
 
 
 def installed(name: str) -> str:
     """The file of an instance that was installed on this machine."""
-    return root.at(file_of(name))
+    return root.at(f"{FOLDER}/{name}.toml")
 
 
 def chosen(name: str, path: str | None) -> str | None:
@@ -45,7 +39,11 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
     button = changed.get(MODE_BUTTON)
     try:
         # Two bits would be two buttons that do not stop.
-        if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
+        if (
+            isinstance(button, (int, float))
+            and not isinstance(button, bool)
+            and button not in [1 << bit for bit in range(16)]
+        ):
             found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
             raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
         return Settings(changed)

@@ -10,17 +10,17 @@ from pathlib import Path
 
 from bench.vm.scene import FAILSTOP, UNIT, Scene, sh, wrong_unless
 from bench.vm.table import Result
-from failstop.discovery import BOARD_VID
+from failstop.board.rrc.board import BOARD
 
+VENDOR = BOARD.usb[0].partition(":")[0]
 RULE = Path("/usr/lib/udev/rules.d/90-failstop.rules")
-BOARDS = ("--subsystem-match=usb", f"--attr-match=idVendor={BOARD_VID:04x}")
+BOARDS = ("--subsystem-match=usb", f"--attr-match=idVendor={VENDOR}")
 IDLE_S = 3.0
 """More than the kernel's autosuspend_delay_ms, 2 s."""
 LOOK_S = 0.25
 ASKED = Path("/run/udev/rules.d/10-modem.rules")
 ASKED_RULE = (
-    f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{BOARD_VID:04x}", '
-    'ENV{ID_MM_DEVICE_PROCESS}="1"\n'
+    f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{VENDOR}", ENV{{ID_MM_DEVICE_PROCESS}}="1"\n'
 )
 """By itself ModemManager 1.20 does not open the board's port; the default policy of versions before 1.18 lets it."""
 OPENED_S = 20.0

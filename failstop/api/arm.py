@@ -42,12 +42,7 @@ class Arm:
         return sleep_through(self._session._asking(verb, told, about, asked_ns=asked_ns))
 
     def move(
-        self,
-        to: Mapping[str, float] | Sequence[Point],
-        over_s: float = 0.0,
-        *,
-        speed: float = 1.0,
-        told: Told = None,
+        self, to: Mapping[str, float] | Sequence[Point], over_s: float = 0.0, *, speed: float = 1.0, told: Told = None
     ) -> str:
         """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's, allows), or along
         points: (seconds from the begin, angles), each with the same joints. Returns when it was read back that it is

@@ -38,22 +38,12 @@ OWN_WORDS_S = 0.1
 
 def runtime_dir(name: str) -> str:
     """Directory of the running service. Raises NoService, FailstopError."""
-    return _found(instance.find, name)
-
-
-def _found(look: Callable[[str], T], where: str) -> T:
-    """Look at a place of the service. Raises NoService, FailstopError."""
-    try:
-        return look(where)
-    except instance.NoService as error:
-        raise NoService(str(error)) from None
-    except instance.InstanceError as error:
-        raise FailstopError(str(error)) from None
+    return _there(instance.find, name)
 
 
 def run(name: str) -> tuple[str, int]:
     """The name that the running service's segments share, and their owner's uid. Raises NoService, FailstopError."""
-    incarnation, owner = _found(instance.current_run, runtime_dir(name))
+    incarnation, owner = _there(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
 
 
@@ -61,16 +51,16 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
     """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
     FailstopError."""
     memory, owner = found or run(name)
-    return _there(lambda: segments.attach(memory, which, owner=owner))
+    return _there(segments.attach, memory, which, owner=owner)
 
 
-def _there(take: Callable[[], T]) -> T:
-    """Take something of a run. Raises NoService, FailstopError."""
+def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
+    """Take something of the service. Raises NoService, FailstopError."""
     try:
-        return take()
-    except segments.AttachError as error:
-        kind = NoService if error.kind == "absent" else FailstopError
-        raise kind(str(error)) from None
+        return take(*what, **how)
+    except (instance.NoService, instance.InstanceError, segments.AttachError) as error:
+        absent = isinstance(error, instance.NoService) or getattr(error, "kind", "") == "absent"
+        raise (NoService if absent else FailstopError)(str(error)) from None
 
 
 def unread(fd: int) -> int:
@@ -82,7 +72,7 @@ def send_stop(name: str, why: object, who: object = "") -> None:
     """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
     reason of more than records.ASKED_BYTES cut. What an object says of itself follows as a request of its own, unless
     it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError."""
-    directory, fd = _found(instance.open_stop, name)
+    directory, fd = _there(instance.open_stop, name)
     try:
         words, whole = reason.plain(why)
         asks = reason.plain(who)[0]
@@ -128,7 +118,7 @@ class SeenRun:
         self.found = run(name)
         """The name that its segments share, and their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
-        self._life = _there(lambda: segments.open_life(*self.found))
+        self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.told("rules")
         """When the supervisor told the rules, which it does once (CLOCK_MONOTONIC)."""

@@ -178,13 +178,7 @@ class Session:
             return self._current().settings()
 
     def _asking(
-        self,
-        verb: int,
-        told: Told = None,
-        about: tuple[Any, ...] = (),
-        *,
-        asked_ns: int = 0,
-        awaited: bool = False,
+        self, verb: int, told: Told = None, about: tuple[Any, ...] = (), *, asked_ns: int = 0, awaited: bool = False
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
         those of several threads or tasks go one after the other; one that is under way, such as an arm's move, lets

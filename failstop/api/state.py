@@ -33,17 +33,9 @@ UNITS = {"ms": 1e3, "us": 1e6}
 WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
-NOTHING_YET: dict[str, Any] = {
-    "enabled": False,
-    "limit": 100,
-    "estop": None,
-    "blocked": box.DISABLED,
-    "body_vel": (0.0, 0.0, 0.0),
-    "wheels_rps": (0.0, 0.0, 0.0, 0.0),
-    "sources": [],
-    "clients": [],
-    "scan_ns": 0,
-}
+STANDING: dict[str, Any] = {"enabled": False, "body_vel": (0.0,) * 3, "wheels_rps": (0.0,) * 4, "sources": []}
+"""Of the gate's record: what stands while nothing may move."""
+NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
 """The gate's record before a run's first gate has published one: a run begins with motion disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
@@ -222,14 +214,8 @@ class StateReader(SeenRun):
         if not cause and decided["enabled"] and self.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:
-            decided |= {
-                "enabled": False,
-                "blocked": f"{box.LATCHED}{cause}",
-                "body_vel": (0.0, 0.0, 0.0),
-                "wheels_rps": (0.0, 0.0, 0.0, 0.0),
-                "sources": [],
-                "clients": [{**client, "driving": False} for client in decided["clients"]],
-            }
+            clients = [{**client, "driving": False} for client in decided["clients"]]
+            decided |= {**STANDING, "blocked": f"{box.LATCHED}{cause}", "clients": clients}
         return decided, cause, epoch, told_ns, dead
 
     def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[snapshot.Client, ...]:

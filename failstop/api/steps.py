@@ -23,10 +23,7 @@ class Purpose(Enum):
     COMMAND = "command a velocity that counts"
 
 
-REFUSED_WITHOUT = {
-    Purpose.RESET: (Purpose.MEND,),
-    Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET),
-}
+REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
 """Of a request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 GATE_DOWN = "wait: the gate died too often and is tried again within a minute"

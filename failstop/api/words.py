@@ -36,15 +36,10 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def clock(unix_s: float, now_s: float) -> str:
-    """Time of the day, with the date when it is more than half a day from now. Local time."""
+def clock(unix_s: float, now_s: float = 0.0) -> str:
+    """Time of the day, with the date when it is more than half a day from now, or no `now_s` is given. Local time."""
     form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
     return time.strftime(form, time.localtime(unix_s))
-
-
-def date(unix_s: float) -> str:
-    """Day and time of the day, local."""
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
 
 
 def ago(unix_s: float, now_s: float) -> str:
@@ -65,11 +60,6 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
         for value, unit, one, other in axes
         if not abs(value) < NOWHERE_MPS  # a value that is no number is told of, too
     )
-
-
-def limited(share: float) -> str:
-    """A speed limit that somebody has set."""
-    return f"speed limited to {100 * share:.0f} % of the settings'"
 
 
 def took(seconds: float) -> str:

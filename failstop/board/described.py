@@ -77,9 +77,11 @@ class Described(Board):
     """Left and right, in the unit of the wire's motion."""
 
     __slots__ = (
-        "_motion", "_per_rps", "_wire", "acknowledged_by", "burst", "echo_ns", "first_stop", "idle_ns", "most_rps",
-        "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop",
+        "_motion", "_per_rps", "_wire", "acknowledged_by", "burst", "commanders", "echo_ns", "first_stop", "idle_ns",
+        "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
     )  # fmt: skip
+
+    usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float) -> None:
         """`per_rps`: a speed of one turn a second, in its unit."""
@@ -94,6 +96,7 @@ class Described(Board):
         self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
         self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
+        self.usb, self.commanders = wire.usb, wire.commanders
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
 
     def burst_with(self, servos: Sequence[int]) -> bytes:

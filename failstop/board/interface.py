@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from typing import Any
 
-    from failstop.board.wire import Port
+    from failstop.board.wire import Commander, Port
 
     Value = tuple[Any, ...]
     Said = tuple[int, Value]
@@ -81,6 +81,12 @@ class Board:
     """BY_IMU or BY_WHEELS."""
     most_rps: float
     """The fastest wheel that it can be told."""
+    usb: tuple[str, ...]
+    """Vendor:product, in hexadecimal, of USB ports of its own."""
+    usb_alone: bool
+    """It is at a USB port of its own and nowhere else: not behind an adapter, not on serial pins."""
+    commanders: tuple[Commander, ...]
+    """Those beside failstop who can command its wheels."""
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
         """The burst, and in the same write behind it what stops these servos of an arm; for none the burst."""

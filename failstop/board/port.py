@@ -3,7 +3,7 @@
 Not pyserial: this opening runs in the supervisor's first 150 ms and in the stop tool. Measured (Python 3.11, x86-64):
 `import serial` takes 1.9 ms and 8 modules where this file takes 0.5 ms and 3, and its Serial opens five descriptors
 (two pipes beside the port, to cancel blocking calls) where this opens one. Its `exclusive` is an flock, which keeps
-nobody out who does not ask. Finding a port, where that cost does not matter, is in discovery.py.
+nobody out who does not ask. Listing ports, where that cost does not matter, is for doctor.
 """
 
 from __future__ import annotations
@@ -104,6 +104,25 @@ def unsent_bytes(descriptor: int) -> int:
     """Bytes written to the port that the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
     1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
+
+
+def has_lines(descriptor: int) -> bool:
+    """True where the port has modem lines: opening it raises them, whoever opens it (the kernel, before anyone can say
+    no), and may reset the board. A pty has none."""
+    try:
+        fcntl.ioctl(descriptor, termios.TIOCMGET, _ZERO)
+    except OSError:
+        return False
+    return True
+
+
+def set_speed(descriptor: int, line: Port) -> None:
+    """Go on at another board's speed, with the modem lines as they are: a change of them may reset the board. Raises
+    OSError."""
+    try:
+        _set_raw(descriptor, termios.tcgetattr(descriptor), getattr(termios, f"B{line.baud}"))
+    except termios.error as error:
+        raise OSError(*error.args) from None
 
 
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:

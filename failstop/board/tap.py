@@ -6,10 +6,12 @@ import os
 import select
 import time
 
-from failstop.board.interface import HEARD_PONG, Board
+from failstop.board.interface import HEARD_OBEYED, HEARD_PONG, Board
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from failstop.board.interface import Value
 
 CHUNK = 4096
@@ -24,6 +26,12 @@ class Tap:
         self._board = board
         self._hearing = board.hearing()
         self._pings = 0
+        self.reports: set[int] = set()
+        """Kinds of what was said unasked."""
+        self.size = 0
+        """Bytes that have come."""
+        self._flow: set[int] = set()
+        """Pings whose answer was said before they were asked: it answers nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """(time of reading, kind, value) of what has been said. Raises OSError when the device has gone."""
@@ -36,7 +44,23 @@ class Tap:
             if not data:
                 raise OSError("the device has gone")
             now_ns = time.monotonic_ns()
-            found += [(now_ns, *said) for said in self._hearing.feed(data)]
+            said = self._hearing.feed(data)
+            self.size += len(data)
+            self.reports |= {kind for kind, _ in said} - {HEARD_PONG}
+            self._flow |= {value[0] for kind, value in said if kind == HEARD_PONG and value[0] >= self._pings}
+            found += [(now_ns, *each) for each in said]
+
+    def _heard(self, timeout_s: float) -> Iterator[tuple[int, int, Value]]:
+        """(time of reading, kind, value) of all that is said until then. Raises OSError."""
+        until_s = time.monotonic() + timeout_s
+        while (left_s := until_s - time.monotonic()) > 0:
+            select.select((self.fd,), (), (), left_s)
+            yield from self.read()
+
+    def listen(self, timeout_s: float) -> None:
+        """Read until the first report, or until then. Raises OSError."""
+        for _ in self._heard(timeout_s):
+            return
 
     def ping(self) -> tuple[int, int]:
         """Ask the board; returns (index of the ping, when it was written). Raises OSError."""
@@ -47,15 +71,15 @@ class Tap:
         return index, now_ns
 
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board; after how long it answered, which is behind all that was written before; None: it did not, or
-        has no ping. Raises OSError."""
-        if not self._board.pings:
+        """Ask the board; after how long it answered, which is behind all that was written before; of a board without
+        questions, after how long it reported that it obeys zeros. None: it did not, or can't. Raises OSError."""
+        pings, echo_ns = self._board.pings, self._board.echo_ns
+        if not pings and not echo_ns:
             return None
-        index, asked_ns = self.ping()
-        until_s = time.monotonic() + timeout_s
-        while (left_s := until_s - time.monotonic()) > 0:
-            select.select((self.fd,), (), (), left_s)
-            for now_ns, kind, said in self.read():
-                if kind == HEARD_PONG and said == (index,):
-                    return (now_ns - asked_ns) / 1e6
+        index, asked_ns = self.ping() if pings else (-1, time.monotonic_ns())
+        for now_ns, kind, said in self._heard(timeout_s):
+            answered = kind == HEARD_PONG and said == (index,) and index not in self._flow
+            obeys = kind == HEARD_OBEYED and not any(said) and now_ns - asked_ns >= echo_ns
+            if answered or (obeys and not pings):
+                return (now_ns - asked_ns) / 1e6
         return None

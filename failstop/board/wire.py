@@ -172,6 +172,19 @@ class Reader:
         raise NotImplementedError
 
 
+class Commander(Data):
+    """Somebody beside failstop who can command the wheels."""
+
+    who: str
+    """For people: who, and by which way."""
+    remedy: str
+    """For people: what keeps them from it."""
+    program: str = ""
+    """A part of the command line of a program on the host; empty: it is none, and nothing on the host shows it."""
+    fix: str = ""
+    """The command that ends that program, where it would be started again."""
+
+
 class Wire(Data):
     """Everything that is known of one board's language."""
 
@@ -189,8 +202,9 @@ class Wire(Data):
     """The longest time between two questions, where the proofs need them; 0: any."""
     echo_ns: int
     """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
-    others: str
-    """A sentence for people: who else can command its wheels."""
+    usb: tuple[str, ...] = ()
+    """Vendor:product, in hexadecimal, of USB ports of its own; an adapter's say nothing of the board behind it."""
+    commanders: tuple[Commander, ...] = ()
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

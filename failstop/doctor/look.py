@@ -4,14 +4,19 @@ finding: what a check has to say, and what helps, a command, or what a person is
 from __future__ import annotations
 
 import dataclasses
+import os
 import shlex
 from functools import cached_property, partial
 
-from failstop import config, discovery
+from failstop import config
 from failstop.api import client
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
+from failstop.board.asking import Unknown
+from failstop.board.finder import identity
+from failstop.board.interface import Board
+from failstop.board.kinds import board_of
 from failstop.doctor.system import Holder, Node, System
 from failstop.files.instance import DEFAULT_NAME, option
 from failstop.instances import unit_of
@@ -60,6 +65,8 @@ class Look:
     quick: bool = False
     """Without the timing self-test."""
     system: System = dataclasses.field(default_factory=System)
+    tried: tuple[list[Finding], list[Finding]] | None = None
+    """Findings of a try at the port, on the board and on the stop path; None: the port was not opened."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
@@ -69,6 +76,24 @@ class Look:
             return path or "", config.load(path), ""
         except SettingError as error:
             return path or "", Settings(), str(error)
+
+    @cached_property
+    def told(self) -> Settings:
+        """The settings of the running service, else those that a start would read."""
+        return Settings(dict(StateReader(self.name).settings())) if self.state else self.settings[1]
+
+    @property
+    def kind(self) -> str:
+        """The board's, as these settings name it."""
+        return self.told.text("board.kind")
+
+    @cached_property
+    def board(self) -> Board:
+        """The board that they name."""
+        try:
+            return board_of(*self.told.board())
+        except ValueError as error:
+            return Unknown(str(error))
 
     @cached_property
     def service(self) -> tuple[State | None, str, str]:
@@ -115,7 +140,9 @@ class Look:
     @cached_property
     def usb_id(self) -> str:
         """vendor:product of the device in hexadecimal; empty: it is nothing on USB."""
-        return discovery.usb_id(self.node.resolved) if self.node else ""
+        tty = f"/sys/class/tty/{os.path.basename(self.node.resolved)}/device" if self.node else ""
+        found = identity(self.system.path(tty)) if tty else None
+        return ":".join(found[:2]) if found else ""
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:

@@ -17,7 +17,6 @@ from failstop.version import VERSION
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 LATE_US = 5_000.0
 """A tick later than this shows in the stop times."""
-MICRO = 1e6
 PROCESSORS = "/sys/devices/system/cpu"
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
 
@@ -111,7 +110,7 @@ def ticks(look: Look) -> list[Finding]:
         lease_s = look.state.lease_s
     elif not realtime and lease_s == status.LEASE_S:  # a start from here would take it
         lease_s = status.lease_without_rights(found)
-    spare_us = (lease_s - found["gate.period_s"]) * MICRO
+    spare_us = (lease_s - found["gate.period_s"]) * 1e6
     if worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
         if realtime:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 import re
 
-from failstop.discovery import BOARD_USB, LINK
+from failstop.board.asking import ADAPTERS
+from failstop.board.kinds import board_of
+from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.doctor.system import Holder
 from failstop.policy.settings import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
+LINK = "/dev/failstop"
+"""The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 NO_DESCRIPTION = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
@@ -23,10 +28,11 @@ def present(look: Look) -> list[Finding]:
     if node is None and os.path.exists(device):
         return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
     if node is None:
-        candidates = [(path, what) for path, what in look.system.ports() if what != NO_DESCRIPTION]
+        own = look.board.usb
+        candidates = [(path, what) for path, what in look.system.ports(own) if what != NO_DESCRIPTION]
         there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
         text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
-        if board := next((path for path, what in candidates if BOARD_USB in what), None):
+        if board := next((path for path, what in candidates if any(usb in what for usb in own)), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
     if not look.device_path and device != LINK and os.path.realpath(look.system.path(LINK)) == node.resolved:
@@ -39,20 +45,23 @@ def present(look: Look) -> list[Finding]:
 
 def identity(look: Look) -> list[Finding]:
     """The board is behind it."""
-    node = look.node
+    node, usb, kind, board = look.node, look.usb_id, look.kind, look.board
     if node is None:
         return []
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
-    kind = look.settings[1].text("board.kind")
-    if kind != BOARDS[0]:
-        return ok(f"{f'USB {look.usb_id}' if look.usb_id else 'no USB device'}; board.kind {kind} may be at any port")
-    if not look.usb_id:
-        text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
+    if usb in board.usb:
+        return ok(f"USB {usb}, the board's")
+    if board.usb_alone and not usb:
+        text = f"{node.path} is no USB device; the board's port is one of {', '.join(board.usb)}"
         return skip(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the stop test")
-    if look.usb_id != BOARD_USB:
-        return fail(f"{node.path} is USB {look.usb_id}; the board is {BOARD_USB}", *SERIAL_BY_NAME)
-    return ok(f"USB {look.usb_id}, the board's")
+    if board.usb_alone:
+        return fail(f"{node.path} is USB {usb}; the board is {', '.join(board.usb)}", *SERIAL_BY_NAME)
+    if chip := ADAPTERS.get(usb):
+        return ok(f"USB {usb}, a {chip} as in many devices: it says nothing of the board behind it")
+    if usb and (other := next((each for each in BOARDS if usb in board_of(each, 1.0, 0.0).usb), None)):
+        return warn(f"{node.path} is USB {usb}, as {other} has it; board.kind is {kind}", *SERIAL_BY_NAME)
+    return ok(f"{f'USB {usb}' if usb else 'no USB device'}; {kind} may be at any port")
 
 
 def permission(look: Look) -> list[Finding]:
@@ -90,11 +99,27 @@ def held(look: Look) -> list[Finding]:
     for holder in others:
         if not holder.instance:
             text = f"{holder} has the port open: what it writes goes past every check of failstop"
-            found += fail(text, holder.end())
+            known = _known(look, holder)
+            found += fail(text, known.fix or holder.end(), known.remedy) if known else fail(text, holder.end())
     if unseen and not found:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
         return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root sees them")
     return found or ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
+
+
+def commanders(look: Look) -> list[Finding]:
+    """Nobody but failstop commands the board's wheels."""
+    found = [row for one in look.board.commanders if not one.program for row in warn(one.who, "", one.remedy)]
+    for holder in (look.system.holder(int(pid)) for pid in look.system.names("/proc") if pid.isdigit()):
+        if known := _known(look, holder):
+            found += warn(f"{holder} runs: {known.who}", known.fix or holder.end(), known.remedy)
+    return found or ok("nobody is known who could command it beside failstop")
+
+
+def _known(look: Look, holder: Holder) -> Commander | None:
+    """The program of the board's own description that this process runs."""
+    programs = (one for one in look.board.commanders if one.program)
+    return next((one for one in programs if one.program in holder.command), None)
 
 
 def grabbers(look: Look) -> list[Finding]:

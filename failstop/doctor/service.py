@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 
-from failstop.api import words
+from failstop.api import verdict, words
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
@@ -41,7 +41,7 @@ def running(look: Look) -> list[Finding]:
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     motion = f"stopped: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
-    found = ok(f"{where}, device {state.device.state}, the board answers, motion {motion}")
+    found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, motion {motion}")
     wrong = state.arm.wrong if state.arm else ()
     return found + [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {look.name}")]
 

@@ -1,52 +1,86 @@
-"""The check of the stop path: a burst, and the board's answer to a ping behind it.
+"""The checks of what is on the port: which board it is, and the stop path, a burst and the board's answer behind it.
 
-Without a service the port is opened here, and written to as supervisor, stopper and stop tool each do it. With one,
-nobody else may write, and its own last stop says whether the board has answered. What only a death brings about is the
-matter of `failstop prove`.
+Without a service the port is opened here, once, since opening resets some boards; it is asked by questions that move
+nothing, and written to as supervisor, stopper and stop tool each do it. With one, nobody else may write: the service
+knows whether the board has answered. What only a death brings about is the matter of `failstop prove`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 
 from failstop import stopping
 from failstop.api.snapshot import State
+from failstop.board import asking
 from failstop.board.interface import Board
-from failstop.board.kinds import board_of
-from failstop.board.port import PortError, release_exclusive
+from failstop.board.kinds import board_of, is_own
+from failstop.board.port import PortError, release_exclusive, set_speed
 from failstop.board.stop_port import StopPort
 from failstop.board.tap import Tap
-from failstop.discovery import BOARD_USB
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
-from failstop.policy.proofs import LINK_UNASKED
+from failstop.instances import unit_of
+from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
+from failstop.policy.settings import BOARDS
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
 UNANSWERED = "written; this board acknowledges nothing"
 
 
+def board(look: Look) -> list[Finding]:
+    """The board that the settings name answers, and no other."""
+    if isinstance(look.board, asking.Unknown):
+        return (warn if look.state else fail)(look.board.why, f"failstop config --check {look.settings[0]}")
+    if look.state:
+        return _known_by_the_service(look, look.state)
+    return _left_alone(look) or _tried(look)[0]
+
+
 def stop_path(look: Look) -> list[Finding]:
     """The self-test where it is safe, else why it was left out."""
     if look.state:
         return of_service(look.name, look.state)
+    return _left_alone(look) or _tried(look)[1]
+
+
+def _left_alone(look: Look) -> list[Finding]:
+    """Why the port must not be opened; nothing: it may be."""
     node, (holders, _) = look.node, look.holders
     if look.service[-1]:
         why = "the running service can't be asked"
+    elif look.settings[-1] or isinstance(look.board, asking.Unknown):
+        why = "the settings that name the board can't be used"
     elif node is None:
         why = "there is no port"
     elif not node.accessible:
         why = "this user may not open the port"
     elif holders:
         why = f"{holders[0]} has the port open"
-    elif not (look.device_path or node.pseudo or look.usb_id == BOARD_USB):
+    elif not (look.device_path or node.pseudo or look.usb_id in look.board.usb):
         text = f"not tested: {node.path} may not be the board, and it is not written to"
-        return skip(text, f"failstop doctor --device {node.path}")
+        resets = f"opening it may reset the board: deaf for {ns / 1e9:g} s" if (ns := look.board.port.deaf_ns) else ""
+        return skip(text, f"failstop doctor --device {node.path}", resets)
     else:
-        return by_hand(look.device[0], board_of(*look.settings[1].board()), f"failstop {look.again()}")
+        return []
     return skip(f"not tested: {why}", "", "see to that first")
+
+
+def _known_by_the_service(look: Look, state: State) -> list[Finding]:
+    """The board as the service hears it."""
+    battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v else ""
+    if state.device.link == LINK_ALIVE:
+        return ok(f"it answers the service's questions as {look.kind} does{battery}")
+    if state.device.link == LINK_UNASKED:
+        text = f"the service reads it as {look.kind}, which answers no question{battery}"
+        return ok(text) if battery or not look.board.echo_ns else warn(f"{text}; no report has come", "", asking.WIRES)
+    text = f"it is not known to be {look.kind}: it answers none of the service's questions{battery}"
+    stop = f"sudo systemctl stop {unit_of(look.name)} && " if look.unit else ""
+    advice = "with no service running doctor asks for the other boards too"
+    return warn(text, f"{stop}failstop doctor{option(look.name)} --device {state.device.path}", advice)
 
 
 def of_service(name: str, state: State) -> list[Finding]:
@@ -61,24 +95,42 @@ def of_service(name: str, state: State) -> list[Finding]:
     return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
 
 
-def by_hand(path: str, board: Board, again: str) -> list[Finding]:
-    """Each writer's way to the board, ended by one that is not answered. Nobody else may have the port open. `again`:
-    the command that tests once more."""
+def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
+    """Findings on the board, and on the stop path: the port is opened once for both."""
+    if look.tried is None:
+        others = {kind: board_of(kind, 1.0, 0.0) for kind in BOARDS if kind != look.kind}
+        look.tried = by_hand(look.device[0], {look.kind: look.board} | others, f"failstop {look.again()}")
+    return look.tried
+
+
+def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Finding], list[Finding]]:
+    """Findings on the board, and on each writer's way to it, ended by one that is not answered. Nobody else may have
+    the port open. The first of the boards is the one that the settings name. `again`: the command that tests once
+    more."""
+    kind, board = next(iter(boards.items()))
+    told: list[Finding] = []
     found: list[Finding] = []
     try:
         with contextlib.closing(OwnPort.open_and_stop(path, board)) as own:
+            opened_ns = time.monotonic_ns()
             if not own.stopped:
                 raise PortError("io", f"{path} takes no bytes")
+            heard = asking.seek(own.fd, boards, opened_ns, strangers=is_own(kind))
+            known, text, remedy = asking.told_of(heard, kind, board)
+            told = fail(text, again, remedy) if known is False else (ok if known else skip)(text, "", remedy)
+            if known is False:
+                return told, skip("not tested: it is not known to be the board", "", "see to that first")
+            set_speed(own.fd, board.port)
             tap = Tap(own.fd, board)
             for writer, write in WRITERS.items():
                 write(own, path)
                 found += judged(writer, board, tap.answered_ms(ANSWER_S), again)
                 if found[-1].level != OK:
                     break
-            return found
+            return told, found
     except (OSError, PortError) as error:
         advice = "once that is seen to; wheels that turn: the POWER SWITCH"
-        return [*found, *fail(f"no stop was written: {error}", again, advice)]
+        return told, [*found, *fail(f"no stop was written: {error}", again, advice)]
 
 
 def _on_duplicate(own: OwnPort, _: str) -> None:
@@ -101,10 +153,11 @@ WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
 
 
 def judged(writer: str, board: Board, answered_ms: float | None, again: str) -> list[Finding]:
-    """One writer's burst, by the board's answer to a ping behind it."""
-    if not board.pings:
+    """One writer's burst, by the board's answer to a ping behind it, or its echo."""
+    if not (board.pings or board.echo_ns):
         return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:
-        text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
+        proof = "answer the ping behind it" if board.pings else "report that it obeys a stop"
+        text = f"{writer}: the burst was written, and the board did not {proof}"
         return fail(text, again, "is it the board? if so, cut its power and try again")
     return ok(f"{writer}: acknowledged by the board after {answered_ms:.1f} ms")

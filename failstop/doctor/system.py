@@ -15,11 +15,12 @@ import shutil
 import stat
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TypeVar
 
-from failstop import discovery, instances
+from failstop import instances
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
@@ -28,6 +29,7 @@ from failstop.supervisor import status
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
 """Of the pseudo-terminals (the kernel's list of devices)."""
+T = TypeVar("T")
 TICKS_S = 5.0
 PERIOD_S = 0.005
 """Four moments for each of the gate's ticks."""
@@ -59,6 +61,8 @@ class Holder:
     """Its systemd service, if it is in one."""
     instance: str = ""
     """The service that it belongs to, if it is one of failstop's processes."""
+    command: str = dataclasses.field(default="", compare=False)
+    """Its command line."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
@@ -68,18 +72,39 @@ class Holder:
         return f"sudo systemctl stop {self.unit}" if self.unit else f"sudo kill {self.pid}"
 
 
+def _tried(look: Callable[[], T]) -> T | None:
+    """A look at the system; None: it is not there, or not allowed."""
+    try:
+        return look()
+    except OSError:
+        return None
+
+
 class System:
     """Reads below `root`."""
 
     early_news = staticmethod(futex.proven)
     """The kernel tells of a death before it takes the memory down."""
-    services, ports = staticmethod(instances.listening), staticmethod(discovery.candidates)
-    """The names of the services that take stop requests; (path, description) of each serial device."""
+    services = staticmethod(instances.listening)
+    """The names of the services that take stop requests."""
     contained = staticmethod(status.in_container)
     """This process runs in a container."""
 
     def __init__(self, root: str = "/") -> None:
         self.root = root
+
+    def ports(self, own: Collection[str]) -> list[tuple[str, str]]:
+        """(path, description) of each serial device: those with one of these identities, vendor:product, first, then
+        other USB devices, then the rest."""
+        from serial.tools import list_ports  # listing is slow, and the stop tool has this module too
+
+        found = []
+        for port in list_ports.comports():
+            usb = "" if port.vid is None or port.pid is None else f"{port.vid:04x}:{port.pid:04x}"
+            whose = ": the board's" if usb in own else ""
+            what = f"{port.description}, USB {usb}{whose}" if usb else str(port.description)
+            found.append((usb not in own, not usb, str(port.device), what))
+        return [(path, what) for _, _, path, what in sorted(found)]
 
     def path(self, path: str) -> str:
         """Where an absolute path of the system is."""
@@ -87,24 +112,15 @@ class System:
 
     def read(self, path: str) -> str | None:
         """A file's text without the white space around it."""
-        try:
-            return Path(self.path(path)).read_text("utf-8", "replace").strip()
-        except OSError:
-            return None
+        return _tried(lambda: Path(self.path(path)).read_text("utf-8", "replace").strip())
 
     def names(self, path: str) -> list[str]:
         """The names in a directory, sorted."""
-        try:
-            return sorted(os.listdir(self.path(path)))
-        except OSError:
-            return []
+        return _tried(lambda: sorted(os.listdir(self.path(path)))) or []
 
     def uid(self, path: str) -> int:
         """Of whom a path belongs to; -1 when it is not there."""
-        try:
-            return os.stat(self.path(path)).st_uid
-        except OSError:
-            return -1
+        return found.st_uid if (found := _tried(lambda: os.stat(self.path(path)))) else -1
 
     def owner(self, path: str) -> str:
         """The name of whom a path belongs to, the number of one without an account; empty when it is not there."""
@@ -115,18 +131,13 @@ class System:
 
     def room(self, path: str) -> int | None:
         """How many bytes may be put into a directory; None: none, or this process may not."""
-        try:
-            return shutil.disk_usage(self.path(path)).free if os.access(self.path(path), os.W_OK | os.X_OK) else None
-        except OSError:
-            return None
+        there = os.access(self.path(path), os.W_OK | os.X_OK)
+        return _tried(lambda: shutil.disk_usage(self.path(path)).free) if there else None
 
     def node(self, path: str) -> Node | None:
         """A device's file; None when there is no character device."""
-        try:
-            found = os.stat(path)
-        except OSError:
-            return None
-        if not stat.S_ISCHR(found.st_mode):
+        found = _tried(lambda: os.stat(path))
+        if not (found and stat.S_ISCHR(found.st_mode)):
             return None
         group = str(found.st_gid)
         with contextlib.suppress(KeyError):
@@ -164,7 +175,8 @@ class System:
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
         ours = any(word.endswith("/supervisor/child.py") for word in words)
         names = [word.removeprefix("name=") for word in words if ours and word.startswith("name=")]
-        return Holder(pid, self.read(f"/proc/{pid}/comm") or "?", unit, *names[:1])
+        comm = self.read(f"/proc/{pid}/comm") or "?"
+        return Holder(pid, comm, unit, "".join(names[:1]), " ".join(words))
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
         """The processes that have a device open, and how many could not be looked into."""

@@ -22,6 +22,7 @@ CHECKS: dict[str, Check] = {
     "permission": port.permission,
     "holders": port.held,
     "grabbers": port.grabbers,
+    "commanders": port.commanders,
     "settings": service.settings,
     "service": service.running,
     "clients": service.clients,
@@ -34,6 +35,7 @@ CHECKS: dict[str, Check] = {
     "RemoveIPC": service.remove_ipc,
     "processor": machine.processor,
     "ticks": machine.ticks,
+    "board": stop_path.board,
     "stop path": stop_path.stop_path,
 }
 """A check may find nothing, one thing, or several."""

@@ -119,7 +119,7 @@ def _title(figure: SubFigure, incident: Incident) -> None:
     head, reason = incident.head, shorten(incident.reason, 130) or "?"
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
     figure.text(0.03, 0.28, memory.proven(head), fontsize=11)
-    when = words.date(head["t"])
+    when = words.clock(head["t"])
     figure.text(0.03, 0.06, f"{when}   {head['host']}   service {head['name']}   {incident.id}", color=FAINT)
 
 

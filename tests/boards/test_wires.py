@@ -156,7 +156,8 @@ def test_readings_are_the_same_few_samples_for_all() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "answers"), [("arduino", [b"57600\r\n", b"1 2\r\n"]), ("ugv", [b'{"T":139}\n', b'{"T":1002}\n'])]
+    ("kind", "answers"),
+    [("arduino", [b"57600\r\n", b"1 2\r\n"]), ("ugv", [b'{"T":139,"L":1}\n', b'{"T":1002,"r":0}\n'])],
 )
 def test_a_question_knows_its_answer_from_the_others(kind: str, answers: list[bytes]) -> None:
     wire = wire_of(kind)

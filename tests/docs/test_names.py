@@ -24,7 +24,7 @@ KEYS = {*BY_KEY, *OF_FLEET}
 SECTIONS = {key.partition(".")[0] for key in KEYS} - {"robot"}
 """Sections of the settings. `robot` is none here: pages call the API's object so."""
 FILES = ("md", "py", "toml")
-OF_MESSAGES = ("api", "board", "config", "files", "messages", "policy", "procs/rights", "shm", "supervisor")
+OF_MESSAGES = ("api", "board", "config", "doctor", "files", "messages", "policy", "procs/rights", "shm", "supervisor")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

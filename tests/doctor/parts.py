@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from failstop.api.snapshot import State
-from failstop.discovery import BOARD_USB
+from failstop.board.rrc.board import BOARD
 from failstop.doctor.look import Look
 from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.system import Node, System
@@ -56,7 +56,8 @@ SHARED: dict[str, Any] = {
     "unit": UNIT,
     "device": ("/dev/ttyACM0", "the default of device.path"),
     "node": NODE,
-    "usb_id": BOARD_USB,
+    "told": Settings(),
+    "usb_id": BOARD.usb[0],
     "holders": ((), 0),
 }
 """Options of the call, and values that checks share (Look)."""
@@ -115,9 +116,14 @@ def look(name: str = "failstop", **changed: Any) -> Look:
     return made
 
 
-def on(comm: str, pid: int = 9) -> dict[str, str | None]:
+def on(comm: str, pid: int = 9, command: str = "") -> dict[str, str | None]:
     """The files of a machine on which this program runs."""
-    return {f"/proc/{pid}/comm": comm}
+    return {f"/proc/{pid}/comm": comm, f"/proc/{pid}/cmdline": "\0".join(command.split())}
+
+
+def of(kind: str) -> Settings:
+    """Settings that name another board."""
+    return Settings({"board.kind": kind})
 
 
 def serving(**changed: Any) -> tuple[State, str, str]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from failstop.board.kinds import KINDS
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
@@ -83,13 +84,37 @@ def test_every_way_to_the_board_is_acknowledged(doctor: Doctor, board: SimBoard,
     assert not any(event.is_motion for event in board.events(since=0))
 
 
-def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, board: SimBoard, name: str) -> None:
-    board.deaf(True)
-    code, found = doctor("--device", board.link, "--name", name)
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_board_is_known_and_stopped_and_another_is_told(
+    kind: str, doctor: Doctor, name: str, tmp_path: Path
+) -> None:
+    config = tmp_path / "robot.toml"
+    with SimBoard(tmp_path / "board", board=kind) as board:
+        config.write_text(f'board.kind = "{kind}"\n')
+        _, found = doctor("--config", str(config), "--device", board.link, "--name", name)
+        assert found["board"][0]["level"] == "ok", found["board"]
+        assert [line.partition(": acknowledged")[0] for line in stop_path(found)] == [
+            "ok: supervisor's opening",
+            "ok: stopper's duplicate",
+            "ok: stop tool",
+        ]
+        code, found = doctor("--device", board.link, "--name", name)
+        assert not any(event.is_motion for event in board.events())
     assert code == 1
-    assert [line for line in stop_path(found) if line.startswith("fail: ")] == [
-        "fail: supervisor's opening: the burst was written, and the board did not answer the ping behind it"
-    ]
+    [told] = found["board"]
+    assert told["text"] == f"the board that answers is {kind}, and board.kind is rrc"
+    assert told["advice"].startswith(f'set board.kind = "{kind}"')
+    assert stop_path(found) == ["skip: not tested: it is not known to be the board"]
+
+
+def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, tmp_path: Path, name: str) -> None:
+    with SimBoard(tmp_path / "board", imu_hz=20) as board:
+        board.deaf(True)
+        code, found = doctor("--device", board.link, "--name", name)
+    assert code == 1
+    [told] = found["board"]
+    assert told["text"] == "it reports as rrc does, and answers no question: it does not hear"
+    assert stop_path(found) == ["skip: not tested: it is not known to be the board"]
 
 
 def test_a_port_that_somebody_has_open_is_left_alone(doctor: Doctor, board: SimBoard, name: str) -> None:
@@ -131,6 +156,7 @@ def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str
         assert trial.link in found["port"][0]["text"]
         assert found["holders"][0]["level"] == "ok", found["holders"]
         assert trial.robot.state.last_stop is None
+        assert found["board"][0]["text"].startswith("it answers the service's questions as rrc does")
         assert stop_path(found) == ["skip: the service has stopped nothing yet"]
 
         trial.enable()

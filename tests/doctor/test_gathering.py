@@ -49,6 +49,20 @@ def test_units_by_name() -> None:
     assert unit_of("left") == "failstop@left.service"
 
 
+def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_path: Path) -> None:
+    """No other board's language is tried there."""
+    file = tmp_path / "robot.toml"
+    file.write_text(f'[board]\nkind = "{tmp_path}/tank"\n')
+    look = Look("nobody-here", config_path=str(file), device_path="/dev/null")
+    [found] = stop_path.board(look)
+    assert found.level == "fail"
+    assert f"{tmp_path}/tank: No such file or directory" in found.text
+    [found] = stop_path.stop_path(look)
+    assert found.text == "not tested: the settings that name the board can't be used"
+    [found] = port.identity(look)
+    assert found.text == f"no USB device; {tmp_path}/tank may be at any port"
+
+
 SYSTEMCTL = """#!/bin/sh
 test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
 """

@@ -14,8 +14,9 @@ def test_a_burst_that_is_not_written_is_told() -> None:
     with new_pty() as pty:
         pty.fill()
         before = open_fds()
-        [found] = stop_path.by_hand(os.ttyname(pty.slave), BOARD, "failstop doctor")
+        told, [found] = stop_path.by_hand(os.ttyname(pty.slave), {"rrc": BOARD}, "failstop doctor")
         assert open_fds() == before
+    assert told == []
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
     assert found.text.startswith("no stop was written: /dev/pts/")
     assert "POWER SWITCH" in found.advice

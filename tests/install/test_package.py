@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop import discovery
 from failstop.cli.commands import config
+from failstop.doctor.port import LINK
 from failstop.lab.pages import completion, man
 from failstop.policy.settings import BY_KEY
 from tests.support.deb import build, tree
@@ -66,7 +66,7 @@ def edited(example: str, script: str) -> str:
     """The settings after what a script of the package does to them where the udev rule has named a board."""
     words = re.findall(r"\[ ! -e (\S+) \] \|\| sed -i '([^']+)'", script)
     [(link, expression)] = words
-    assert link == discovery.LINK
+    assert link == LINK
     done = subprocess.run(["sed", expression], input=example, capture_output=True, text=True, check=True)
     return done.stdout
 
@@ -77,7 +77,7 @@ def test_the_board_s_name_by_the_rule_is_what_new_settings_say(files: dict[str, 
     example = config.example()
     said = edited(example, files["DEBIAN/postinst"])
     default = f'path = "{BY_KEY["device.path"].default}"\n'
-    assert said == example.replace(default, f'path = "{discovery.LINK}"\n', 1) != example
+    assert said == example.replace(default, f'path = "{LINK}"\n', 1) != example
 
 
 def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from failstop.api import ask
+from failstop.board.rrc.board import BOARD
 from failstop.cli.commands import stop
-from failstop.discovery import BOARD_PID, BOARD_VID
 from failstop.files.root import SYSTEM_BASE
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
@@ -204,10 +204,11 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
     for rule in rules:
         assert ", ".join("".join((key, op, f'"{value}"')) for key, op, value in RULE.findall(rule)) == rule
     link = next(rule for rule in rules if "SYMLINK" in rule)
-    assert f'ATTRS{{idVendor}}=="{BOARD_VID:04x}", ATTRS{{idProduct}}=="{BOARD_PID:04x}"' in link
+    vendor, product = BOARD.usb[0].split(":")
+    assert f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}"' in link
     assert 'SYMLINK+="failstop", GROUP="dialout", MODE="0660", TAG+="systemd"' in link
     device = next(rule for rule in rules if "power/control" in rule)
-    assert f'ATTR{{idVendor}}=="{BOARD_VID:04x}", ATTR{{idProduct}}=="{BOARD_PID:04x}|7523"' in device
+    assert f'ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}|7523"' in device
     assert 'ENV{ID_MM_DEVICE_IGNORE}="1", ATTR{power/control}="on"' in device
     assert "dev-failstop.device" in UNIT["WantedBy"]
     jumps = [value for rule in rules for key, _, value in RULE.findall(rule) if key in ("GOTO", "LABEL")]

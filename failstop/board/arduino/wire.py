@@ -4,6 +4,8 @@ A stop is answered by 21 bytes, three times its own, and the question for positi
 buffer of 63 bytes of answers is full; its receive buffer of 63 then drops the newest bytes: a stop, or the sign and
 space between digits. Two lines and 15 glued stops, all that three writers repeat, lose nothing
 (tests/boards/test_stop_of_every_board.py).
+
+Its USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR); a clone has an adapter's.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from failstop.board.wire import (
     OBSERVED,
     ZERO,
     Answer,
+    Commander,
     Motion,
     Pace,
     Port,
@@ -65,5 +68,15 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=100 * _MS,
     echo_ns=0,
-    others="none on the board",
+    usb=(
+        *("2341:0043", "2341:0001", "2a03:0043", "2341:0243"),  # Uno
+        *("2341:0010", "2341:0042", "2a03:0010", "2a03:0042", "2341:0210", "2341:0242"),  # Mega
+    ),
+    commanders=(
+        Commander(
+            who="the bridge's own node drives past failstop",
+            remedy="take it out of the launch file; what it published, a program of failstop's can",
+            program="ros_arduino_python/nodes/arduino_node.py",
+        ),
+    ),
 )

@@ -11,7 +11,19 @@ from __future__ import annotations
 
 from failstop.board.hoverboard import codec
 from failstop.board.hoverboard.feedback import Feedback
-from failstop.board.wire import COAST, ECHOED, OBSERVED, Motion, Pace, Port, TimedStop, Watchdog, Wire, Write
+from failstop.board.wire import (
+    COAST,
+    ECHOED,
+    OBSERVED,
+    Commander,
+    Motion,
+    Pace,
+    Port,
+    TimedStop,
+    Watchdog,
+    Wire,
+    Write,
+)
 
 IDLE_NS = 200_000
 """Twice a byte's time and a little more: the receiver sees an idle line after one."""
@@ -54,5 +66,10 @@ WIRE = Wire(
     ping_ns=0,
     # Two of its feedbacks, the stop's way, a loop of its own, and an adapter that holds bytes back for 16 ms.
     echo_ns=50 * _MS,
-    others="a second serial cable, where the firmware was built with two inputs",
+    commanders=(
+        Commander(
+            who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",
+            remedy="pull that cable, or build the firmware without DUAL_INPUTS (Inc/config.h)",
+        ),
+    ),
 )

@@ -21,6 +21,7 @@ from failstop.board.interface import (
     Hearing,
 )
 from failstop.board.port import ROSORIN_PORT
+from failstop.board.wire import Commander
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -111,6 +112,20 @@ class Rrc(Board):
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
     most_rps = codec.RPS_CEILING
+    usb = ("1a86:55d4",)
+    usb_alone = True
+    commanders = (
+        Commander(
+            who="a gamepad at the board, or Bluetooth, drives it where the firmware does so without the host",
+            remedy="switch that off in the firmware, or leave nothing plugged in and paired that nobody drives with",
+        ),
+        Commander(
+            who="the vendor's ROS node writes to the board, past every check of failstop",
+            remedy="the vendor's service starts it at boot: on some robots start_node.service, by a container",
+            program="lib/ros_robot_controller/",
+            fix="sudo systemctl disable --now start_app_node.service",
+        ),
+    )
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
         """The burst and the servos' stops."""

@@ -31,6 +31,7 @@ WATCHDOG_MS = (100, 3000)
 
 REPORT = 1001
 ANSWERS = (139, 1002)
+"""An answer has more than its T: a line that sends the question back is no board."""
 LONGEST_LINE = 1024
 
 _LINE = re.compile(rb'\{"T":1,"L":(-?\d\.\d{3}),"R":(-?\d\.\d{3})\}\n')
@@ -105,7 +106,7 @@ def _samples(line: bytes) -> list[Sample]:
     kind = said.get("T")
     if kind == REPORT:
         return _report(said)
-    return [Answer(str(kind))] if kind in ANSWERS else []
+    return [Answer(str(kind))] if kind in ANSWERS and len(said) > 1 else []
 
 
 def _numbers(said: dict[str, object], *names: str) -> tuple[float, ...]:

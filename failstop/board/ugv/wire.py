@@ -14,6 +14,7 @@ from failstop.board.wire import (
     OBSERVED,
     ZERO,
     Answer,
+    Commander,
     Motion,
     Pace,
     Port,
@@ -71,5 +72,29 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=0,
     echo_ns=0,
-    others="its Wi-Fi access point with a web page, ESP-NOW, and the vendor's own programs on the host",
+    commanders=(
+        Commander(
+            who="its Wi-Fi: who joins its access point (UGV, 12345678, unless changed), or the network that it has "
+            "joined, drives it by the page at its address",
+            remedy="a password of your own, typed on that page (192.168.4.1) while it stands, as it hears nothing for "
+            '15 s: {"T":407,"mode":1,"ap_ssid":"NAME","ap_password":"SECRET","sta_ssid":"none","sta_password":"none"}; '
+            "then look for the old one with a phone",
+        ),
+        Commander(
+            who="ESP-NOW: any ESP32 near it drives it by radio, without a password (it follows by default)",
+            remedy='{"T":301,"mode":0} on its page ends that until the next power-on; for good as a step of its '
+            'mission "boot": {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
+        ),
+        Commander(
+            who="the vendor's app (ugv_rpi) writes to the board, and drives it by a page on port 5000",
+            remedy="put a # before its line @reboot, and before that of start_jupyter.sh; then reboot",
+            program="ugv_rpi/app.py",
+            fix="crontab -e",
+        ),
+        Commander(
+            who="the vendor's ROS 2 node (ugv_ws) writes to the board: T:13, which its watchdog does not end",
+            remedy="start the bridge of failstop instead (docs/ros2.md)",
+            program="lib/ugv_bringup/",
+        ),
+    ),
 )

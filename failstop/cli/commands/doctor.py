@@ -16,7 +16,7 @@ from failstop.doctor.machine import facts
 from failstop.files.instance import check_name
 
 EXAMPLES = """\
-failstop doctor                         # everything; takes 5 s
+failstop doctor                         # everything; takes 5 s, and as long again where no board answers
 failstop doctor --quick
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 """
@@ -47,8 +47,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    name = check_name(arguments.name)
-    found = table.examine(Look(name, arguments.config, arguments.device, arguments.quick))
+    found = table.examine(Look(check_name(arguments.name), arguments.config, arguments.device, arguments.quick))
     worst = found[0][1].level
     if arguments.json:
         records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]

@@ -61,7 +61,11 @@ def main(arguments: Namespace) -> int:
         return _list(arguments)
     incident = Incident.read(_meant(arguments))
     if arguments.action == "show":
-        return _show(arguments, incident)
+        if arguments.json:
+            print(json.dumps(story.as_dict(incident), indent=2))
+        else:
+            show(screen.text(incident, width(), time.time(), whole=arguments.all))
+        return 0
     path: str = arguments.output or incident.id + SUFFIXES[arguments.action]
     if arguments.action == "plot":
         from failstop.incidents import plot
@@ -86,14 +90,6 @@ def _list(arguments: Namespace) -> int:
     for problem in problems:
         sys.stderr.write(f"failstop: {problem}\n")
     return 1 if problems else 0
-
-
-def _show(arguments: Namespace, incident: Incident) -> int:
-    if arguments.json:
-        print(json.dumps(story.as_dict(incident), indent=2))
-    else:
-        show(screen.text(incident, width(), time.time(), whole=arguments.all))
-    return 0
 
 
 def _meant(arguments: Namespace) -> str:

@@ -61,28 +61,24 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused."""
-    command = arguments.command
+    command, progress = arguments.command, Progress()
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
-            "enable": lambda: _enable(robot),
+            "enable": lambda: robot.enable(progress),
             "disable": robot.disable,
             "reset": robot.reset,
             "limit": lambda: _limit(robot, arguments.percent),
             "drive": lambda: _drive(robot, (arguments.vx, arguments.vy, arguments.wz), arguments.seconds),
         }
         try:
-            standard.tell(verbs[command]())
+            with progress:  # with an arm an enable takes seconds
+                said = verbs[command]()
+            standard.tell(said)
             if command == "enable" and (why := verdict.unproven(robot.state)):
                 standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
         except ValueError as error:  # out of bounds, or not finite
             raise FailstopError(str(error)) from None
     return 0
-
-
-def _enable(robot: Robot) -> str:
-    """With an arm it takes seconds."""
-    with Progress() as progress:
-        return robot.enable(progress)
 
 
 def _limit(robot: Robot, percent: float) -> str:

@@ -95,11 +95,6 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
             terminal.draw(pilot.lines(state, now_s, terminal.columns))
 
 
-def _refusal(error: FailstopError) -> str:
-    """An error as a note: of a refusal the reason alone, since the keys that help stand below."""
-    return f"refused: {error.reason}" if isinstance(error, Refused) else str(error)
-
-
 class Pilot:
     """Keys in, requests and commands out. A request that fails is a note on the screen; a service that has gone is
     raised as NoService."""
@@ -193,7 +188,8 @@ class Pilot:
         except NoService:
             raise
         except FailstopError as error:
-            self.note = (_refusal(error), FAIL)
+            # Of a refusal the reason alone, since the keys that help stand below.
+            self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
         """A key that is none of motion; one that means nothing lets go of those that are."""
@@ -229,10 +225,8 @@ class Pilot:
 
     def _enable_beside(self) -> None:
         """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
-        try:
+        with contextlib.suppress(NoService), self._noted():  # at the next turn the state tells that it has gone
             self._enable()
-        except FailstopError as error:
-            self.note = (_refusal(error), FAIL)
 
     def _turn(self, key: str, seen: ArmState) -> bool:
         """True when the key is one of the arm's: acted on."""

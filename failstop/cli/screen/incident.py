@@ -33,7 +33,7 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
         lines.append([(head["id"], STRONG)])
-        lines += _wrapped("  ", f"{words.date(head['t'])}  {head['reason']}", PLAIN, columns)
+        lines += _wrapped("  ", f"{words.clock(head['t'])}  {head['reason']}", PLAIN, columns)
         lines += _wrapped("  ", memory.proven(head), role, columns)
     return lines
 
@@ -71,7 +71,7 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
         noticed += f"; asked for by {asked['who']} (pid {asked['pid']})"
     rows = [
         ("why", incident.why, FAIL),
-        ("when", f'{words.date(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
+        ("when", f'{words.clock(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
         ("before", _before(incident), PLAIN),
         ("noticed", noticed, PLAIN),
     ]

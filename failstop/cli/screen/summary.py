@@ -34,7 +34,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
         rows.append([*row("driver", death.text, WARN), (f" ({words.ago(death.t, now_s)})", DIM)])
     rows += _drivers(state, verdict.left_off(events), now_s)
     rows += last_stop(state, now_s)
-    rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
+    if state.speed_limit < 1:
+        rows.append(row("limit", f"speed limited to {100 * state.speed_limit:.0f} % of the settings'", WARN))
     if state.arm:
         rows.append(row("arm", arm_headline(state.arm)))
     rows += [device(state), battery(state), _sensors(state)]

@@ -36,14 +36,13 @@ ROOMS = {
     ),
     "doctor": Room(
         "what on this weakens the promises",
-        "api board config discovery files instances messages policy procs shm stopping supervisor",
+        "api board config files instances messages policy procs shm stopping supervisor",
     ),
     "incidents": Room("the black box: each stop as a file", "api board extras files messages policy shm"),
     "api": Room("the robot from Python, and what is shown of it", "board files instances messages policy shm"),
     "config": Room("the settings file", "files policy"),
     "instances": Room("the services of this machine, by name", "files shm"),
     "stopping": Room("the stop without a service", "board"),
-    "discovery": Room("serial devices, for error messages", ""),
     "extras": Room("packages that a part may lack", ""),
     "supervisor": Room(
         "starts and watches the processes; the latch, the stops, the events",

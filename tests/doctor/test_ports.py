@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import pytest
 from serial.tools import list_ports
 
-from failstop import discovery
+from failstop.doctor.system import System
 
 
-def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_listing_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
     ports = [
         SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None),
         SimpleNamespace(device="/dev/ttyUSB0", description="USB Serial", vid=0x1A86, pid=0x7523),
@@ -20,16 +20,17 @@ def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> Non
         SimpleNamespace(device="/dev/ttyACM0", description="Board A", vid=0x1A86, pid=0x55D4),
     ]
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
-    assert [path for path, _ in discovery.candidates()] == [
+    assert [path for path, _ in System().ports(["1a86:55d4"])] == [
         "/dev/ttyACM0",
         "/dev/ttyACM1",
         "/dev/ttyUSB0",
         "/dev/ttyS0",
     ]
-    assert dict(discovery.candidates())["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
-    assert "the board's" in dict(discovery.candidates())["/dev/ttyACM0"]
+    assert dict(System().ports(["1a86:55d4"]))["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
+    assert "the board's" in dict(System().ports(["1a86:55d4"]))["/dev/ttyACM0"]
+    assert "the board's" not in " ".join(what for _, what in System().ports([]))
 
 
-def test_candidates_really_lists() -> None:
-    for path, description in discovery.candidates():
+def test_listing_really_lists() -> None:
+    for path, description in System().ports(()):
         assert stat.S_ISCHR(os.stat(path).st_mode), description

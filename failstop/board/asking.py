@@ -1,0 +1,135 @@
+"""Asking: whose language is spoken on an open port, found by questions that move no wheel.
+
+A board is known by the answer to one of its questions, a board without questions by its reports. Each question goes
+behind that board's own stop, which ends whatever was cut before it. Neither is motion to any other board of failstop's,
+at its speed or at another (tests/boards/test_asking.py). What a stranger makes of them nobody knows: where a board of
+the user's own may be on the port, the others are listened to, and not asked.
+"""
+
+from __future__ import annotations
+
+import time
+
+from failstop.board import port
+from failstop.board.interface import Board
+from failstop.board.stop_port import StopPort
+from failstop.board.tap import Tap
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+ANSWER_S = 0.25
+"""Longer than any of these boards takes to answer, and than the time between two of its reports."""
+QUESTIONS = 2
+"""Questions to a board: one may be lost on the line."""
+
+WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
+"""For people: what is to be looked at where nothing comes."""
+
+ADAPTERS = {
+    "0403:6001": "FT232",
+    "0403:6015": "FT231X",
+    "067b:2303": "PL2303",
+    "10c4:ea60": "CP210x",
+    "1a86:55d3": "CH343",
+    "1a86:55d4": "CH9102",
+    "1a86:7523": "CH340",
+}
+"""Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+
+
+class Unknown(Board):
+    """A board whose folder can't be used by this user: nothing is known of it, and nothing is said to it."""
+
+    __slots__ = ("why",)
+
+    port = port.ROSORIN_PORT
+    pings = ()
+    echo_ns = 0
+    usb = ()
+    usb_alone = False
+    commanders = ()
+
+    def __init__(self, why: str) -> None:
+        """`why`: in a line, with the remedy."""
+        self.why = why
+
+
+class Heard(Data):
+    """A port, as one board's language has it."""
+
+    kind: str
+    known: bool
+    """It is this board."""
+    answered_ms: float | None
+    reports: frozenset[int]
+    """The kinds of its reports, as the interface numbers them."""
+    size: int
+    """Bytes that came, in whatever language."""
+    after_ns: int
+    """When it was asked, after the port was opened."""
+
+
+def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
+    """Each turn: how long after the opening of the port, in ns, whom to ask. The first board is the wanted one. The
+    silent ones come first among the others: to ask them is to listen. `resets`: opening may have reset the board, which
+    is then deaf for its time."""
+    wanted, *others = boards
+    others.sort(key=lambda kind: len(boards[kind].pings) > 0)
+    for group in ([wanted], others):
+        yield from ((0, kind) for kind in group)
+        late = sorted((boards[kind].port.deaf_ns, kind) for kind in group) if resets else []
+        yield from ((deaf_ns, kind) for deaf_ns, kind in late if deaf_ns)
+
+
+def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
+    """Ask one board after the other until one is known, which is the last of the list. The stop of the first is on its
+    way already. `strangers`: the other boards are not written to. Raises OSError when the device has gone."""
+    found: list[Heard] = []
+    for due_ns, kind in turns(boards, port.has_lines(fd)):
+        time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
+        board, first = boards[kind], not found
+        port.set_speed(fd, board.port)
+        silent = not board.pings or (strangers and kind != next(iter(boards)))
+        after_ns = time.monotonic_ns() - opened_ns
+        tap = Tap(fd, board)
+        answered_ms = None if silent else _ask(tap, board, stop=not first)
+        if silent:
+            tap.listen(ANSWER_S)
+        known = bool(tap.reports) if silent else answered_ms is not None
+        found.append(Heard(kind, known, answered_ms, frozenset(tap.reports), tap.size, after_ns))
+        if known:
+            break
+    return found
+
+
+def _ask(tap: Tap, board: Board, stop: bool) -> float | None:
+    """The time until a question was answered, in ms. `stop`: the stop is to be written before it."""
+    if stop:
+        StopPort(tap.fd, board).burst()
+    for _ in range(QUESTIONS):
+        time.sleep((len(board.burst) * board.port.byte_ns + board.idle_ns) / 1e9)
+        if (answered_ms := tap.answered_ms(ANSWER_S)) is not None:
+            return answered_ms
+    return None
+
+
+def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
+    """A board that was sought as `kind`: whether it is there (None: nobody can know), that in words, and what helps."""
+    last, deaf_ns = heard[-1], board.port.deaf_ns
+    if last.known and last.kind != kind:
+        remedy = f'set board.kind = "{last.kind}", or plug the other board in'
+        return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy
+    if last.known:
+        reset = f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s"
+        opened = reset if last.after_ns >= deaf_ns else ", and opening the port did not reset it"
+        return True, f"it {'answers' if board.pings else 'reports'} as {kind} does{opened if deaf_ns else ''}", ""
+    if any(each.reports for each in heard if each.kind == kind):
+        return False, f"it reports as {kind} does, and answers no question: it does not hear", WIRES
+    if came := max(each.size for each in heard):
+        return False, f"{came} bytes came, which no board that failstop knows says: it is not {kind}", WIRES
+    if not (board.pings or board.echo_ns):
+        return None, f"{kind} has no question, so that nobody knows whether it is there", "questions, in its wire.py"
+    return False, f"nothing answers, neither as {kind} nor as another board that failstop knows", WIRES
