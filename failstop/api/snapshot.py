@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 from failstop.messages import box
 from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
+from failstop.policy.layouts import NAMES
 
 PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]
@@ -46,17 +47,25 @@ class Velocity(NamedTuple):
     """rad/s counter-clockwise, seen from above."""
 
 
-class Wheels(NamedTuple):
-    """The speed of each wheel in rad/s: positive rolls the robot forward, however the motor is mounted."""
+class Wheels(tuple[float, ...]):
+    """The speed of each wheel in rad/s, in the order of the wheels' numbers and by their names: front_left, rear_left,
+    front_right and rear_right, or left and right, or left, rear and right.
 
-    front_left: float
-    """rad/s."""
-    rear_left: float
-    """rad/s."""
-    front_right: float
-    """rad/s."""
-    rear_right: float
-    """rad/s."""
+    Positive rolls the robot forward, however the motor is mounted; with three omni wheels it turns it
+    counter-clockwise.
+    """
+
+    __slots__ = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the wheels there are."""
+        return tuple(name.replace(" ", "_") for name in NAMES[len(self)])
+
+    def __getattr__(self, name: str) -> float:
+        if name in self.names:
+            return self[self.names.index(name)]
+        raise AttributeError(f"no wheel {name!r}: this robot has {', '.join(self.names)}", name=name, obj=self)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,16 +30,15 @@ T = TypeVar("T")
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
-WHEELS = (1, 2, 3, 4)
-"""As the settings number them: front and rear on the left, front and rear on the right."""
 
+NO_SPEEDS = (0.0,) * box.MOST_SPEEDS
 NOTHING_YET: dict[str, Any] = {
     "enabled": False,
     "limit": 100,
     "estop": None,
     "blocked": box.DISABLED,
     "body_vel": (0.0, 0.0, 0.0),
-    "wheels_rps": (0.0, 0.0, 0.0, 0.0),
+    "wheels_rps": NO_SPEEDS,
     "sources": [],
     "clients": [],
     "scan_ns": 0,
@@ -133,8 +132,7 @@ class StateReader(SeenRun):
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
-        given = Settings(dict(self.settings()))
-        return [(int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS]
+        return [(id_, sign * 2 * pi) for id_, sign in Settings(dict(self.settings())).mounted()]
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
@@ -157,7 +155,7 @@ class StateReader(SeenRun):
             cause=cause,
             blocked=decided["blocked"],
             body_vel=snapshot.Velocity(*decided["body_vel"]),
-            wheels_radps=snapshot.Wheels(*(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted)),
+            wheels_radps=snapshot.Wheels(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted),
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
@@ -226,7 +224,7 @@ class StateReader(SeenRun):
                 "enabled": False,
                 "blocked": f"{box.LATCHED}{cause}",
                 "body_vel": (0.0, 0.0, 0.0),
-                "wheels_rps": (0.0, 0.0, 0.0, 0.0),
+                "wheels_rps": NO_SPEEDS,
                 "sources": [],
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }

@@ -7,7 +7,7 @@ import re
 
 from failstop.discovery import BOARD_USB, LINK
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
-from failstop.policy.settings import BOARDS
+from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")

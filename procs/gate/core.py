@@ -24,7 +24,6 @@ from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
-NO_SPEEDS = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
@@ -59,7 +58,7 @@ class GateCore:
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
-        self.speeds = NO_SPEEDS
+        self.speeds = kinematics.rest
         self.notes: list[Note] = []
         """Notes for people, in order; the shell, which passes them on, empties the list."""
         self._left_off = LeftOff(now_ns)
@@ -166,7 +165,7 @@ class GateCore:
         self.enabled = False
         self.sources.clear()
         self.velocity = REST
-        self.speeds = NO_SPEEDS
+        self.speeds = self._kinematics.rest
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""

@@ -41,12 +41,12 @@ def test_a_board_of_the_users_own_is_stopped_for_every_process(folder: str) -> N
 def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:
     assert wire_of(folder).stop.writes[0].data == wire_of("arduino").stop.writes[0].data
     assert type(model_of(folder).live()).__module__ == f"{own.OWN_PACKAGE}.receiver"
-    assert board_of(folder, 0.08, 0.0).motor_speeds((0.0,) * 4, 1.0) == board_of(folder, 0.08, 0.0).stop
+    assert board_of(folder, 0.08, 0.0).motor_speeds((0.0, 0.0), 1.0) == board_of(folder, 0.08, 0.0).stop
 
 
 def test_it_takes_two_speeds(folder: str) -> None:
     settings = Settings({"board.kind": folder})
-    assert (settings.text("wheels.layout"), settings["wheels.sign_3"]) == ("differential", 1)
+    assert (settings.text("wheels.layout"), settings.mounted()) == ("differential", [(0, 1), (1, 1)])
     with pytest.raises(SettingError, match="has no servos"):
         Settings({"board.kind": folder, "joints.base.servo": 1})
 

@@ -173,7 +173,7 @@ def test_a_frame_tells_the_speeds_that_it_sets(kind: str) -> None:
     most = min(motion.apart / 2, motion.limit) / per_rps
     for _ in range(100):
         left, right = rng.uniform(-most, most), rng.uniform(-most, most)
-        told = board.speeds(board.motor_speeds((left, left, right, right), most))
-        assert told == pytest.approx((left, left, right, right), abs=2 * motion.step / per_rps)
-    assert board.speeds(board.stop) == (0.0,) * 4
+        told = board.speeds(board.motor_speeds((left, right), most))
+        assert told == pytest.approx((left, right), abs=2 * motion.step / per_rps)
+    assert board.speeds(board.stop) == (0.0, 0.0)
     assert not any(board.speeds(ask) for ask in board.pings)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from failstop.board.codec import RPS_CEILING
 from failstop.policy import kinematics
+from failstop.policy.layouts import LAYOUTS
 from failstop.policy.setting import Setting, SettingError, shortened, shown
-from failstop.policy.settings import BY_KEY, DECLARED, FAMILIES, LAYOUTS, WHEEL_IDS, Settings, declaration
+from failstop.policy.settings import BY_KEY, DECLARED, FAMILIES, Settings, declaration
 from failstop.supervisor.children import LONGEST_WAIT_NS
 from failstop.supervisor.main import TICK_NS
 
@@ -46,7 +47,7 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
     assert section.isidentifier()
     assert name.isidentifier()
     unit = {"_s": "s", "_m": "m", "_mps": "m/s", "_radps": "rad/s", "_mps2": "m/s2", "_radps2": "rad/s2"}
-    unit |= {"_c": "degrees Celsius", "_g": "g", "_dps": "deg/s", "_mv": "mV", "_mb": "MB"}
+    unit |= {"_deg": "degrees", "_c": "degrees Celsius", "_g": "g", "_dps": "deg/s", "_mv": "mV", "_mb": "MB"}
     ending = name[name.rfind("_") :] if "_" in name else ""
     assert setting.unit == unit.get(ending, ""), "the unit is in the name"
 
@@ -146,7 +147,10 @@ def test_a_choice_is_one_of_its_words_which_a_refusal_names(setting: Setting) ->
 
 def test_the_message_for_a_choice() -> None:
     assert refusal({"scan.gate": "yes"}) == 'scan.gate = \'yes\': allowed is "on" or "off"'
-    assert refusal({"wheels.layout": "omni"}) == 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'
+    assert (
+        refusal({"wheels.layout": "omni"})
+        == 'wheels.layout = \'omni\': allowed is "mecanum" or "differential" or "omni3"'
+    )
     assert refusal({"wheels.sign_3": 0}) == "wheels.sign_3 = 0: allowed is 1 or -1"
 
 
@@ -348,7 +352,8 @@ def test_the_fastest_wheel_is_that_of_the_worst_corner(layout: str, vx: float, v
 def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry(layout: str) -> None:
     """The codec refuses limits beyond the ceiling; a gate that met one would die at its first step."""
     worst = {setting.key: setting.high for setting in NUMBERS if setting.key.startswith(("limits.", "wheels."))}
-    worst = {key: value for key, value in worst.items() if key not in WHEEL_IDS}
+    there = Settings({"wheels.layout": layout}).values
+    worst = {key: value for key, value in worst.items() if key in there and not key.startswith("wheels.id_")}
     worst["wheels.diameter_m"] = BY_KEY["wheels.diameter_m"].low
     assert kinematics.max_wheel_rps(Settings({**worst, "wheels.layout": layout})) * ROUNDING_OF_LIMITS < RPS_CEILING
 

@@ -110,6 +110,7 @@ class Rrc(Board):
     echo_ns = 0
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
+    wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
 
     def burst_with(self, servos: Sequence[int]) -> bytes:

@@ -26,7 +26,9 @@ GROUPS = {
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
     "limits": "Speeds and ramps that no command passes.",
-    "wheels": "What the base stands on. Layouts: mecanum; differential (wheels 1 and 2 left, 3 and 4 right).",
+    "wheels": "What the base stands on. Wheels 1 to 4 are front left, rear left, front right, rear right; 1 and 2 of a board "
+    "of two speeds, whose layout is differential, are left and right; 1 to 3 of omni3 are left, rear, right. Defaults of "
+    "omni3 are LeKiwi's: 0.1 m large, and no motor the other way round.",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",

@@ -85,6 +85,9 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
     board = board_of(*settings.board())
+    if board.wheels != settings.speeds:
+        text = f"board.kind {settings.text('board.kind')} takes {board.wheels} speeds, and wheels.layout has"
+        raise SettingError(f"{arguments.config or 'settings'}: {text} {settings.speeds} wheels")
     if (fastest := max_wheel_rps(settings)) > board.most_rps:
         text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
         raise SettingError(f"{arguments.config or 'settings'}: {text}: lower [limits], or see board.per_rps")

@@ -1,0 +1,117 @@
+"""Layouts: how many wheels a robot has, what they are called, and their settings. Pure.
+
+The board says how many speeds a frame has, the layout how many wheels there are; a speed that no wheel takes is zero.
+"""
+
+from __future__ import annotations
+
+from failstop.policy.setting import Setting, SettingError, distinct
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    Values = Mapping[str, float | str]
+
+BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
+"""The kinds of boards, each a folder of the board room that describes it."""
+SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
+"""Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
+LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,)}
+"""Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
+NAMES = {
+    2: ("left", "right"),
+    3: ("left", "rear", "right"),
+    4: ("front left", "rear left", "front right", "rear right"),
+}
+"""The wheels in the order of their numbers, by how many there are."""
+NUMBERS = (1, 2, 3, 4)
+DECLARED = (
+    Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", tuple(LAYOUTS)),
+    Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
+    Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
+    Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
+    Setting("wheels.lever_m", 0.125, "m", 0.01, 3.0, "distance of each wheel from the middle (omni3)"),
+    *(
+        Setting(
+            f"wheels.angle_{number}_deg",
+            way,
+            "degrees",
+            -180.0,
+            180.0,
+            f"the way wheel {number} rolls, from forward (omni3)",
+        )
+        for number, way in zip(NUMBERS, (150.0, -90.0, 30.0), strict=False)
+    ),
+    *(
+        Setting(
+            f"wheels.sign_{number}",
+            sign,
+            "",
+            None,
+            None,
+            f"wheel {number}: -1 for a motor that turns it backward",
+            (1, -1),
+        )
+        for number, sign in zip(NUMBERS, (1, 1, -1, -1), strict=True)
+    ),
+    *(
+        Setting(
+            f"wheels.id_{number}", number - 1, "", 0, 3, f"the id of wheel {number}'s motor on the wire; all differ"
+        )
+        for number in NUMBERS
+    ),
+)
+DEFAULTS: dict[str, dict[str, float | str]] = {"omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1}}
+"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py)."""
+_GEOMETRY: dict[str, tuple[str, ...]] = {
+    "wheels.wheelbase_m": ("mecanum", "differential"),
+    "wheels.track_m": ("mecanum", "differential"),
+    "wheels.lever_m": ("omni3",),
+    **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
+}
+"""Settings that only some layouts have."""
+
+
+def wheel_count(kind: str, layout: str) -> int:
+    """How many wheels there are. Raises SettingError where the board can't drive that layout."""
+    if (speeds := SPEEDS.get(kind)) is None:
+        return LAYOUTS[layout][0]
+    if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
+        return fitting[-1]
+    others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds)
+    has = f"it has {LAYOUTS[layout][0]} wheels, and board.kind {kind} takes {speeds} speeds"
+    raise SettingError(f'wheels.layout = "{layout}": {has}; allowed is {others}')
+
+
+def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
+    """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
+    settings in `changed` that it does not have."""
+    kind = str(values["board.kind"])
+    if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
+        values["wheels.layout"] = "differential"
+    layout = str(values["wheels.layout"])
+    values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
+    for key, why in _absent(layout, wheel_count(kind, layout)).items():
+        if key in changed:
+            raise SettingError(f"{key}: {why}; take it out")
+        del values[key]
+
+
+def _absent(layout: str, count: int) -> dict[str, str]:
+    """Settings that a robot of so many wheels in that layout does not have, each with the reason."""
+    named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, NAMES[count], strict=False))
+    beyond = f"this robot has {count} wheels ({named})"
+    found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
+    return found | {key: f'wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of}
+
+
+def check_ids(values: Values) -> None:
+    """Each motor has an id of its own that the board knows. Raises SettingError."""
+    ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
+    distinct(ids)
+    kind = str(values["board.kind"])
+    most = SPEEDS.get(kind, len(ids)) - 1
+    for key, value in ids.items():
+        if int(value) > most:
+            raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
