@@ -47,8 +47,8 @@ ENABLED, MANUAL, DRIVES = 1, 2, 4
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 """Bytes for the board: the stop burst; one frame, whose first bytes follow; what the kernel had not taken of either."""
-WIRE_HEAD = 35
-"""Bytes of a frame that are kept: a motor frame of four wheels is 27."""
+WIRE_HEAD = 38
+"""Bytes of a frame that are kept: a motor frame of four wheels is 27, and 11 more steer."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
 
@@ -60,8 +60,8 @@ OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 MOST_U32 = 0xFFFFFFFF
 
-MOST_SPEEDS = 4
-"""Speeds in a frame for the board, at most."""
+MOST_SPEEDS = 5
+"""Speeds in a frame for the board, at most; of a steered base the last is the angle of its steering in rad."""
 TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
 """A tick of the gate, as unpack_gate() has it. It has room for the most speeds, and says how many of them there are: a
 record of one size needs no layout for each board."""

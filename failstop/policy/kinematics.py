@@ -9,8 +9,9 @@ A wheel at rest is +0.0, never -0.0: the frame of zeros is then the stop frame t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, pi, radians, sin
+from math import atan2, copysign, cos, pi, radians, sin, tan
 
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
 
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
@@ -20,7 +21,12 @@ Row = tuple[float, float, float]
 
 FIXED, MECANUM = 0.0, 1.0
 """How much wheels of two sides follow vy."""
-AXES = {"mecanum": (1.0, 1.0, 1.0), "differential": (1.0, 0.0, 1.0), "omni3": (1.0, 1.0, 1.0)}
+AXES = {
+    "mecanum": (1.0, 1.0, 1.0),
+    "differential": (1.0, 0.0, 1.0),
+    "omni3": (1.0, 1.0, 1.0),
+    ACKERMANN: (1.0, 0.0, 1.0),
+}
 """Factors of (vx, vy, wz) that each layout can follow: a limit times its factor is the limit that holds."""
 
 
@@ -28,6 +34,8 @@ class Chassis:
     """Wheels of one diameter: each turns in proportion to the body's velocity."""
 
     __slots__ = ("_rows", "axes", "rest")
+    steers = False
+    """The last of its speeds is the angle of the steered wheels, in rad to the left."""
 
     def __init__(
         self, axes: Row, rows: Sequence[Row], diameter_m: float, mounted: Sequence[tuple[int, int]], speeds: int
@@ -42,6 +50,10 @@ class Chassis:
         }
         self._rows = [by_id.get(id_, (0.0, 0.0, 0.0)) for id_ in range(speeds)]
 
+    def reach(self, velocity: Velocity) -> Velocity:
+        """The velocity that the base can have, nearest to this."""
+        return velocity
+
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""
         # Adding zero makes +0.0 of -0.0.
@@ -50,6 +62,36 @@ class Chassis:
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
         """The fastest that any wheel can turn within these limits (each at least 0)."""
         return max(abs(x) * vx_mps + abs(y) * vy_mps + abs(z) * wz_radps for x, y, z in self._rows)
+
+
+class Steered(Chassis):
+    """Two driven wheels at the rear, and a steered axle in front (Ackermann): it turns only while it drives."""
+
+    __slots__ = ("_rear", "_turns_most", "_wheelbase_m")
+    steers = True
+
+    def __init__(self, rear: Chassis, wheelbase_m: float, most_rad: float) -> None:
+        """`rear`: the driven wheels; `most_rad`: the largest angle of the steered ones."""
+        self._rear, self._wheelbase_m = rear, wheelbase_m
+        self._turns_most = tan(most_rad) / wheelbase_m
+        self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
+
+    def reach(self, velocity: Velocity) -> Velocity:
+        """The velocity that it can have, at this speed forward: no narrower curve than its steering makes."""
+        vx, _, wz = velocity
+        most = abs(vx) * self._turns_most
+        return vx, 0.0, max(-most, min(most, wz))
+
+    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
+        """Revolutions per second by wire id, and then the angle of the steered wheels; 0 at rest, where it says nothing
+        of where they stand."""
+        vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
+        angle = atan2(copysign(self._wheelbase_m * wz, vx * wz), abs(vx)) if vx and wz else 0.0
+        return *self._rear.wheels_rps(vx, vy, wz), angle
+
+    def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
+        """The fastest wheel: the outer one of the narrowest curve."""
+        return self._rear.worst_rps(*self.reach((vx_mps, vy_mps, wz_radps)))
 
 
 def two_sides(wheels: int, lever_m: float, sideways: float) -> list[Row]:
@@ -76,6 +118,10 @@ def from_settings(settings: Settings) -> Chassis:
     elif layout == "differential":
         # A base that skids turns less than one that pivots between its wheels, and is given a wider track.
         rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
+    elif layout == ACKERMANN:
+        rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
+        rear = Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)
+        return Steered(rear, settings["wheels.wheelbase_m"], radians(settings["steering.most_deg"]))
     else:
         raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
     return Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)

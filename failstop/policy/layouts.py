@@ -5,6 +5,9 @@ The board says how many speeds a frame has, the layout how many wheels there are
 
 from __future__ import annotations
 
+from math import radians
+
+from failstop.policy import robots
 from failstop.policy.setting import Setting, SettingError, distinct
 
 TYPE_CHECKING = False
@@ -17,8 +20,11 @@ BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
 """The kinds of boards, each a folder of the board room that describes it."""
 SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
 """Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
-LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,)}
+ACKERMANN = "ackermann"
+LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
+STEERED = (BOARDS[0],)
+"""Boards with a servo that steers."""
 NAMES = {
     2: ("left", "right"),
     3: ("left", "rear", "right"),
@@ -37,11 +43,11 @@ DECLARED = (
             f"wheels.angle_{number}_deg",
             way,
             "degrees",
-            -180.0,
-            180.0,
+            0.0,
+            360.0,
             f"the way wheel {number} rolls, from forward (omni3)",
         )
-        for number, way in zip(NUMBERS, (150.0, -90.0, 30.0), strict=False)
+        for number, way in zip(NUMBERS, (150.0, 270.0, 30.0), strict=False)
     ),
     *(
         Setting(
@@ -61,25 +67,36 @@ DECLARED = (
         )
         for number in NUMBERS
     ),
+    Setting("steering.servo", 3, "", 1, 4, "the PWM servo that steers"),
+    Setting("steering.centre_us", 1500, "us", 500, 2500, "its pulse for straight ahead"),
+    Setting("steering.us_per_rad", 636.62, "us/rad", 1.0, 2000.0, "how much its pulse changes with the angle"),
+    Setting("steering.sign", -1, "", None, None, "-1: more pulse is an angle to the right", (1, -1)),
+    Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle of the steered wheels"),
 )
-DEFAULTS: dict[str, dict[str, float | str]] = {"omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1}}
-"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py)."""
+DEFAULTS: dict[str, dict[str, float | str]] = {
+    "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
+    ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
+}
+"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of ackermann ROSOrin's."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
-    "wheels.wheelbase_m": ("mecanum", "differential"),
-    "wheels.track_m": ("mecanum", "differential"),
+    "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
+    "wheels.track_m": ("mecanum", "differential", ACKERMANN),
     "wheels.lever_m": ("omni3",),
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
+    **{f"steering.{key}": (ACKERMANN,) for key in ("servo", "centre_us", "us_per_rad", "sign", "most_deg")},
 }
 """Settings that only some layouts have."""
 
 
 def wheel_count(kind: str, layout: str) -> int:
-    """How many wheels there are. Raises SettingError where the board can't drive that layout."""
+    """How many wheels are driven. Raises SettingError where the board can't drive that layout."""
+    if layout == ACKERMANN and kind not in STEERED:
+        raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
     if (speeds := SPEEDS.get(kind)) is None:
         return LAYOUTS[layout][0]
     if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
         return fitting[-1]
-    others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds)
+    others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds and name != ACKERMANN)
     has = f"it has {LAYOUTS[layout][0]} wheels, and board.kind {kind} takes {speeds} speeds"
     raise SettingError(f'wheels.layout = "{layout}": {has}; allowed is {others}')
 
@@ -92,10 +109,15 @@ def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
         values["wheels.layout"] = "differential"
     layout = str(values["wheels.layout"])
     values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
-    for key, why in _absent(layout, wheel_count(kind, layout)).items():
+    absent = _absent(layout, wheel_count(kind, layout))
+    if kind != BOARDS[0]:
+        absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"
+    for key, why in absent.items():
         if key in changed:
             raise SettingError(f"{key}: {why}; take it out")
         del values[key]
+    if "board.robot" in values:
+        robots.fill(values, changed)
 
 
 def _absent(layout: str, count: int) -> dict[str, str]:
@@ -106,8 +128,9 @@ def _absent(layout: str, count: int) -> dict[str, str]:
     return found | {key: f'wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of}
 
 
-def check_ids(values: Values) -> None:
-    """Each motor has an id of its own that the board knows. Raises SettingError."""
+def check(values: Values) -> None:
+    """Each motor has an id of its own that the board knows, and the steering servo can turn as far as it is to. Raises
+    SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     distinct(ids)
     kind = str(values["board.kind"])
@@ -115,3 +138,9 @@ def check_ids(values: Values) -> None:
     for key, value in ids.items():
         if int(value) > most:
             raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
+    if "steering.servo" in values:
+        centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre_us", "us_per_rad", "most_deg"))
+        far = per_rad * radians(angle)
+        if far > min(centre - 500, 2500 - centre):
+            reach = f"steering.most_deg = {angle:g} is {far:.0f} us to each side of steering.centre_us = {centre:g}"
+            raise SettingError(f"{reach}: a servo's pulses are 500 to 2500 us")

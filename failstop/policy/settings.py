@@ -7,7 +7,9 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
-from failstop.policy import layouts
+from math import radians
+
+from failstop.policy import layouts, robots
 from failstop.policy.layouts import BOARDS, NUMBERS
 from failstop.policy.setting import Setting, SettingError, distinct, shown
 
@@ -28,6 +30,7 @@ WEB_TLS = ("auto", "on", "off")
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
     Setting("board.kind", BOARDS[0], "", None, None, "the motor board", BOARDS, or_folder=True),
+    _word("board.robot", robots.FIRST, "the robot, of those with the board rrc: its sizes", tuple(robots.NAMES)),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
@@ -232,7 +235,7 @@ class Settings:
                 raise SettingError(f"{said(longer)} must be longer than {said(shorter)}")
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
-        layouts.check_ids(self.values)
+        layouts.check(self.values)
         if self.values["board.kind"] != BOARDS[0] and self.named["joints"]:
             joint = next(iter(self.named["joints"]))
             raise SettingError(f"joints.{joint}: board.kind {self.values['board.kind']} has no servos")
@@ -275,9 +278,16 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float]:
-        """The board: its kind, the wheels' diameter in m, and a turn a second in its unit (0: as usual)."""
-        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"]
+    def board(self) -> tuple[str, float, float, tuple[int, int, float, float] | None]:
+        """The board, as failstop/board/kinds.py takes it: its kind, the wheels' diameter in m, a turn a second in its
+        unit (0: as usual), and the servo that steers, its centre in us, us for a rad, and the largest angle in rad
+        (None: none does)."""
+        steering = None
+        if self.text("wheels.layout") == layouts.ACKERMANN:
+            servo, centre_us = int(self["steering.servo"]), int(self["steering.centre_us"])
+            us_per_rad = self["steering.sign"] * self["steering.us_per_rad"]
+            steering = servo, centre_us, us_per_rad, radians(self["steering.most_deg"])
+        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"], steering
 
     @property
     def speeds(self) -> int:

@@ -225,6 +225,8 @@ class GateCore:
             self.velocity = REST
         else:
             self.velocity = self._ramped(driving.velocity, elapsed_s, REST if fell_back else self.velocity)
+            if self._kinematics.steers:
+                self.velocity = self._kinematics.reach(self.velocity)
         speeds = self._kinematics.wheels_rps(*self.velocity)
         if speeds == self.speeds and now_ns - self._sent_ns < self._refresh_ns:
             return None

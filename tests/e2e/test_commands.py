@@ -80,5 +80,5 @@ def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
     simulated.enable()
     code, _, err = simulated.command("drive", "0", "0.1", "0")
     assert code == 2
-    assert "a differential base can't move sideways" in err
+    assert "a base that is differential can't move sideways" in err
     assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0

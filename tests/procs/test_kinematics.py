@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import permutations, product
-from math import copysign, cos, pi, radians, sin
+from math import copysign, cos, pi, radians, sin, tan
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
+from failstop.board.kinds import board_of
 from failstop.policy.kinematics import Chassis, Velocity, from_settings
 from failstop.policy.layouts import LAYOUTS, NAMES
 from failstop.policy.settings import Settings
@@ -18,8 +20,8 @@ DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
 RIM_M = pi * DIAMETER_M
 
 
-def base(layout: str, board: str = "rrc", **changed: object) -> Chassis:
-    return from_settings(Settings({"board.kind": board, "wheels.layout": layout, **changed}))
+def base(layout: str, board: str = "rrc", changed: Mapping[str, object] | None = None) -> Chassis:
+    return from_settings(Settings({"board.kind": board, "wheels.layout": layout, **(changed or {})}))
 
 
 ROBOT = base("mecanum")
@@ -96,6 +98,32 @@ def test_wheels_move_the_base_as_asked_and_a_limit_scales_all_alike(
     assert limited == pytest.approx([share * each for each in rps], rel=1e-9, abs=1e-9)
 
 
+# Steered.
+
+STEERED = base("ackermann")
+STEERED_RIM_M, STEEREST = pi * 0.085, radians(34)
+
+
+@given(speed, speed)
+def test_a_steered_base_goes_along_the_curve_that_its_wheels_make(vx: float, wz: float) -> None:
+    """The rear wheels and the angle in front each say how it turns."""
+    asked = STEERED.reach((vx, 1.0, wz))
+    _, left, _, right, angle = STEERED.wheels_rps(vx, 1.0, wz)
+    left_mps, right_mps = STEERED_RIM_M * left, -STEERED_RIM_M * right
+    turns = (right_mps - left_mps) / TRACK_M
+    assert ((left_mps + right_mps) / 2, 0.0, turns) == pytest.approx(asked, rel=1e-9, abs=1e-9)
+    assert vx * tan(angle) / WHEELBASE_M == pytest.approx(turns, rel=1e-9, abs=1e-9)
+    assert abs(angle) <= STEEREST * (1 + 1e-12)
+    if abs(wz) * WHEELBASE_M < abs(vx) * tan(STEEREST):
+        assert asked == (vx, 0.0, wz), "a wider curve than its narrowest"
+
+
+def test_a_steered_base_does_not_turn_on_the_spot() -> None:
+    assert STEERED.wheels_rps(0.0, 0.0, 1.0) == STEERED.rest
+    assert STEERED.reach((0.0, 0.0, 1.0)) == (0.0, 0.0, 0.0)
+    assert STEERED.wheels_rps(-0.1, 0.0, 0.1)[-1] < 0, "backward to the left it is steered to the right"
+
+
 @given(speed, speed)
 def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: float) -> None:
     frame = codec.motor_speeds(ROBOT.wheels_rps(vx, vx, 0.0), 1000.0)
@@ -107,7 +135,7 @@ def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: flo
 
 
 def test_differential_by_name() -> None:
-    chosen = base("differential", **{"wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
+    chosen = base("differential", "rrc", {"wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
     assert chosen.axes == (1.0, 0.0, 1.0)
     right_rps = -0.4 / (pi * 0.1)
     assert chosen.wheels_rps(0.2, 0.0, 1.0) == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
@@ -130,16 +158,17 @@ def test_no_fixed_wheel_goes_sideways() -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_zero_is_the_stop_frame_in_every_mounting(layout: str) -> None:
     """Zeros of either sign."""
-    count = len(Settings({"wheels.layout": layout}).mounted())
+    settings = Settings({"wheels.layout": layout})
+    count, board = len(settings.mounted()), board_of(*settings.board())
     for signs in product((1, -1), repeat=count):
         mounting = {f"wheels.sign_{number}": sign for number, sign in enumerate(signs, 1)}
         mounting |= {f"wheels.id_{number}": wire_id for number, wire_id in enumerate((3, 1, 0, 2)[:count], 1)}
-        robot = base(layout, **mounting)
+        robot = base(layout, "rrc", mounting)
         for velocity in product((0.0, -0.0), repeat=3):
             speeds = robot.wheels_rps(*velocity)
             assert speeds == robot.rest
-            assert [copysign(1.0, rps) for rps in speeds] == [1.0] * 4
-            assert codec.motor_speeds(speeds, 0.0) == codec.STOP
+            assert [copysign(1.0, rps) for rps in speeds] == [1.0] * len(speeds)
+            assert board.motor_speeds(speeds, 0.0) == board.stop
 
 
 @every_base
@@ -147,7 +176,7 @@ def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
     before = Settings({"board.kind": board, "wheels.layout": layout})
     for index, (wire_id, sign) in enumerate(before.mounted()):
         was = from_settings(before).wheels_rps(0.2, 0.1, 0.5)
-        now = base(layout, board, **{f"wheels.sign_{index + 1}": -sign}).wheels_rps(0.2, 0.1, 0.5)
+        now = base(layout, board, {f"wheels.sign_{index + 1}": -sign}).wheels_rps(0.2, 0.1, 0.5)
         assert now == tuple(-old if at == wire_id else old for at, old in enumerate(was))
         assert was[wire_id] != 0.0
 
@@ -155,10 +184,12 @@ def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
 @every_base
 def test_each_wheel_goes_to_its_wire_id(board: str, layout: str) -> None:
     settings = Settings({"board.kind": board, "wheels.layout": layout})
-    by_wheel, count = from_settings(settings).wheels_rps(0.2, 0.1, 0.5), len(settings.mounted())
+    default = from_settings(settings).wheels_rps(0.2, 0.1, 0.5)
+    by_wheel = [default[wire_id] for wire_id, _ in settings.mounted()]
+    count = len(by_wheel)
     assert count in NAMES
     for ids in permutations(range(settings.speeds), count):
         changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
-        by_id = base(layout, board, **changed).wheels_rps(0.2, 0.1, 0.5)
-        assert [by_id[wire_id] for wire_id in ids] == list(by_wheel[:count])
-        assert not any(rps for wire_id, rps in enumerate(by_id) if wire_id not in ids), "no wheel is plugged in there"
+        by_id = base(layout, board, changed).wheels_rps(0.2, 0.1, 0.5)
+        assert [by_id[wire_id] for wire_id in ids] == by_wheel
+        assert not any(by_id[wire_id] for wire_id in range(settings.speeds) if wire_id not in ids), "no wheel is there"

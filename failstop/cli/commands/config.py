@@ -26,9 +26,10 @@ GROUPS = {
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
     "limits": "Speeds and ramps that no command passes.",
-    "wheels": "What the base stands on. Wheels 1 to 4 are front left, rear left, front right, rear right; 1 and 2 of a board "
-    "of two speeds, whose layout is differential, are left and right; 1 to 3 of omni3 are left, rear, right. Defaults of "
-    "omni3 are LeKiwi's: 0.1 m large, and no motor the other way round.",
+    "wheels": "What the base stands on. Wheels 1 to 4: front left, rear left, front right, rear right; on a board of "
+    "two speeds (differential) and of ackermann 1 and 2: left, right; of omni3 1 to 3: left, rear, right. Defaults of "
+    "omni3, LeKiwi's: 0.1 m large, sign_3 1; of ackermann, ROSOrin's: 0.085 m, id_1 1, id_2 3, sign_2 -1.",
+    "steering": "The PWM servo that steers a base of the layout ackermann; a stop leaves it as it is.",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",
