@@ -43,12 +43,11 @@ def watchdog_of(kind: str) -> tuple[float, str]:
 
 
 def board_of(
-    kind: str, diameter_m: float, per_rps: float, steering: tuple[int, int, float, float] | None = None
+    kind: str, diameter_m: float, per_rps: float, steering: tuple[str, int, int, float, float] | None = None
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it; `steering`: the PWM servo of a base that is steered, its pulse for straight ahead in us,
-    more pulse for a radian to the left, the largest angle in rad. Nothing of another board is imported. Raises
-    OwnBoardError, a ValueError."""
+    boards usually have it; `steering`: the servo of a base that is steered, as rrc/steering.py has it. Nothing of
+    another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 

@@ -47,8 +47,8 @@ ENABLED, MANUAL, DRIVES = 1, 2, 4
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 """Bytes for the board: the stop burst; one frame, whose first bytes follow; what the kernel had not taken of either."""
-WIRE_HEAD = 38
-"""Bytes of a frame that are kept: a motor frame of four wheels is 27, and 11 more steer."""
+WIRE_HEAD = 39
+"""Bytes of a frame that are kept: a motor frame of four wheels is 27, and 12 more steer at most."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
 

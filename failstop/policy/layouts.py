@@ -23,6 +23,9 @@ SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
+SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
+"""Of the kinds of servos that can steer: their pulses, and the highest id."""
+SERVOS = tuple(SERVO_PULSES)
 STEERED = (BOARDS[0],)
 """Boards with a servo that steers."""
 NAMES = {
@@ -67,10 +70,13 @@ DECLARED = (
         )
         for number in NUMBERS
     ),
-    Setting("steering.servo", 3, "", 1, 4, "the PWM servo that steers"),
-    Setting("steering.centre_us", 1500, "us", 500, 2500, "its pulse for straight ahead"),
-    Setting("steering.us_per_rad", 636.62, "us/rad", 1.0, 2000.0, "how much its pulse changes with the angle"),
-    Setting("steering.sign", -1, "", None, None, "-1: more pulse is an angle to the right", (1, -1)),
+    Setting(
+        "steering.kind", "pwm", "", None, None, "pulses of a pwm servo are us, of a bus servo 0.24 degrees", SERVOS
+    ),
+    Setting("steering.servo", 3, "", 1, 253, "the id of the servo that steers; of a pwm servo 1 to 4"),
+    Setting("steering.centre", 1500, "", 1, 2500, "its pulses for straight ahead"),
+    Setting("steering.per_rad", 636.62, "", 1.0, 2000.0, "its pulses for a radian"),
+    Setting("steering.sign", -1, "", None, None, "-1: more pulses are an angle to the right", (1, -1)),
     Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle of the steered wheels"),
 )
 DEFAULTS: dict[str, dict[str, float | str]] = {
@@ -83,7 +89,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
     "wheels.lever_m": ("omni3",),
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
-    **{f"steering.{key}": (ACKERMANN,) for key in ("servo", "centre_us", "us_per_rad", "sign", "most_deg")},
+    **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
 """Settings that only some layouts have."""
 
@@ -107,6 +113,8 @@ def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
     kind = str(values["board.kind"])
     if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
         values["wheels.layout"] = "differential"
+    if "wheels.layout" not in changed and kind == BOARDS[0]:
+        values["wheels.layout"] = robots.LAYOUT.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
     values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
@@ -139,8 +147,12 @@ def check(values: Values) -> None:
         if int(value) > most:
             raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
     if "steering.servo" in values:
-        centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre_us", "us_per_rad", "most_deg"))
+        kind, servo = values["steering.kind"], values["steering.servo"]
+        least, most, highest = SERVO_PULSES[str(kind)]
+        centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre", "per_rad", "most_deg"))
         far = per_rad * radians(angle)
-        if far > min(centre - 500, 2500 - centre):
-            reach = f"steering.most_deg = {angle:g} is {far:.0f} us to each side of steering.centre_us = {centre:g}"
-            raise SettingError(f"{reach}: a servo's pulses are 500 to 2500 us")
+        if int(servo) > highest:
+            raise SettingError(f"steering.servo = {servo}: a {kind} servo has an id of 1 to {highest}")
+        if far > min(centre - least, most - centre):
+            reach = f"steering.most_deg = {angle:g} is {far:.0f} pulses to each side of steering.centre = {centre:g}"
+            raise SettingError(f"{reach}: a {kind} servo has {least} to {most}")

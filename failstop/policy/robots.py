@@ -6,7 +6,7 @@ One that no source gives, or that sources give in two ways, is None: whoever has
 
 from __future__ import annotations
 
-from math import pi
+from math import pi, radians
 
 from failstop.policy.setting import SettingError
 
@@ -28,8 +28,8 @@ def _signs(*signs: int) -> Defaults:
     return {f"wheels.sign_{number}": sign for number, sign in enumerate(signs, 1)}
 
 
-def _steering(us_per_rad: float, sign: int | None, most_deg: float) -> Defaults:
-    return {"steering.us_per_rad": us_per_rad, "steering.sign": sign, "steering.most_deg": most_deg}
+def _steering(per_rad: float, sign: int | None, most_deg: float) -> Defaults:
+    return {"steering.per_rad": per_rad, "steering.sign": sign, "steering.most_deg": most_deg}
 
 
 LEFT_BACKWARD = _signs(-1, -1, 1, 1)
@@ -50,14 +50,21 @@ ROBOTS: dict[str, dict[str, Defaults]] = {
         "differential": _sizes(0.068, 0.1368, 0.1368 + 0.1446) | LEFT_BACKWARD,
         "ackermann": _sizes(0.067, 0.145, 0.133) | _signs(-1, 1) | _steering(1000 / pi, 1, 40.0),
     },
+    # Sources differ on its sizes (a track of 0.182, 0.195 or 0.222 m). It is steered by bus servo 9, of 240 degrees.
+    "jetacker": {
+        "ackermann": dict.fromkeys(SIZES)
+        | _steering(1000 / radians(240), 1, 37.0)
+        | {"steering.kind": "bus", "steering.servo": 9, "steering.centre": 500}
+    },
     "jetrover": {"mecanum": _sizes(0.097, 0.216, 0.195)},
 }
 REFUSED = {
     "turbopi": "its own program sets duties and never speeds, and a motor without an encoder turns on after a stop of "
     "speeds; where its motors have encoders, leave this name out and set device.path and [wheels]",
-    "jetacker": "a bus servo steers it, and failstop steers with PWM servos alone",
 }
 """Robots of the family that can't be driven, each with the reason."""
+LAYOUT = {"jetacker": "ackermann"}
+"""The layout of a robot that has one alone, and not the usual one."""
 
 
 NAMES = (*ROBOTS, *REFUSED)

@@ -241,6 +241,9 @@ class Settings:
             raise SettingError(f"joints.{joint}: board.kind {self.values['board.kind']} has no servos")
         for family, key in (("sources", "priority"), ("joints", "servo")):
             distinct({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
+        if self.values.get("steering.kind") == "bus":
+            joints = {f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()}
+            distinct({"steering.servo": self.values["steering.servo"], **joints})
         for name, table in self.named["joints"].items():
             _check_joint(f"joints.{name}", table)
 
@@ -278,15 +281,15 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, tuple[int, int, float, float] | None]:
+    def board(self) -> tuple[str, float, float, tuple[str, int, int, float, float] | None]:
         """The board, as failstop/board/kinds.py takes it: its kind, the wheels' diameter in m, a turn a second in its
-        unit (0: as usual), and the servo that steers, its centre in us, us for a rad, and the largest angle in rad
-        (None: none does)."""
+        unit (0: as usual), and the servo that steers (None: none does): its kind, its id, its pulses for straight
+        ahead and for a radian to the left, the largest angle in rad."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
-            servo, centre_us = int(self["steering.servo"]), int(self["steering.centre_us"])
-            us_per_rad = self["steering.sign"] * self["steering.us_per_rad"]
-            steering = servo, centre_us, us_per_rad, radians(self["steering.most_deg"])
+            servo, centre = int(self["steering.servo"]), int(self["steering.centre"])
+            per_rad = self["steering.sign"] * self["steering.per_rad"]
+            steering = self.text("steering.kind"), servo, centre, per_rad, radians(self["steering.most_deg"])
         return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"], steering
 
     @property

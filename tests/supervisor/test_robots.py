@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy.layouts import BOARDS, LAYOUTS, NAMES, SPEEDS
-from failstop.policy.robots import FIRST, REFUSED, ROBOTS
+from failstop.policy.robots import FIRST, LAYOUT, REFUSED, ROBOTS
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 
@@ -14,18 +14,19 @@ from failstop.policy.settings import Settings
 def test_a_robot_is_one_line(robot: str) -> None:
     """What nobody knows of it is asked for by name; what its owner sets stays."""
     for layout, figures in ROBOTS[robot].items():
-        given: dict[str, object] = {"board.robot": robot, "wheels.layout": layout}
+        given: dict[str, object] = {"board.robot": robot}
+        given |= {} if robot in LAYOUT else {"wheels.layout": layout}
         unknown = [key for key, value in figures.items() if value is None]
         if unknown:
-            with pytest.raises(SettingError, match=f"^{unknown[0]}: no source has this of board.robot"):
+            with pytest.raises(SettingError, match=f"^{', '.join(unknown)}: no source has this of board.robot"):
                 Settings(given)
         made = Settings({**given, **{key: Settings({"wheels.layout": layout}).values[key] for key in unknown}})
         known = {key: value for key, value in figures.items() if value is not None}
         assert {key: made.values[key] for key in known} == known
         assert Settings.from_lines(made.lines()).flat() == made.flat()
         for key in known:
-            other = -made[key] if ".sign" in key else made[key] * 0.9
-            assert Settings({**given, **dict.fromkeys(unknown, 1), key: other})[key] == other
+            if isinstance(value := made.values[key], float):
+                assert Settings({**given, **dict.fromkeys(unknown, 1), key: value * 0.9})[key] == value * 0.9
 
 
 def test_the_first_is_what_the_settings_were_without_a_name() -> None:
@@ -65,9 +66,15 @@ REFUSALS: dict[str, tuple[dict[str, object], str]] = {
         {"board.kind": "ugv", "wheels.layout": "ackermann"},
         "board.kind ugv has no servo that steers",
     ),
+    "steering by a joint of the arm": (
+        {"wheels.layout": "ackermann", "steering.kind": "bus", "steering.servo": 9, "steering.centre": 500}
+        | {"steering.per_rad": 200.0, "joints.base.servo": 9},
+        "steering.servo is 9 too",
+    ),
+    "a fifth PWM servo": ({"wheels.layout": "ackermann", "steering.servo": 5}, "a pwm servo has an id of 1 to 4"),
     "steering past the servo's end": (
-        {"wheels.layout": "ackermann", "steering.most_deg": 60.0, "steering.us_per_rad": 1000.0},
-        "500 to 2500 us",
+        {"wheels.layout": "ackermann", "steering.most_deg": 60.0, "steering.per_rad": 1000.0},
+        "a pwm servo has 500 to 2500",
     ),
 }
 

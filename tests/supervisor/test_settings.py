@@ -48,7 +48,6 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
     assert section.isidentifier()
     assert name.isidentifier()
     unit = {"_s": "s", "_m": "m", "_mps": "m/s", "_radps": "rad/s", "_mps2": "m/s2", "_radps2": "rad/s2"}
-    unit |= {"_us": "us", "_rad": "us/rad"}
     unit |= {"_deg": "degrees", "_c": "degrees Celsius", "_g": "g", "_dps": "deg/s", "_mv": "mV", "_mb": "MB"}
     ending = name[name.rfind("_") :] if "_" in name else ""
     assert setting.unit == unit.get(ending, ""), "the unit is in the name"

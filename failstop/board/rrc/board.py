@@ -192,6 +192,6 @@ class SteeredRrc(Rrc):
 BOARD = Rrc()
 
 
-def board(_diameter_m: float, _per_rps: float, steering: tuple[int, int, float, float] | None) -> Board:
+def board(_diameter_m: float, _per_rps: float, steering: tuple[str, int, int, float, float] | None) -> Board:
     """Its speeds are turns a second already."""
     return SteeredRrc(Steering(*steering)) if steering else BOARD

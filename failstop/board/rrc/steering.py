@@ -1,33 +1,37 @@
-"""Steering: the frame that turns the PWM servo of a steered base, and the check of it before the wire.
+"""Steering: the frame that turns the servo of a steered base, and the check of it before the wire.
 
 It goes out in one write with the motor frame before it: steering is motion, admitted and refused as motion is. A stop
-has no such frame, and leaves the wheels turned as they are.
+has no such frame, and leaves the wheels turned as they are. The frame for a bus servo holds the board's receiver for
+servos.MOVE_NS: a stop right behind it comes so much later.
 """
 
 from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import framing
-from failstop.board.framing import HEAD, PWM_SERVO, crc8
+from failstop.board import framing, servos
+from failstop.board.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
 from failstop.data import Data
 
+PWM, BUS = "pwm", "bus"
 MOVE = 3
-"""Sub-command: one servo. That for many takes the pulse for the time (firmware source), and is not used."""
+"""Sub-command: one PWM servo. That for many takes the pulse for the time (firmware source), and is not used."""
 TAKES_MS = 20
 """The servo's time for a way: as long as until the next frame."""
-_LONGER_MS = 8
-_DATA = Struct("<BHBH")
-_FRAME_HEAD = HEAD + bytes((PWM_SERVO, _DATA.size))
-SIZE = len(_FRAME_HEAD) + _DATA.size + 1
+LONGEST_MS = 28
+_PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
+_PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
+_BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, servos.SERVO_MOVE))
 
 
 class Steering(Data):
-    """The servo, its pulse for straight ahead, more pulse for an angle to the left, and the largest angle."""
+    """The servo: its kind, PWM or BUS, its id, its pulses for straight ahead, more of them for a radian to the left,
+    and the largest angle."""
 
+    kind: str
     servo: int
-    centre_us: int
-    us_per_rad: float
+    centre: int
+    per_rad: float
     most_rad: float
 
     def frame(self, angle_rad: float) -> bytes:
@@ -37,25 +41,36 @@ class Steering(Data):
         complete, were it cut short.
         """
         framing.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
-        pulse_us = self.centre_us + round(angle_rad * self.us_per_rad)
+        pulses = self.centre + round(angle_rad * self.per_rad)
+        if self.kind == BUS:
+            return servos.bus_servo_move(((self.servo, pulses),), TAKES_MS, LONGEST_MS)
         # Each cut excludes one of these times at most, so that one of so many is left.
-        every = (_DATA.pack(MOVE, TAKES_MS + more, self.servo, pulse_us) for more in range(_LONGER_MS))
+        every = (_PWM_DATA.pack(MOVE, ms, self.servo, pulses) for ms in range(TAKES_MS, LONGEST_MS + 1))
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
         """Why these bytes must not be written to steer; "" when they may. Never raises on bytes."""
-        if len(frame) != SIZE or not frame.startswith(_FRAME_HEAD):
+        if self.kind == BUS:
+            if not frame.startswith(_BUS_HEAD):
+                return "not a steering frame"
+            if why := servos.check_bus(frame, (self.servo,), LONGEST_MS):
+                return why
+            *_, pulses = _BUS_DATA.unpack_from(frame, 4)
+            return self._beyond(pulses)
+        if len(frame) != len(_PWM_HEAD) + _PWM_DATA.size + 1 or not frame.startswith(_PWM_HEAD):
             return "not a steering frame"
         if crc8(frame[2:]):
             return "bad crc"
-        command, ms, servo, pulse_us = _DATA.unpack_from(frame, len(_FRAME_HEAD))
-        if (command, servo) != (MOVE, self.servo) or not TAKES_MS <= ms < TAKES_MS + _LONGER_MS:
+        command, ms, servo, pulses = _PWM_DATA.unpack_from(frame, len(_PWM_HEAD))
+        if (command, servo) != (MOVE, self.servo) or not TAKES_MS <= ms <= LONGEST_MS:
             return f"another servo's frame ({command} {servo} {ms})"
-        if abs(pulse_us - self.centre_us) > abs(self._limit * self.us_per_rad) + 1:
-            return f"steering at {pulse_us} us, centre {self.centre_us}"
         if end := framing.zeros_complete(PWM_SERVO, frame[4:-1]):
             return f"another angle if cut after {end} bytes of data"
-        return ""
+        return self._beyond(pulses)
+
+    def _beyond(self, pulses: int) -> str:
+        beyond = abs(pulses - self.centre) > abs(self._limit * self.per_rad) + 1
+        return f"steering at {pulses}, straight ahead is {self.centre}" if beyond else ""
 
     @property
     def _limit(self) -> float:

@@ -29,7 +29,7 @@ GROUPS = {
     "wheels": "What the base stands on. Wheels 1 to 4: front left, rear left, front right, rear right; on a board of "
     "two speeds (differential) and of ackermann 1 and 2: left, right; of omni3 1 to 3: left, rear, right. Defaults of "
     "omni3, LeKiwi's: 0.1 m large, sign_3 1; of ackermann, ROSOrin's: 0.085 m, id_1 1, id_2 3, sign_2 -1.",
-    "steering": "The PWM servo that steers a base of the layout ackermann; a stop leaves it as it is.",
+    "steering": "The servo that steers a base of the layout ackermann; a stop leaves it as it is.",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",
