@@ -48,7 +48,7 @@ DECLARED = (
             "degrees",
             0.0,
             360.0,
-            f"the way wheel {number} rolls, from forward (omni3)",
+            f"the way wheel {number} rolls, counter-clockwise from forward (omni3)",
         )
         for number, way in zip(NUMBERS, (150.0, 270.0, 30.0), strict=False)
     ),

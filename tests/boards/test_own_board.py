@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.board import own
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
+from failstop.cli.commands import board_for
 from failstop.lab.boards.line import model_of
 from failstop.lab.trial import Trial
 from failstop.messages import layout
@@ -36,6 +38,14 @@ def test_a_board_of_the_users_own_is_stopped_for_every_process(folder: str) -> N
             assert (stopped.was_moving, stopped.motion_after) == (True, 0), process
             assert stopped.still_ns is not None, process
             trial.recover(process, pid)
+
+
+def test_a_layout_that_its_wire_does_not_drive_is_refused(folder: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f'board.kind = "{folder}"\nwheels.layout = "omni3"\n')
+    with pytest.raises(SettingError) as refused:
+        board_for(config.load(str(file)), str(file))
+    assert str(refused.value) == f"{file}: board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels"
 
 
 def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:

@@ -9,8 +9,8 @@ from argparse import ArgumentParser, Namespace
 from textwrap import indent
 
 from failstop import config
-from failstop.board.kinds import board_of
 from failstop.cli import style
+from failstop.cli.commands import board_for
 from failstop.policy.setting import Setting
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
 
@@ -89,7 +89,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        board_of(*config.checked(read, arguments.check).board())
+        board_for(config.checked(read, arguments.check), arguments.check)
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:

@@ -12,7 +12,7 @@ from failstop.api.errors import FailstopError
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
-from failstop.cli.commands import add_name
+from failstop.cli.commands import add_name, board_for
 from failstop.files import instance
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY
@@ -76,7 +76,6 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    from failstop.policy.kinematics import max_wheel_rps
     from failstop.supervisor import status  # its imports would hold up the first stop
 
     rights.take_descriptors()
@@ -84,13 +83,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
-    board = board_of(*settings.board())
-    if board.wheels != settings.speeds:
-        text = f"board.kind {settings.text('board.kind')} takes {board.wheels} speeds, and wheels.layout has"
-        raise SettingError(f"{arguments.config or 'settings'}: {text} {settings.speeds} wheels")
-    if (fastest := max_wheel_rps(settings)) > board.most_rps:
-        text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
-        raise SettingError(f"{arguments.config or 'settings'}: {text}: lower [limits], or see board.per_rps")
+    board_for(settings, arguments.config)
     instance.check_name(arguments.name)
     if port is None:
         return
