@@ -48,18 +48,12 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s, in the order of the wheels' numbers and by their names: front_left, rear_left,
-    front_right and rear_right, or left and right, or left, rear and right.
-
-    Positive rolls the robot forward, however the motor is mounted; with three omni wheels it turns it
-    counter-clockwise.
-    """
-
-    __slots__ = ()
+    """The speed of each wheel in rad/s, in order and by name. Positive rolls the robot forward, and three omni wheels
+    turn it counter-clockwise, however the motor is mounted."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the wheels there are."""
+        """front_left, rear_left, front_right, rear_right; or left, rear, right; or left, right."""
         return tuple(name.replace(" ", "_") for name in NAMES[len(self)])
 
     def __getattr__(self, name: str) -> float:

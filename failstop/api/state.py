@@ -31,14 +31,13 @@ HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 
-NO_SPEEDS = (0.0,) * box.MOST_SPEEDS
 NOTHING_YET: dict[str, Any] = {
     "enabled": False,
     "limit": 100,
     "estop": None,
     "blocked": box.DISABLED,
     "body_vel": (0.0, 0.0, 0.0),
-    "wheels_rps": NO_SPEEDS,
+    "wheels_rps": (0.0,) * box.MOST_SPEEDS,
     "sources": [],
     "clients": [],
     "scan_ns": 0,
@@ -224,7 +223,7 @@ class StateReader(SeenRun):
                 "enabled": False,
                 "blocked": f"{box.LATCHED}{cause}",
                 "body_vel": (0.0, 0.0, 0.0),
-                "wheels_rps": NO_SPEEDS,
+                "wheels_rps": (0.0,) * box.MOST_SPEEDS,
                 "sources": [],
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }

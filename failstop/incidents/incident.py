@@ -16,7 +16,7 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
 from failstop.policy import causes
-from failstop.policy.layouts import BOARDS, NAMES, NUMBERS, wheel_count
+from failstop.policy.layouts import BOARDS, NAMES, wheel_ids
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
@@ -112,7 +112,7 @@ class Incident:
         before this sample that was seen), as layout.PROCESS_NAMES."""
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
-        ids = self._ids()
+        ids = wheel_ids(self.settings)
         self.wheels = NAMES[len(ids)]
         """The names of the wheels, in the order of their numbers."""
         spoken = self._board()
@@ -231,11 +231,6 @@ class Incident:
             parts.append((SILENT if silent else tick.block, tick.ns, end_ns))
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
-
-    def _ids(self) -> list[int]:
-        """Of each wheel the id of its motor on the wire."""
-        kind, layout = (str(self.settings.get(key, BY_KEY[key].default)) for key in ("board.kind", "wheels.layout"))
-        return [int(self.number(f"wheels.id_{number}")) for number in NUMBERS[: wheel_count(kind, layout)]]
 
     def _board(self) -> Board | None:
         """The board that the settings name; None: of the user's own, whose code no reader of a file runs."""

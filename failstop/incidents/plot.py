@@ -168,15 +168,8 @@ def _wheels(axes: Axes, incident: Incident) -> None:
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     for index, name in enumerate(incident.wheels):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
-        speeds_rps = [speeds[index] for _, speeds in frames]
-        axes.step(
-            _at(incident, frames),
-            speeds_rps,
-            where="post",
-            label=name,
-            color=f"C{2 * index // len(incident.wheels)}",
-            **line,
-        )
+        line |= {"where": "post", "label": name, "color": f"C{2 * index // len(incident.wheels)}"}
+        axes.step(_at(incident, frames), [speeds[index] for _, speeds in frames], **line)
 
 
 def _joints(axes: Axes, incident: Incident) -> None:

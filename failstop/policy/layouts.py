@@ -107,6 +107,13 @@ def wheel_count(kind: str, layout: str) -> int:
     raise SettingError(f'wheels.layout = "{layout}": {has}; allowed is {others}')
 
 
+def wheel_ids(given: Mapping[str, str]) -> list[int]:
+    """Of each wheel the id of its motor on the wire, by settings as texts; what is not given has its default."""
+    found = {**{setting.key: str(setting.default) for setting in DECLARED}, "board.kind": BOARDS[0], **given}
+    numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
+    return [int(found[f"wheels.id_{number}"]) for number in numbers]
+
+
 def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
     settings in `changed` that it does not have."""
@@ -147,12 +154,12 @@ def check(values: Values) -> None:
         if int(value) > most:
             raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
     if "steering.servo" in values:
-        kind, servo = values["steering.kind"], values["steering.servo"]
-        least, most, highest = SERVO_PULSES[str(kind)]
+        steered, servo = str(values["steering.kind"]), int(values["steering.servo"])
+        least, most, highest = SERVO_PULSES[steered]
         centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre", "per_rad", "most_deg"))
         far = per_rad * radians(angle)
-        if int(servo) > highest:
-            raise SettingError(f"steering.servo = {servo}: a {kind} servo has an id of 1 to {highest}")
+        if servo > highest:
+            raise SettingError(f"steering.servo = {servo}: a {steered} servo has an id of 1 to {highest}")
         if far > min(centre - least, most - centre):
             reach = f"steering.most_deg = {angle:g} is {far:.0f} pulses to each side of steering.centre = {centre:g}"
-            raise SettingError(f"{reach}: a {kind} servo has {least} to {most}")
+            raise SettingError(f"{reach}: a {steered} servo has {least} to {most}")

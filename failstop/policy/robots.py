@@ -59,8 +59,8 @@ ROBOTS: dict[str, dict[str, Defaults]] = {
     "jetrover": {"mecanum": _sizes(0.097, 0.216, 0.195)},
 }
 REFUSED = {
-    "turbopi": "its own program sets duties and never speeds, and a motor without an encoder turns on after a stop of "
-    "speeds; where its motors have encoders, leave this name out and set device.path and [wheels]",
+    "turbopi": "its own program sets duties and never speeds, and a motor without an encoder goes on turning after a stop "
+    "of speeds; where its motors have encoders, leave this name out and set device.path and [wheels]",
 }
 """Robots of the family that can't be driven, each with the reason."""
 LAYOUT = {"jetacker": "ackermann"}

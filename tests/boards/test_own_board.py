@@ -12,12 +12,12 @@ from failstop import config
 from failstop.board import own
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
-from failstop.cli.commands import board_for
 from failstop.lab.boards.line import model_of
 from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
+from failstop.supervisor.fit import checked_board
 from tests.support import commands
 from tests.support.boards import own_folder
 from tests.support.pages import ROOT
@@ -44,7 +44,7 @@ def test_a_layout_that_its_wire_does_not_drive_is_refused(folder: str, tmp_path:
     file = tmp_path / "robot.toml"
     file.write_text(f'board.kind = "{folder}"\nwheels.layout = "omni3"\n')
     with pytest.raises(SettingError) as refused:
-        board_for(config.load(str(file)), str(file))
+        checked_board(config.load(str(file)), str(file))
     assert str(refused.value) == f"{file}: board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels"
 
 

@@ -10,9 +10,9 @@ from textwrap import indent
 
 from failstop import config
 from failstop.cli import style
-from failstop.cli.commands import board_for
 from failstop.policy.setting import Setting
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
+from failstop.supervisor.fit import checked_board
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -26,9 +26,8 @@ GROUPS = {
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
     "limits": "Speeds and ramps that no command passes.",
-    "wheels": "What the base stands on. Wheels 1 to 4: front left, rear left, front right, rear right; on a board of "
-    "two speeds (differential) and of ackermann 1 and 2: left, right; of omni3 1 to 3: left, rear, right. Defaults of "
-    "omni3, LeKiwi's: 0.1 m large, sign_3 1; of ackermann, ROSOrin's: 0.085 m, id_1 1, id_2 3, sign_2 -1.",
+    "wheels": "The base. Wheels 1 to 4: front left, rear left, front right, rear right; of two: left, right; of three: "
+    "left, rear, right. Defaults of omni3: LeKiwi's, 0.1 m; of ackermann: ROSOrin's, 0.085 m, ids 1 and 3.",
     "steering": "The servo that steers a base of the layout ackermann; a stop leaves it as it is.",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
@@ -89,7 +88,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        board_for(config.checked(read, arguments.check), arguments.check)
+        checked_board(config.checked(read, arguments.check), arguments.check)
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:

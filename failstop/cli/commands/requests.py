@@ -99,9 +99,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
-    layout = str(robot.settings["wheels.layout"])
-    if asked[1] and not AXES[layout][1]:
-        raise Refused(f"a base that is {layout} can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
+    if asked[1] and not AXES[str(robot.settings["wheels.layout"])][1]:
+        raise Refused(f"this base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
     reached = asked
     while time.monotonic() < until_s:
         robot.drive(*asked, manual=True)

@@ -12,7 +12,7 @@ from failstop.api.errors import FailstopError
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
-from failstop.cli.commands import add_name, board_for
+from failstop.cli.commands import add_name
 from failstop.files import instance
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY
@@ -76,14 +76,14 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    from failstop.supervisor import status  # its imports would hold up the first stop
+    from failstop.supervisor import fit, status  # their imports would hold up the first stop
 
     rights.take_descriptors()
     rights.take_stack()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
-    board_for(settings, arguments.config)
+    fit.checked_board(settings, arguments.config)
     instance.check_name(arguments.name)
     if port is None:
         return
