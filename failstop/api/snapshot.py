@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from failstop.messages import box
 from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
-from failstop.policy.layouts import NAMES
+from failstop.policy.layouts import WHEEL_NAMES
 
 PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]
@@ -54,7 +54,7 @@ class Wheels(tuple[float, ...]):
     @property
     def names(self) -> tuple[str, ...]:
         """front_left, rear_left, front_right, rear_right; or left, rear, right; or left, right."""
-        return tuple(name.replace(" ", "_") for name in NAMES[len(self)])
+        return tuple(name.replace(" ", "_") for name in WHEEL_NAMES[len(self)])
 
     def __getattr__(self, name: str) -> float:
         if name in self.names:

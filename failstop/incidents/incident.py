@@ -16,7 +16,7 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
 from failstop.policy import causes
-from failstop.policy.layouts import BOARDS, NAMES, wheel_ids
+from failstop.policy.layouts import BOARDS, WHEEL_NAMES, wheel_ids
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
@@ -113,7 +113,7 @@ class Incident:
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = wheel_ids(self.settings)
-        self.wheels = NAMES[len(ids)]
+        self.wheels = WHEEL_NAMES[len(ids)]
         """The names of the wheels, in the order of their numbers."""
         spoken = self._board()
         writes = [_write(spoken, ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]

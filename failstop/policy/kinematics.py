@@ -16,7 +16,7 @@ from failstop.policy.settings import Settings
 
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
 WheelSpeeds = tuple[float, ...]
-Row = tuple[float, float, float]
+RimSpeeds = tuple[float, float, float]
 """How fast a wheel rolls at its rim, in m/s, for each of vx and vy in m/s, and wz in rad/s."""
 
 FIXED, MECANUM = 0.0, 1.0
@@ -38,7 +38,12 @@ class Chassis:
     """The last of its speeds is the angle of the steered wheels, in rad to the left."""
 
     def __init__(
-        self, axes: Row, rows: Sequence[Row], diameter_m: float, mounted: Sequence[tuple[int, int]], speeds: int
+        self,
+        axes: Velocity,
+        rows: Sequence[RimSpeeds],
+        diameter_m: float,
+        mounted: Sequence[tuple[int, int]],
+        speeds: int,
     ) -> None:
         """`rows`: of each wheel; `mounted`: its id on the wire and its sign; `speeds`: so many are sent, and those of
         ids without a wheel are zero."""
@@ -94,14 +99,14 @@ class Steered(Chassis):
         return self._rear.worst_rps(*self.reach((vx_mps, vy_mps, wz_radps)))
 
 
-def two_sides(wheels: int, lever_m: float, sideways: float) -> list[Row]:
+def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
     """Wheels on a left and a right side, two or four of them. `lever_m`: of each about the middle; `sideways`: how much
     it follows vy. A way to the left turns the front left and the rear right mecanum wheel backward."""
     sides = (-1.0, 1.0) if wheels == 2 else (-1.0, -1.0, 1.0, 1.0)
     return [(1.0, (side if number % 2 == 0 else -side) * sideways, side * lever_m) for number, side in enumerate(sides)]
 
 
-def omni(lever_m: float, ways_deg: Sequence[float]) -> list[Row]:
+def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
     """Omni wheels around the middle, each of which rolls one way, in degrees counter-clockwise from forward, and slips
     across it. All of them forward turn the robot counter-clockwise."""
     # Rounded, so that a wheel across the way of the robot stands.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import radians
 
 from failstop.policy import robots
-from failstop.policy.setting import Setting, SettingError, distinct
+from failstop.policy.setting import Setting, SettingError, all_differ
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -28,14 +28,14 @@ SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
 SERVOS = tuple(SERVO_PULSES)
 STEERED = (BOARDS[0],)
 """Boards with a servo that steers."""
-NAMES = {
+WHEEL_NAMES = {
     2: ("left", "right"),
     3: ("left", "rear", "right"),
     4: ("front left", "rear left", "front right", "rear right"),
 }
 """The wheels in the order of their numbers, by how many there are."""
 NUMBERS = (1, 2, 3, 4)
-DECLARED = (
+OF_THE_BASE = (
     Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", tuple(LAYOUTS)),
     Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
     Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
@@ -109,19 +109,19 @@ def wheel_count(kind: str, layout: str) -> int:
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
     """Of each wheel the id of its motor on the wire, by settings as texts; what is not given has its default."""
-    found = {**{setting.key: str(setting.default) for setting in DECLARED}, "board.kind": BOARDS[0], **given}
+    found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]
 
 
-def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
+def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
     settings in `changed` that it does not have."""
     kind = str(values["board.kind"])
     if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
         values["wheels.layout"] = "differential"
     if "wheels.layout" not in changed and kind == BOARDS[0]:
-        values["wheels.layout"] = robots.LAYOUT.get(str(values["board.robot"]), values["wheels.layout"])
+        values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
     values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
@@ -132,22 +132,22 @@ def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
             raise SettingError(f"{key}: {why}; take it out")
         del values[key]
     if "board.robot" in values:
-        robots.fill(values, changed)
+        robots.fill_figures(values, changed)
 
 
 def _absent(layout: str, count: int) -> dict[str, str]:
     """Settings that a robot of so many wheels in that layout does not have, each with the reason."""
-    named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, NAMES[count], strict=False))
+    named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, WHEEL_NAMES[count], strict=False))
     beyond = f"this robot has {count} wheels ({named})"
     found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
     return found | {key: f'wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of}
 
 
-def check(values: Values) -> None:
+def check_base(values: Values) -> None:
     """Each motor has an id of its own that the board knows, and the steering servo can turn as far as it is to. Raises
     SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
-    distinct(ids)
+    all_differ(ids)
     kind = str(values["board.kind"])
     most = SPEEDS.get(kind, len(ids)) - 1
     for key, value in ids.items():

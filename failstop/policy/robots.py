@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     Defaults = dict[str, float | str | None]
 
-FIRST = "rosorin"
+USUAL_ROBOT = "rosorin"
 SIZES = ("wheels.diameter_m", "wheels.wheelbase_m", "wheels.track_m")
 
 
@@ -36,7 +36,7 @@ LEFT_BACKWARD = _signs(-1, -1, 1, 1)
 """All motors are mounted the other way round than ROSOrin's."""
 MENTORPI = _sizes(0.065, 0.1368, 0.1446) | LEFT_BACKWARD
 ROBOTS: dict[str, dict[str, Defaults]] = {
-    FIRST: {
+    USUAL_ROBOT: {
         "mecanum": _sizes(0.08, 0.17706, 0.17165),
         "differential": _sizes(0.08, 0.17706, 0.17165),
         "ackermann": _sizes(0.085, 0.17706, 0.17165) | _steering(2000 / pi, -1, 34.0),
@@ -58,24 +58,24 @@ ROBOTS: dict[str, dict[str, Defaults]] = {
     },
     "jetrover": {"mecanum": _sizes(0.097, 0.216, 0.195)},
 }
-REFUSED = {
-    "turbopi": "its own program sets duties and never speeds, and a motor without an encoder goes on turning after a stop "
-    "of speeds; where its motors have encoders, leave this name out and set device.path and [wheels]",
+UNDRIVEN = {
+    "turbopi": "its own program sets duties, never speeds: after a stop of speeds a motor without an encoder goes on "
+    "turning; where its motors have encoders, leave this name out and set device.path and [wheels]",
 }
 """Robots of the family that can't be driven, each with the reason."""
-LAYOUT = {"jetacker": "ackermann"}
+LAYOUT_OF = {"jetacker": "ackermann"}
 """The layout of a robot that has one alone, and not the usual one."""
 
 
-NAMES = (*ROBOTS, *REFUSED)
+EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 
-def fill(values: dict[str, float | str], changed: Collection[str]) -> None:
+def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Put in this robot's figures. Raises SettingError for a robot that can't be driven, and for figures that are to be
     measured."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
-    if robot in REFUSED:
-        raise SettingError(f'board.robot = "{robot}": {REFUSED[robot]}')
+    if robot in UNDRIVEN:
+        raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')
     # A base of two sides is as wide as it is, however long.
     sizes = [key for key in SIZES if (layout, key) != ("differential", "wheels.wheelbase_m")]
     known = ROBOTS[robot].get(layout, dict.fromkeys(sizes))

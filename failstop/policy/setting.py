@@ -78,7 +78,7 @@ class Setting(Data):
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
-def distinct(values: dict[str, float | str]) -> None:
+def all_differ(values: dict[str, float | str]) -> None:
     """Raise SettingError if two of these settings have the same value."""
     seen: dict[float | str, str] = {}
     for key, value in values.items():

@@ -11,7 +11,7 @@ from math import radians
 
 from failstop.policy import layouts, robots
 from failstop.policy.layouts import BOARDS, NUMBERS
-from failstop.policy.setting import Setting, SettingError, distinct, shown
+from failstop.policy.setting import Setting, SettingError, all_differ, shown
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
@@ -30,7 +30,12 @@ WEB_TLS = ("auto", "on", "off")
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
     Setting("board.kind", BOARDS[0], "", None, None, "the motor board", BOARDS, or_folder=True),
-    _word("board.robot", robots.FIRST, "the robot, of those with the board rrc: its sizes", tuple(robots.NAMES)),
+    _word(
+        "board.robot",
+        robots.USUAL_ROBOT,
+        "the robot, of those with the board rrc: its sizes",
+        tuple(robots.EVERY_ROBOT),
+    ),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
@@ -42,7 +47,7 @@ DECLARED = (
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
-    *layouts.DECLARED,
+    *layouts.OF_THE_BASE,
     _word("scan.gate", "on", "software commands move nothing while the sensor is silent", SWITCH),
     Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),
     _word("attend.required", "off", "motion needs an operator who keeps confirming that he is there", SWITCH),
@@ -177,7 +182,7 @@ class Settings:
         if wrong:
             more = f"; and {len(wrong) - MOST_TOLD} more" if len(wrong) > MOST_TOLD else ""
             raise SettingError("; ".join(wrong[:MOST_TOLD]) + more)
-        layouts.fill(self.values, changed or {})
+        layouts.fill_base(self.values, changed or {})
         self._fill_named()
         self._cross_check()
 
@@ -235,15 +240,15 @@ class Settings:
                 raise SettingError(f"{said(longer)} must be longer than {said(shorter)}")
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
-        layouts.check(self.values)
+        layouts.check_base(self.values)
         if self.values["board.kind"] != BOARDS[0] and self.named["joints"]:
             joint = next(iter(self.named["joints"]))
             raise SettingError(f"joints.{joint}: board.kind {self.values['board.kind']} has no servos")
         for family, key in (("sources", "priority"), ("joints", "servo")):
-            distinct({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
+            all_differ({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
         if self.values.get("steering.kind") == "bus":
             joints = {f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()}
-            distinct({"steering.servo": self.values["steering.servo"], **joints})
+            all_differ({"steering.servo": self.values["steering.servo"], **joints})
         for name, table in self.named["joints"].items():
             _check_joint(f"joints.{name}", table)
 

@@ -10,7 +10,7 @@ import pytest
 from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO, FrameError
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
-from failstop.board.rrc.steering import MOVE
+from failstop.board.rrc.steering import STEER
 from failstop.board.servos import SERVO_MOVE
 from failstop.lab.sim.model import BoardModel, Frame
 from failstop.messages.box import WIRE_HEAD
@@ -32,7 +32,7 @@ def board_with(given: dict[str, object], **changed: object) -> Board:
 
 
 def steers(event: Frame) -> bool:
-    return (event.func, *event.data[:1]) in ((PWM_SERVO, MOVE), (BUS_SERVO, SERVO_MOVE))
+    return (event.func, *event.data[:1]) in ((PWM_SERVO, STEER), (BUS_SERVO, SERVO_MOVE))
 
 
 def pulses(event: Frame) -> int:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from failstop.board import codec
 from failstop.board.kinds import board_of
 from failstop.policy.kinematics import Chassis, Velocity, from_settings
-from failstop.policy.layouts import LAYOUTS, NAMES
+from failstop.policy.layouts import LAYOUTS, WHEEL_NAMES
 from failstop.policy.settings import Settings
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
@@ -187,7 +187,7 @@ def test_each_wheel_goes_to_its_wire_id(board: str, layout: str) -> None:
     default = from_settings(settings).wheels_rps(0.2, 0.1, 0.5)
     by_wheel = [default[wire_id] for wire_id, _ in settings.mounted()]
     count = len(by_wheel)
-    assert count in NAMES
+    assert count in WHEEL_NAMES
     for ids in permutations(range(settings.speeds), count):
         changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
         by_id = base(layout, board, changed).wheels_rps(0.2, 0.1, 0.5)

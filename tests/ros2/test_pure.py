@@ -14,7 +14,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
 from failstop.policy import causes
-from failstop.policy.layouts import NAMES
+from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, transport, words
 from failstop.ros2.commanders import Publisher
@@ -97,7 +97,7 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
         assert wheels.fields(0)[1][1:] == ([0.0] * count, [2 * math.pi] * count)
         wheels.follow(snapshot.Wheels((0.0,) * count), S // 2)
         names, (_, position, velocity) = wheels.fields(0)
-        assert names == [f"wheel_{name.replace(' ', '_')}" for name in NAMES[count]]
+        assert names == [f"wheel_{name.replace(' ', '_')}" for name in WHEEL_NAMES[count]]
         assert position == pytest.approx([math.pi] * count)
         assert velocity == [0.0] * count
         wheels.follow(None, 9 * S)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.policy.layouts import BOARDS, LAYOUTS, NAMES, SPEEDS
-from failstop.policy.robots import FIRST, LAYOUT, REFUSED, ROBOTS
+from failstop.policy.layouts import BOARDS, LAYOUTS, SPEEDS, WHEEL_NAMES
+from failstop.policy.robots import LAYOUT_OF, ROBOTS, UNDRIVEN, USUAL_ROBOT
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 
@@ -15,7 +15,7 @@ def test_a_robot_is_one_line(robot: str) -> None:
     """What nobody knows of it is asked for by name; what its owner sets stays."""
     for layout, figures in ROBOTS[robot].items():
         given: dict[str, object] = {"board.robot": robot}
-        given |= {} if robot in LAYOUT else {"wheels.layout": layout}
+        given |= {} if robot in LAYOUT_OF else {"wheels.layout": layout}
         unknown = [key for key, value in figures.items() if value is None]
         if unknown:
             with pytest.raises(SettingError, match=f"^{', '.join(unknown)}: no source has this of board.robot"):
@@ -31,13 +31,16 @@ def test_a_robot_is_one_line(robot: str) -> None:
 
 def test_the_first_is_what_the_settings_were_without_a_name() -> None:
     for layout in LAYOUTS:
-        named, plain = Settings({"board.robot": FIRST, "wheels.layout": layout}), Settings({"wheels.layout": layout})
+        named, plain = (
+            Settings({"board.robot": USUAL_ROBOT, "wheels.layout": layout}),
+            Settings({"wheels.layout": layout}),
+        )
         assert named.flat() == plain.flat()
 
 
-@pytest.mark.parametrize("robot", REFUSED)
+@pytest.mark.parametrize("robot", UNDRIVEN)
 def test_a_robot_that_can_not_be_driven_is_refused_with_the_reason(robot: str) -> None:
-    with pytest.raises(SettingError, match=f'^board.robot = "{robot}": {REFUSED[robot][:20]}'):
+    with pytest.raises(SettingError, match=f'^board.robot = "{robot}": {UNDRIVEN[robot][:20]}'):
         Settings({"board.robot": robot})
 
 
@@ -94,4 +97,4 @@ def test_a_robot_is_told_of_no_wheel_that_it_has_not(kind: str) -> None:
     assert count == SPEEDS.get(kind, 2)
     numbered = {int(key[-1]) for key in settings.flat() if key.startswith(("wheels.sign_", "wheels.id_"))}
     assert numbered == set(range(1, count + 1))
-    assert len(NAMES[count]) == count
+    assert len(WHEEL_NAMES[count]) == count

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from failstop.board.codec import RPS_CEILING
 from failstop.policy import kinematics
 from failstop.policy.layouts import LAYOUTS
-from failstop.policy.robots import REFUSED
+from failstop.policy.robots import UNDRIVEN
 from failstop.policy.setting import Setting, SettingError, shortened, shown
 from failstop.policy.settings import BY_KEY, DECLARED, FAMILIES, Settings, declaration
 from failstop.supervisor.children import LONGEST_WAIT_NS
@@ -139,7 +139,7 @@ def test_a_text_has_an_end() -> None:
 
 @pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
 def test_a_choice_is_one_of_its_words_which_a_refusal_names(setting: Setting) -> None:
-    for word in set(setting.allowed) - set(REFUSED):
+    for word in set(setting.allowed) - set(UNDRIVEN):
         there = {"wheels.layout": "ackermann"} if setting.key.startswith("steering.") else {}
         assert Settings.from_lines(Settings({**there, setting.key: word}).lines()).values[setting.key] == word
     others: tuple[object, ...] = (0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {})

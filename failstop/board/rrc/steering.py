@@ -14,11 +14,11 @@ from failstop.board.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
 from failstop.data import Data
 
 PWM, BUS = "pwm", "bus"
-MOVE = 3
+STEER = 3
 """Sub-command: one PWM servo. That for many takes the pulse for the time (firmware source), and is not used."""
 TAKES_MS = 20
 """The servo's time for a way: as long as until the next frame."""
-LONGEST_MS = 28
+LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
 _BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, servos.SERVO_MOVE))
@@ -43,9 +43,9 @@ class Steering(Data):
         framing.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
         pulses = self.centre + round(angle_rad * self.per_rad)
         if self.kind == BUS:
-            return servos.bus_servo_move(((self.servo, pulses),), TAKES_MS, LONGEST_MS)
+            return servos.bus_servo_move(((self.servo, pulses),), TAKES_MS, LONGEST_WAY_MS)
         # Each cut excludes one of these times at most, so that one of so many is left.
-        every = (_PWM_DATA.pack(MOVE, ms, self.servo, pulses) for ms in range(TAKES_MS, LONGEST_MS + 1))
+        every = (_PWM_DATA.pack(STEER, ms, self.servo, pulses) for ms in range(TAKES_MS, LONGEST_WAY_MS + 1))
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
@@ -53,7 +53,7 @@ class Steering(Data):
         if self.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"
-            if why := servos.check_bus(frame, (self.servo,), LONGEST_MS):
+            if why := servos.check_bus(frame, (self.servo,), LONGEST_WAY_MS):
                 return why
             *_, pulses = _BUS_DATA.unpack_from(frame, 4)
             return self._beyond(pulses)
@@ -62,7 +62,7 @@ class Steering(Data):
         if crc8(frame[2:]):
             return "bad crc"
         command, ms, servo, pulses = _PWM_DATA.unpack_from(frame, len(_PWM_HEAD))
-        if (command, servo) != (MOVE, self.servo) or not TAKES_MS <= ms <= LONGEST_MS:
+        if (command, servo) != (STEER, self.servo) or not TAKES_MS <= ms <= LONGEST_WAY_MS:
             return f"another servo's frame ({command} {servo} {ms})"
         if end := framing.zeros_complete(PWM_SERVO, frame[4:-1]):
             return f"another angle if cut after {end} bytes of data"
