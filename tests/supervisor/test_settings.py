@@ -137,11 +137,21 @@ def test_a_text_has_an_end() -> None:
     assert refusal({"device.path": "/" * 256}).endswith("a text is expected, 1 to 255 characters of one line")
 
 
+STEERED: dict[str, object] = {"wheels.layout": "ackermann"}
+WITH: dict[object, dict[str, object]] = {
+    "jetacker": {"wheels.diameter_m": 0.1, "wheels.wheelbase_m": 0.2, "wheels.track_m": 0.2},
+    "steering.sign": STEERED,
+    "steering.kind": STEERED,
+    "bus": {**STEERED, "steering.centre": 500},
+}
+"""What goes with a word, or with a setting."""
+
+
 @pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
 def test_a_choice_is_one_of_its_words_which_a_refusal_names(setting: Setting) -> None:
     for word in set(setting.allowed) - set(UNDRIVEN):
-        there = {"wheels.layout": "ackermann"} if setting.key.startswith("steering.") else {}
-        assert Settings.from_lines(Settings({**there, setting.key: word}).lines()).values[setting.key] == word
+        given = {**WITH.get(word, WITH.get(setting.key, {})), setting.key: word}
+        assert Settings.from_lines(Settings(given).lines()).values[setting.key] == word
     others: tuple[object, ...] = (0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {})
     for value in others:
         assert refusal({setting.key: value}) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"

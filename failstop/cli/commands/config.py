@@ -52,8 +52,8 @@ GROUPS = {
 
 HEAD = """\
 # Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
-# A line that begins with # and no space is a default: take the # away to change it. What stays commented out follows
-# the version that is installed. `failstop config --check FILE` reads a file as `failstop run --config FILE` will.
+# A line that begins with # and no space is a default (## of another layout): take the # away to change it. What stays
+# commented out follows the installed version. `failstop config --check FILE` reads it as `failstop run --config` will.
 """
 ALWAYS_SET = ("device.path",)
 """Settings that the example sets although they have a default: no two robots need be alike in them."""
@@ -153,12 +153,13 @@ def example() -> str:
 
 
 def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
-    lines = [f"[{name}]"]
+    marks = {key: mark + "#" * (mark == "#" and f"{name}.{key}" not in Settings().flat()) for key in values}
+    lines = [f"{'##' * ({*marks.values()} == {'##'})}[{name}]"]
     for key, value in values.items():
         setting = declaration(f"{name}.{key}")
         what = "" if setting.allowed or not isinstance(setting.default, str) else "text, "
         lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{what}{setting.range()}]")
-        lines.append(f"{'' if setting.key in ALWAYS_SET else mark}{key} = {literal(setting, value)}")
+        lines.append(f"{'' if setting.key in ALWAYS_SET else marks[key]}{key} = {literal(setting, value)}")
     return "\n".join(lines) + "\n"
 
 
