@@ -48,8 +48,7 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s, in order and by name. Positive rolls the robot forward, and three omni wheels
-    turn it counter-clockwise, however the motor is mounted."""
+    """The speed of each wheel in rad/s. Positive is forward, of three omni wheels counter-clockwise around the robot."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,8 +86,7 @@ class Stop:
     sent: bool = True
     """False: its bytes were found to be still in the kernel; the board takes none."""
     acknowledged_by: str = "answer"
-    """The proof by which this board acknowledges: its answer (to a ping), or its echo (of the command that it obeys);
-    empty: it acknowledges nothing."""
+    """What acknowledges it: the board's answer (to a ping), its echo (of the command that it obeys), or nothing."""
     observed_by: str = "IMU"
     """Source of `observed_s`: IMU, or wheels (the board's own reports of them)."""
 
@@ -277,8 +275,7 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where it is as far as is known, rad: where it was sent, since while it moves no servo is asked, or else where
-        it was read to be."""
+        """Where it is as far as is known, rad: where it was sent (while it moves, no servo is asked), or read to be."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
