@@ -48,7 +48,7 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s. Positive is forward, of three omni wheels counter-clockwise around the robot."""
+    """The speed of each wheel in rad/s: positive is forward, and of three omni wheels counter-clockwise."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ class Stop:
     sent: bool = True
     """False: its bytes were found to be still in the kernel; the board takes none."""
     acknowledged_by: str = "answer"
-    """What acknowledges it: the board's answer (to a ping), its echo (of the command that it obeys), or nothing."""
+    """The proof by which the board acknowledges: answer (to a ping), echo (of what it obeys); empty: by none."""
     observed_by: str = "IMU"
     """Source of `observed_s`: IMU, or wheels (the board's own reports of them)."""
 
@@ -275,7 +275,7 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where it is as far as is known, rad: where it was sent (while it moves, no servo is asked), or read to be."""
+        """Where it is as far as is known, rad: sent (no servo is asked while it moves), or read to be."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
