@@ -38,7 +38,7 @@ class Pretended:
         self._state = State(
             name="failstop", enabled=True, estop=None, cause=None, blocked=None if self._driving else "cmd timeout",
             body_vel=Velocity(0.1 * self._driving, 0.0, 0.0),
-            wheels_radps=Wheels(*(2.5 * self._driving,) * 4), epoch=1, waiting_for=None,
+            wheels_radps=Wheels((2.5 * self._driving,) * 4), epoch=1, waiting_for=None,
             device=Device("/dev/ttyACM0", "open", "alive"),
             processes=dict.fromkeys(PROCESS_NAMES, process), starved=None, clients=(), sources=(), scan_age_s=0.05,
             last_stop=None, imu=None, gyro_bias=None, odometry=None, pad_mode=None, battery_v=12.0,
@@ -71,7 +71,7 @@ class Pretended:
         stop = Stop(cause, str(cause), time.time(), "port_owner", "port_owner", 2e-4, None, None, epoch)
         self._state = dataclasses.replace(
             self._state, enabled=False, estop=str(cause), cause=cause, blocked=f"estop: {cause}", epoch=epoch,
-            body_vel=Velocity(0.0, 0.0, 0.0), wheels_radps=Wheels(*(0.0,) * 4), last_stop=stop,
+            body_vel=Velocity(0.0, 0.0, 0.0), wheels_radps=Wheels((0.0,) * 4), last_stop=stop,
         )  # fmt: skip
         return ""
 

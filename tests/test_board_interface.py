@@ -22,7 +22,9 @@ from failstop.doctor import stop_path
 from failstop.doctor.look import OK
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout
-from failstop.policy.settings import BOARDS, Settings
+from failstop.messages.box import MOST_SPEEDS
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.port_owner.schedule import Pings
@@ -167,9 +169,13 @@ def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
         assert getattr(board, name) is not None
     assert board.burst.startswith(board.first_stop)
     assert board.burst_with(()) == board.burst
-    assert board.motor_speeds((0.0, -0.0, 0.0, 0.0), 1.0) == board.stop
+    assert board.wheels == Settings({"board.kind": kind}).speeds <= MOST_SPEEDS
+    assert board.motor_speeds((-0.0,) * board.wheels, 1.0) == board.stop
     assert board.check_motion(board.stop, 0.0) == ""
-    assert board.check_aux(board.motor_speeds((0.5, 0.5, 0.5, 0.5), 1.0))
+    assert board.check_aux(board.motor_speeds((0.5,) * board.wheels, 1.0))
+    for wrong in (board.wheels - 1, board.wheels + 1):
+        with pytest.raises(FrameError):
+            board.motor_speeds((0.0,) * wrong, 1.0)
     assert len(set(board.pings)) == len(board.pings) <= layout.PINGS
     assert len(board.repeats_ns) == 3
     assert all(list(row) == sorted(set(row)) and max((0, *row)) < LEAVE_AFTER_NS for row in board.repeats_ns)
@@ -180,13 +186,13 @@ def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
 def test_a_board_of_two_speeds_is_told_no_more_than_its_limit(kind: str) -> None:
     board = board_of(*Settings({"board.kind": kind}).board())
     most = board.most_rps
-    fast = board.motor_speeds((most, most, -most, -most), most)
+    fast = board.motor_speeds((most, -most), most)
     assert board.check_motion(fast, most) == ""
     assert board.check_motion(fast, most * 0.9) != ""
-    assert board.motor_speeds((0.5, 1.0, 0.0, 1.0), 1.0) != board.motor_speeds((0.0, 1.0, 0.5, 1.0), 1.0)
+    assert board.motor_speeds((0.5, 0.0), 1.0) != board.motor_speeds((0.0, 0.5), 1.0)
     for bad in (nan, inf, 1.001):
         with pytest.raises(FrameError):
-            board.motor_speeds((0.0, 0.0, bad, 0.0), 1.0)
+            board.motor_speeds((0.0, bad), 1.0)
 
 
 def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 from failstop.messages import box
 from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
+from failstop.policy.layouts import WHEEL_NAMES
 
 PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]
@@ -46,17 +47,18 @@ class Velocity(NamedTuple):
     """rad/s counter-clockwise, seen from above."""
 
 
-class Wheels(NamedTuple):
-    """The speed of each wheel in rad/s: positive rolls the robot forward, however the motor is mounted."""
+class Wheels(tuple[float, ...]):
+    """The speed of each wheel in rad/s: positive is forward, and of three omni wheels counter-clockwise."""
 
-    front_left: float
-    """rad/s."""
-    rear_left: float
-    """rad/s."""
-    front_right: float
-    """rad/s."""
-    rear_right: float
-    """rad/s."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """front_left, rear_left, front_right, rear_right; or left, rear, right; or left, right."""
+        return tuple(name.replace(" ", "_") for name in WHEEL_NAMES[len(self)])
+
+    def __getattr__(self, name: str) -> float:
+        if name in self.names:
+            return self[self.names.index(name)]
+        raise AttributeError(f"no wheel {name!r}: this robot has {', '.join(self.names)}", name=name, obj=self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,8 +86,7 @@ class Stop:
     sent: bool = True
     """False: its bytes were found to be still in the kernel; the board takes none."""
     acknowledged_by: str = "answer"
-    """The proof by which this board acknowledges: its answer (to a ping), or its echo (of the command that it obeys);
-    empty: it acknowledges nothing."""
+    """The proof by which the board acknowledges: answer (to a ping), echo (of what it obeys); empty: by none."""
     observed_by: str = "IMU"
     """Source of `observed_s`: IMU, or wheels (the board's own reports of them)."""
 
@@ -274,8 +275,7 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where it is as far as is known, rad: where it was sent, since while it moves no servo is asked, or else where
-        it was read to be."""
+        """Where it is as far as is known, rad: sent (no servo is asked while it moves), or read to be."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 

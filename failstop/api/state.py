@@ -30,10 +30,13 @@ T = TypeVar("T")
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
-WHEELS = (1, 2, 3, 4)
-"""As the settings number them: front and rear on the left, front and rear on the right."""
 
-STANDING: dict[str, Any] = {"enabled": False, "body_vel": (0.0,) * 3, "wheels_rps": (0.0,) * 4, "sources": []}
+STANDING: dict[str, Any] = {
+    "enabled": False,
+    "body_vel": (0.0,) * 3,
+    "wheels_rps": (0.0,) * box.MOST_SPEEDS,
+    "sources": [],
+}
 """Of the gate's record: what stands while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
 """The gate's record before a run's first gate has published one: a run begins with motion disabled."""
@@ -125,8 +128,7 @@ class StateReader(SeenRun):
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
-        given = Settings(dict(self.settings()))
-        return [(int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS]
+        return [(id_, sign * 2 * pi) for id_, sign in Settings(dict(self.settings())).mounted()]
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
@@ -149,7 +151,7 @@ class StateReader(SeenRun):
             cause=cause,
             blocked=decided["blocked"],
             body_vel=snapshot.Velocity(*decided["body_vel"]),
-            wheels_radps=snapshot.Wheels(*(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted)),
+            wheels_radps=snapshot.Wheels(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted),
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),

@@ -1,4 +1,4 @@
-"""Described: a board of two speeds that a Wire describes, as failstop drives it: without an arm, a gamepad or keys."""
+"""Described: a board that a Wire describes, as failstop drives it: without an arm, a gamepad or keys."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from failstop.board.interface import Said
     from failstop.board.wire import Wire
 
-_LEFT, _RIGHT = 0, 2
-"""Wire ids of the wheels whose speeds it takes."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 _NO_ARM = "this board has no servos"
@@ -74,11 +72,11 @@ def _said(sample: Sample) -> list[Said]:
 
 
 class Described(Board):
-    """Left and right, in the unit of the wire's motion."""
+    """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "burst", "commanders", "echo_ns", "first_stop", "idle_ns",
-        "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
+        "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = False
@@ -97,6 +95,7 @@ class Described(Board):
         self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.usb, self.commanders = wire.usb, wire.commanders
+        self.wheels = wire.motion.wheels
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
@@ -108,22 +107,19 @@ class Described(Board):
         return Samples(self._wire)
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame for the left and the right wheel."""
+        """The frame for all of its wheels."""
         limit = self._limit(max_rps)
-        both = (number("speed of a wheel", rps[id_], -max_rps, max_rps, "rps") for id_ in (_LEFT, _RIGHT))
-        return self._motion.frame(tuple(max(-limit, min(speed * self._per_rps, limit)) for speed in both), limit)
+        every = [number("speed of a wheel", speed, -max_rps, max_rps, "rps") for speed in rps]
+        return self._motion.frame(tuple([max(-limit, min(speed * self._per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
         """The wire's check, with the limit in its unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """Two wheels on a side."""
+        """Of all of its wheels."""
         found = self._motion.speeds(frame)
-        if found is None:
-            return None
-        left, right = (speed / self._per_rps for speed in found)
-        return left, left, right, right
+        return None if found is None else tuple([speed / self._per_rps for speed in found])
 
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)

@@ -79,6 +79,8 @@ class Board:
     """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
     observed_by: str
     """BY_IMU or BY_WHEELS."""
+    wheels: int
+    """How many speeds a frame sets, at most box.MOST_SPEEDS: their wire ids are counted from 0."""
     most_rps: float
     """The fastest wheel that it can be told."""
     usb: tuple[str, ...]
@@ -97,8 +99,8 @@ class Board:
         raise NotImplementedError
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. A board of two speeds
-        takes those of the wire ids 0 (left) and 2 (right). Raises FrameError, for a speed that is not finite too."""
+        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError, for
+        a speed that is not finite and for another number of them too."""
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
@@ -106,7 +108,7 @@ class Board:
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds that a motion frame sets, in rps by the wire ids 0 to 3; None for other bytes. Never raises."""
+        """The speeds that a motion frame sets, in rps by wire id; None for other bytes. Never raises."""
         raise NotImplementedError
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

@@ -42,13 +42,16 @@ def watchdog_of(kind: str) -> tuple[float, str]:
     return (watchdog.set_ns or watchdog.after_ns) / 1e9, watchdog.does
 
 
-def board_of(kind: str, diameter_m: float, per_rps: float) -> Board:
+def board_of(
+    kind: str, diameter_m: float, per_rps: float, steering: tuple[str, int, int, float, float] | None = None
+) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it. Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
+    boards usually have it; `steering`: the servo of a base that is steered, as rrc/steering.py has it. Nothing of
+    another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 
         wire = wire_of(kind)
         return Described(wire, per_rps or wire.motion.per_rps(diameter_m))
-    board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps)
+    board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

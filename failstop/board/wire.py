@@ -95,7 +95,7 @@ class Motion(Data):
     """Motion from the speeds of the wheels, in the board's own unit."""
 
     wheels: int
-    """How many speeds there are: left and right, or one for each wheel."""
+    """How many speeds there are: two (left and right), three or four."""
     unit: str
     limit: float
     """The largest speed that the board takes."""
@@ -114,7 +114,7 @@ class Motion(Data):
     """(frame, limit): why these bytes must not be written as a motion frame; "" when they may. Never raises on
     bytes."""
     speeds: Callable[[bytes], Sequence[float] | None]
-    """Left and right, as a motion frame sets them; None for other bytes. Never raises on bytes."""
+    """Those that a motion frame sets; None for other bytes. Never raises on bytes."""
 
 
 class Sample:
@@ -218,7 +218,8 @@ def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
     """Why these speeds must not be commanded; "" when they may."""
     if not 0.0 <= limit <= most:
         return f"limit {limit}, must be 0 to {most:g}"
-    for name, speed in zip(("left", "right"), speeds, strict=True):
+    names = ("left", "right") if len(speeds) == 2 else range(len(speeds))
+    for name, speed in zip(names, speeds, strict=True):
         if not -limit <= speed <= limit:  # a chained comparison is false for NaN
             return f"{name} at {speed:g}, limit {limit:g}"
     return ""

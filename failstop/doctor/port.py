@@ -10,7 +10,7 @@ from failstop.board.kinds import board_of
 from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import Holder
-from failstop.policy.settings import BOARDS
+from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 LINK = "/dev/failstop"

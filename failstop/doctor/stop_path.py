@@ -23,8 +23,8 @@ from failstop.board.tap import Tap
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
+from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
-from failstop.policy.settings import BOARDS
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5

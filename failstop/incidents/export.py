@@ -10,7 +10,7 @@ from typing import Any
 from failstop import extras
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import WHEELS, Incident
+from failstop.incidents.incident import Incident
 from failstop.messages.records import RATE_VARIANCE
 
 NEEDS = extras.missing("an export needs MCAP", "export")
@@ -88,7 +88,7 @@ def _motion(incident: Incident) -> Iterator[Message]:
         for topic, (vx, vy, wz) in (("command", tick.command), ("gated", tick.velocity)):
             if topic == "gated" or tick.commands:
                 yield tick.ns, topic, {"twist": {"linear": {"x": vx, "y": vy}, "angular": {"z": wz}}}
-    names = [name.replace(" ", "_") for name in WHEELS]
+    names = [name.replace(" ", "_") for name in incident.wheels]
     for write in incident.writes:
         if speeds := write.speeds_rps:
             yield write.ns, "wheels", {"name": names, "velocity": [speed * tau for speed in speeds]}

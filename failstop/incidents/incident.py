@@ -16,14 +16,14 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
 from failstop.policy import causes
+from failstop.policy.layouts import BOARDS, WHEEL_NAMES, wheel_ids
 from failstop.policy.processes import PROCESS_BY_NAME
-from failstop.policy.settings import BOARDS, BY_KEY
+from failstop.policy.settings import BY_KEY
 
 if TYPE_CHECKING:
     from failstop.board.interface import Board
 
 Payload = TypeVar("Payload")
-WHEELS = ("front left", "rear left", "front right", "rear right")
 MOVES_AT = 8
 """Where the first servo of a move stands in its frame."""
 DRIVING = "driving"
@@ -59,7 +59,7 @@ class Tick(NamedTuple):
     """m/s forward, m/s left, rad/s counter-clockwise; may be anything, NaN too."""
     velocity: tuple[float, float, float]
     """The gate's own command for it."""
-    wheels_rps: tuple[float, float, float, float]
+    wheels_rps: tuple[float, ...]
     source: str
     who: str
 
@@ -84,7 +84,7 @@ class PortWrite(NamedTuple):
     head: bytes = b""
     """The frame's first bytes."""
     speeds_rps: tuple[float, ...] | None = None
-    """The speeds that it sets, as WHEELS; None: it sets none."""
+    """The speeds that it sets, in the order of Incident.wheels; None: it sets none."""
 
 
 class Incident:
@@ -112,7 +112,9 @@ class Incident:
         before this sample that was seen), as layout.PROCESS_NAMES."""
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
-        ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
+        ids = wheel_ids(self.settings)
+        self.wheels = WHEEL_NAMES[len(ids)]
+        """The names of the wheels, in the order of their numbers."""
         spoken = self._board()
         writes = [_write(spoken, ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
         writes += [_write(spoken, ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
@@ -256,10 +258,10 @@ class Incident:
 def _write(
     board: Board | None, ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
 ) -> PortWrite:
-    """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
+    """Of a kind of box.pack_wire; `ids`: of the wheels, on the wire."""
     speeds: tuple[float, ...] | None = None
     if kind == box.WIRE_BURST:
-        sort, speeds = WriteSort.STOP_BURST, (0.0,) * framing.WHEELS
+        sort, speeds = WriteSort.STOP_BURST, (0.0,) * len(ids)
     elif kind == box.WIRE_REST:
         sort = WriteSort.REST
     elif board and (found := board.speeds(board.stop if head == board.refresh else head)) is not None:

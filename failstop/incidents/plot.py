@@ -15,7 +15,7 @@ from failstop import extras
 from failstop.api import words
 from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, WriteSort, named
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, WriteSort, named
 from failstop.incidents.story import Line
 from failstop.messages import box, layout
 from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
@@ -166,10 +166,10 @@ def _wheels(axes: Axes, incident: Incident) -> None:
     """Speeds that were written to the board, not those that were decided: the two differ where the port owner refused.
     The wheels of one side often turn alike, and both are to be seen."""
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
-    for index, name in enumerate(WHEELS):
+    for index, name in enumerate(incident.wheels):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
-        speeds_rps = [speeds[index] for _, speeds in frames]
-        axes.step(_at(incident, frames), speeds_rps, where="post", label=name, color=f"C{index // 2}", **line)
+        line |= {"where": "post", "label": name, "color": f"C{2 * index // len(incident.wheels)}"}
+        axes.step(_at(incident, frames), [speeds[index] for _, speeds in frames], **line)
 
 
 def _joints(axes: Axes, incident: Incident) -> None:

@@ -47,8 +47,8 @@ ENABLED, MANUAL, DRIVES = 1, 2, 4
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 """Bytes for the board: the stop burst; one frame, whose first bytes follow; what the kernel had not taken of either."""
-WIRE_HEAD = 35
-"""Bytes of a frame that are kept: a motor frame of four wheels is 27."""
+WIRE_HEAD = 39
+"""Bytes of a frame that are kept: a motor frame of four wheels is 27, and 12 more steer at most."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
 
@@ -60,8 +60,11 @@ OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 MOST_U32 = 0xFFFFFFFF
 
-TICK = Shape("<IBBBxI3f3f4f16s", records.rest(SHORT_WHO_BYTES))
-"""A tick of the gate, as unpack_gate() has it."""
+MOST_SPEEDS = 5
+"""Speeds in a frame for the board, at most; of a steered base the last is the angle of its steering in rad."""
+TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
+"""A tick of the gate, as unpack_gate() has it. It has room for the most speeds, and says how many of them there are: a
+record of one size needs no layout for each board."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
 """Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
 REPORTS: dict[int, Shape] = {
@@ -127,8 +130,9 @@ OWN_BURST_RECORD = bytes((OWN_BURST,))
 
 def unpack_gate(payload: bytes) -> dict[str, Any]:
     """A tick of the gate: epoch, block (a word of DECISIONS), enabled, manual, drives, commands (since the tick
-    before), age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
-    epoch, block, flags, commands, age_us, *numbers, source, who = TICK.unpack(payload)
+    before), age_us (None: no command yet), command, velocity, wheels_rps (by wire id), source, who. Raises
+    ValueError."""
+    epoch, block, flags, commands, speeds, age_us, *numbers, source, who = TICK.unpack(payload)
     return {
         "epoch": epoch,
         "block": DECISIONS[block] if block < len(DECISIONS) else f"unknown {block}",
@@ -139,7 +143,7 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
         "age_us": None if age_us == MOST_U32 else age_us,
         "command": tuple(numbers[:3]),
         "velocity": tuple(numbers[3:6]),
-        "wheels_rps": tuple(numbers[6:]),
+        "wheels_rps": tuple(numbers[6 : 6 + speeds]),
         "source": source.rstrip(b"\0").decode("ascii", "replace"),
         "who": who.decode("utf-8", "replace"),
     }

@@ -15,7 +15,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.segment import Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 10
+LAYOUT_VERSION = 11
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8

@@ -1,77 +1,135 @@
 """Kinematics of a wheeled base: body velocity to wheel speeds, in each of the layouts there are. Pure.
 
-Body velocity is x forward, y left, wz counter-clockwise. Wheels 1 and 2 are on the left, front and rear; 3 and 4 on the
-right. Speeds come in the order of the ids on the wire, each with the sign of how its motor is mounted.
+Body velocity is x forward, y left, wz counter-clockwise. Speeds come in the order of the ids on the wire, each with the
+sign of how its motor is mounted. The wheels of two sides are numbered left before right, and front before rear.
 
-A wheel at rest is +0.0, never -0.0: the frame of four zeros is then the stop frame to the byte.
+A wheel at rest is +0.0, never -0.0: the frame of zeros is then the stop frame to the byte.
 """
 
 from __future__ import annotations
 
-from math import pi
+from collections.abc import Sequence
+from math import atan2, copysign, cos, pi, radians, sin, tan
 
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
 
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
-WheelSpeeds = tuple[float, float, float, float]
-Whole = tuple[int, ...]
+WheelSpeeds = tuple[float, ...]
+RimSpeeds = tuple[float, float, float]
+"""How fast a wheel rolls at its rim, in m/s, for each of vx and vy in m/s, and wz in rad/s."""
 
-# The right-hand motors are mounted the other way round.
-SIGNS = (1, 1, -1, -1)
-IDS = (0, 1, 2, 3)
-WAYS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-"""How each wheel turns for a way to the left, and for a turn to the left; all go forward alike."""
+FIXED, MECANUM = 0.0, 1.0
+"""How much wheels of two sides follow vy."""
+AXES = {
+    "mecanum": (1.0, 1.0, 1.0),
+    "differential": (1.0, 0.0, 1.0),
+    "omni3": (1.0, 1.0, 1.0),
+    ACKERMANN: (1.0, 0.0, 1.0),
+}
+"""Factors of (vx, vy, wz) that each layout can follow: a limit times its factor is the limit that holds."""
 
 
 class Chassis:
-    """Four equal wheels. All of them follow vx and wz; mecanum wheels follow vy too."""
+    """Wheels of one diameter: each turns in proportion to the body's velocity."""
 
-    __slots__ = ("_lever_m", "_turns_per_m", "_wheels", "axes")
+    __slots__ = ("_rows", "axes", "rest")
+    steers = False
+    """The last of its speeds is the angle of the steered wheels, in rad to the left."""
 
-    def __init__(self, diameter_m: float, lever_m: float, sideways: float, signs: Whole, ids: Whole) -> None:
-        """`lever_m`: of each wheel about the middle; `sideways`: 1 when they follow vy, else 0."""
-        self._turns_per_m = 1 / (pi * diameter_m)
-        self._lever_m = lever_m
-        self._wheels = [(signs[wheel] * self._turns_per_m, *WAYS[wheel]) for wheel in map(ids.index, IDS)]
-        self.axes = (1.0, sideways, 1.0)
-        """Factors of (vx, vy, wz) that the wheels can follow: a limit times its factor is the limit that holds."""
+    def __init__(
+        self,
+        axes: Velocity,
+        rows: Sequence[RimSpeeds],
+        diameter_m: float,
+        mounted: Sequence[tuple[int, int]],
+        speeds: int,
+    ) -> None:
+        """`rows`: of each wheel; `mounted`: its id on the wire and its sign; `speeds`: so many are sent, and those of
+        ids without a wheel are zero."""
+        self.axes = axes
+        self.rest = (0.0,) * speeds
+        turns_per_m = 1 / (pi * diameter_m)
+        by_id = {
+            id_: tuple(sign * turns_per_m * rim for rim in row) for row, (id_, sign) in zip(rows, mounted, strict=True)
+        }
+        self._rows = [by_id.get(id_, (0.0, 0.0, 0.0)) for id_ in range(speeds)]
+
+    def reach(self, velocity: Velocity) -> Velocity:
+        """The velocity that the base can have, nearest to this."""
+        return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
         """Revolutions per second by wire id. What no wheel can follow moves nothing."""
-        turn, aside = wz_radps * self._lever_m, vy_mps * self.axes[1]
         # Adding zero makes +0.0 of -0.0.
-        a, b, c, d = (
-            (vx_mps + sideways * aside + about * turn) * turns_per_m + 0.0
-            for turns_per_m, sideways, about in self._wheels
-        )
-        return a, b, c, d
+        return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
         """The fastest that any wheel can turn within these limits (each at least 0)."""
-        return (vx_mps + vy_mps * self.axes[1] + wz_radps * self._lever_m) * self._turns_per_m
+        return max(abs(x) * vx_mps + abs(y) * vy_mps + abs(z) * wz_radps for x, y, z in self._rows)
 
 
-def mecanum(diameter_m: float, wheelbase_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Chassis:
-    """Four mecanum wheels: moves along x and y and turns."""
-    return Chassis(diameter_m, (wheelbase_m + track_m) / 2, 1.0, signs, ids)
+class Steered(Chassis):
+    """Two driven wheels at the rear, and a steered axle in front (Ackermann): it turns only while it drives."""
+
+    __slots__ = ("_rear", "_turns_most", "_wheelbase_m")
+    steers = True
+
+    def __init__(self, rear: Chassis, wheelbase_m: float, most_rad: float) -> None:
+        """`rear`: the driven wheels; `most_rad`: the largest angle of the steered ones."""
+        self._rear, self._wheelbase_m = rear, wheelbase_m
+        self._turns_most = tan(most_rad) / wheelbase_m
+        self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
+
+    def reach(self, velocity: Velocity) -> Velocity:
+        """The velocity that it can have, at this speed forward: no narrower curve than its steering makes."""
+        vx, _, wz = velocity
+        most = abs(vx) * self._turns_most
+        return vx, 0.0, max(-most, min(most, wz))
+
+    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
+        """Revolutions per second by wire id, and then the angle of the steered wheels; 0 at rest, where it says nothing
+        of where they stand."""
+        vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
+        angle = atan2(copysign(self._wheelbase_m * wz, vx * wz), abs(vx)) if vx and wz else 0.0
+        return *self._rear.wheels_rps(vx, vy, wz), angle
+
+    def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
+        """The fastest wheel: the outer one of the narrowest curve."""
+        return self._rear.worst_rps(*self.reach((vx_mps, vy_mps, wz_radps)))
 
 
-def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Chassis:
-    """Fixed wheels on two sides, two each: moves along x and turns. The turn is that of a base which pivots between its
-    wheels; one that skids turns less, and is given a wider track."""
-    return Chassis(diameter_m, track_m / 2, 0.0, signs, ids)
+def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
+    """Wheels on a left and a right side, two or four of them. `lever_m`: of each about the middle; `sideways`: how much
+    it follows vy. A way to the left turns the front left and the rear right mecanum wheel backward."""
+    sides = (-1.0, 1.0) if wheels == 2 else (-1.0, -1.0, 1.0, 1.0)
+    return [(1.0, (side if number % 2 == 0 else -side) * sideways, side * lever_m) for number, side in enumerate(sides)]
+
+
+def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
+    """Omni wheels around the middle, each of which rolls one way, in degrees counter-clockwise from forward, and slips
+    across it. All of them forward turn the robot counter-clockwise."""
+    # Rounded, so that a wheel across the way of the robot stands.
+    return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
 
 def from_settings(settings: Settings) -> Chassis:
-    """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
-    signs, ids = (tuple(int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4)) for what in ("sign", "id"))
-    diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]
-    layout = settings.text("wheels.layout")
-    if layout == "mecanum":
-        return mecanum(diameter_m, settings["wheels.wheelbase_m"], track_m, signs, ids)
-    if layout == "differential":
-        return differential(diameter_m, track_m, signs, ids)
-    raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
+    """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]."""
+    layout, mounted = settings.text("wheels.layout"), settings.mounted()
+    if layout == "omni3":
+        rows = omni(settings["wheels.lever_m"], [settings[f"wheels.angle_{number}_deg"] for number in (1, 2, 3)])
+    elif layout == "mecanum":
+        rows = two_sides(len(mounted), (settings["wheels.wheelbase_m"] + settings["wheels.track_m"]) / 2, MECANUM)
+    elif layout == "differential":
+        # A base that skids turns less than one that pivots between its wheels, and is given a wider track.
+        rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
+    elif layout == ACKERMANN:
+        rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
+        rear = Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)
+        return Steered(rear, settings["wheels.wheelbase_m"], radians(settings["steering.most_deg"]))
+    else:
+        raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
+    return Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)
 
 
 def max_wheel_rps(settings: Settings) -> float:

@@ -76,3 +76,12 @@ class Setting(Data):
         if isinstance(self.default, str):
             return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+
+def all_differ(values: dict[str, float | str]) -> None:
+    """Raise SettingError if two of these settings have the same value."""
+    seen: dict[float | str, str] = {}
+    for key, value in values.items():
+        if value in seen:
+            raise SettingError(f"{key} = {value}: {seen[value]} is {value} too; no two may be equal")
+        seen[value] = key

@@ -7,7 +7,11 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
-from failstop.policy.setting import Setting, SettingError, shown
+from math import radians
+
+from failstop.policy import layouts, robots
+from failstop.policy.layouts import BOARDS, NUMBERS
+from failstop.policy.setting import Setting, SettingError, all_differ, shown
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
@@ -21,18 +25,17 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 SWITCH = ("on", "off")
 DEATHS = ("disable", "latch", "stay")
 TURNS = ("none", "yaw", "pitch", "roll")
-LAYOUTS = ("mecanum", "differential")
-BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
-"""The kinds of boards, each a folder of the board room that describes it."""
-OF_FOUR_WHEELS = ("rrc",)
-"""The others take two speeds, left and right, and know how their motors are mounted."""
-OF_TWO_SPEEDS: dict[str, float | str] = {"wheels.layout": "differential", "wheels.sign_3": 1, "wheels.sign_4": 1}
-"""Defaults for these."""
 WEB_TLS = ("auto", "on", "off")
 
 DECLARED = (
     _word("device.path", "/dev/ttyACM0", "the motor board's port"),
     Setting("board.kind", BOARDS[0], "", None, None, "the motor board", BOARDS, or_folder=True),
+    _word(
+        "board.robot",
+        robots.USUAL_ROBOT,
+        "the robot, of those with the board rrc: its sizes",
+        tuple(robots.EVERY_ROBOT),
+    ),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
@@ -44,18 +47,7 @@ DECLARED = (
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
-    _word("wheels.layout", "mecanum", "how body velocity becomes wheel speeds", LAYOUTS),
-    Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
-    Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
-    Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
-    _word("wheels.sign_1", 1, "front left: 1 if its motor turns forward on a positive speed", (1, -1)),
-    _word("wheels.sign_2", 1, "rear left: 1 if its motor turns forward on a positive speed", (1, -1)),
-    _word("wheels.sign_3", -1, "front right: -1 for a motor mounted the other way round", (1, -1)),
-    _word("wheels.sign_4", -1, "rear right: -1 for a motor mounted the other way round", (1, -1)),
-    Setting("wheels.id_1", 0, "", 0, 3, "the front left motor's id on the wire; the four differ"),
-    Setting("wheels.id_2", 1, "", 0, 3, "the rear left motor's id"),
-    Setting("wheels.id_3", 2, "", 0, 3, "the front right motor's id"),
-    Setting("wheels.id_4", 3, "", 0, 3, "the rear right motor's id"),
+    *layouts.OF_THE_BASE,
     _word("scan.gate", "on", "software commands move nothing while the sensor is silent", SWITCH),
     Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),
     _word("attend.required", "off", "motion needs an operator who keeps confirming that he is there", SWITCH),
@@ -162,7 +154,6 @@ FIRST_SOURCE = "cmd_vel"
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
-WHEEL_IDS = ("wheels.id_1", "wheels.id_2", "wheels.id_3", "wheels.id_4")
 MOST_TOLD = 8
 """Wrong settings that are told of at once."""
 
@@ -191,8 +182,7 @@ class Settings:
         if wrong:
             more = f"; and {len(wrong) - MOST_TOLD} more" if len(wrong) > MOST_TOLD else ""
             raise SettingError("; ".join(wrong[:MOST_TOLD]) + more)
-        if self.values["board.kind"] not in OF_FOUR_WHEELS:
-            self.values |= {key: value for key, value in OF_TWO_SPEEDS.items() if key not in (changed or {})}
+        layouts.fill_base(self.values, changed or {})
         self._fill_named()
         self._cross_check()
 
@@ -250,20 +240,17 @@ class Settings:
                 raise SettingError(f"{said(longer)} must be longer than {said(shorter)}")
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
-        _check_distinct({key: self.values[key] for key in WHEEL_IDS})
-        if self.values["board.kind"] not in OF_FOUR_WHEELS:
-            self._check_two_speeds()
+        layouts.check_base(self.values)
+        if self.values["board.kind"] != BOARDS[0] and self.named["joints"]:
+            joint = next(iter(self.named["joints"]))
+            raise SettingError(f"joints.{joint}: board.kind {self.values['board.kind']} has no servos")
         for family, key in (("sources", "priority"), ("joints", "servo")):
-            _check_distinct({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
+            all_differ({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
+        if self.values.get("steering.kind") == "bus":
+            joints = {f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()}
+            all_differ({"steering.servo": self.values["steering.servo"], **joints})
         for name, table in self.named["joints"].items():
             _check_joint(f"joints.{name}", table)
-
-    def _check_two_speeds(self) -> None:
-        kind, wheels = self.values["board.kind"], self.values["wheels.layout"]
-        if wheels != "differential":
-            raise SettingError(f'wheels.layout = "{wheels}": board.kind {kind} takes "differential"')
-        if self.named["joints"]:
-            raise SettingError(f"joints.{next(iter(self.named['joints']))}: board.kind {kind} has no servos")
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -299,9 +286,26 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float]:
-        """The board: its kind, the wheels' diameter in m, and a turn a second in its unit (0: as usual)."""
-        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"]
+    def board(self) -> tuple[str, float, float, tuple[str, int, int, float, float] | None]:
+        """The board, as failstop/board/kinds.py takes it: its kind, the wheels' diameter in m, a turn a second in its
+        unit (0: as usual), and the servo that steers (None: none does): its kind, its id, its pulses for straight
+        ahead and for a radian to the left, the largest angle in rad."""
+        steering = None
+        if self.text("wheels.layout") == layouts.ACKERMANN:
+            servo, centre = int(self["steering.servo"]), int(self["steering.centre"])
+            per_rad = self["steering.sign"] * self["steering.per_rad"]
+            steering = self.text("steering.kind"), servo, centre, per_rad, radians(self["steering.most_deg"])
+        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"], steering
+
+    @property
+    def speeds(self) -> int:
+        """How many speeds a frame for the board has: one for each id on the wire."""
+        return layouts.SPEEDS.get(self.text("board.kind"), len(self.mounted()))
+
+    def mounted(self) -> list[tuple[int, int]]:
+        """Of each wheel the id of its motor on the wire, and the sign, in the order of the wheels' numbers."""
+        numbers = [number for number in NUMBERS if f"wheels.id_{number}" in self.values]
+        return [(int(self[f"wheels.id_{number}"]), int(self[f"wheels.sign_{number}"])) for number in numbers]
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
@@ -327,14 +331,6 @@ class Settings:
             key, value = line.split("=", 1)
             changed[key] = type(declaration(key).default)(value)
         return cls(changed)
-
-
-def _check_distinct(values: dict[str, float | str]) -> None:
-    seen: dict[float | str, str] = {}
-    for key, value in values.items():
-        if value in seen:
-            raise SettingError(f"{key} = {value}: {seen[value]} is {value} too; no two may be equal")
-        seen[value] = key
 
 
 def _check_joint(key: str, table: dict[str, float | str]) -> None:

@@ -113,7 +113,7 @@ JOINT_STATES = Topic(
     "sensor_msgs/msg/JointState",
     PLAIN,
     10,
-    "the four wheels: position and velocity integrated from what was commanded",
+    "the wheels: position and velocity integrated from what was commanded",
 )
 STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON; its keys are below")
 STATUS = Topic(

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from math import cos, nan, sin
 from typing import Any
 
+from failstop.api import snapshot
 from failstop.api.snapshot import ArmState, Imu, Odometry, Pad
 
 Fields = dict[str, Any]
@@ -20,8 +21,6 @@ CHARGE = {"plugged": 1, "unplugged": 2, "unknown": 0}
 """power_supply_status: charging, discharging, unknown."""
 FULL_AXIS = 127.0
 BUTTONS = 16
-WHEELS = ("wheel_front_left", "wheel_rear_left", "wheel_front_right", "wheel_rear_right")
-"""The joints of the wheels, in the order of their motors."""
 X, Y, YAW = 0, 7, 35
 """Where x, y and yaw have their variance in a covariance of 36."""
 
@@ -134,16 +133,23 @@ class Wheels:
     """The wheels' joints: how far each has turned, by what was commanded; positive turns forward."""
 
     def __init__(self) -> None:
-        self._position_rad = [0.0] * 4
-        self._velocity_radps = [0.0] * 4
-        self._ns: int | None = None
+        self._names: list[str] = []
+        """Of the joints; empty before a service has said how many there are."""
+        self._position_rad: list[float] = []
+        self._velocity_radps: list[float] = []
+        self._ns = 0
 
-    def follow(self, wheels_radps: Sequence[float], now_ns: int) -> None:
-        """The speeds commanded from now on: State.wheels_radps."""
-        if self._ns is not None:
-            for at, speed_radps in enumerate(self._velocity_radps):
-                self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
+    def follow(self, wheels_radps: snapshot.Wheels | None, now_ns: int) -> None:
+        """The speeds commanded from now on: State.wheels_radps; None: there is no service, and they are zero."""
+        for at, speed_radps in enumerate(self._velocity_radps):
+            self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
         self._ns = now_ns
+        if wheels_radps is None:
+            self._velocity_radps = [0.0] * len(self._names)
+            return
+        if len(wheels_radps) != len(self._names):
+            self._names = [f"wheel_{name}" for name in wheels_radps.names]
+            self._position_rad = [0.0] * len(self._names)
         self._velocity_radps = list(wheels_radps)
 
     def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
@@ -152,4 +158,4 @@ class Wheels:
         joints = arm.joints if arm else {}
         found = {name: joint.at_rad for name, joint in joints.items() if joint.at_rad is not None}
         position = [*self._position_rad, *found.values()]
-        return [*WHEELS, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])
+        return [*self._names, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])

@@ -179,7 +179,7 @@ class Outward:
     def _lost(self, error: FailstopError) -> None:
         self._shared.problem = str(error)
         self._shared.state = None
-        self._wheels.follow((0.0,) * 4, monotonic_ns())
+        self._wheels.follow(None, monotonic_ns())
 
     def _follow(self, now_ns: int, *, due: bool = False) -> None:
         """Publish what goes with the state: on every change that is noticed, and, when it is due, at its rate."""
@@ -233,7 +233,8 @@ class Outward:
             lengths = [0.0] * len(names)
             constant = {"name": names, "position": lengths, "velocity": lengths}
             self._keep(contract.JOINT_STATES, constant, messages.JOINT_PLACES)
-        self._send(contract.JOINT_STATES, values)
+        if names:
+            self._send(contract.JOINT_STATES, values)
         if state and self._heard.get(STATUS.name):
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **report.status(state)})
 

@@ -24,7 +24,6 @@ from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import LeftOff, disabled_by_death
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
-NO_SPEEDS = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
@@ -59,7 +58,7 @@ class GateCore:
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
-        self.speeds = NO_SPEEDS
+        self.speeds = kinematics.rest
         self.notes: list[Note] = []
         """Notes for people, in order; the shell, which passes them on, empties the list."""
         self._left_off = LeftOff(now_ns)
@@ -166,7 +165,7 @@ class GateCore:
         self.enabled = False
         self.sources.clear()
         self.velocity = REST
-        self.speeds = NO_SPEEDS
+        self.speeds = self._kinematics.rest
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
@@ -226,6 +225,8 @@ class GateCore:
             self.velocity = REST
         else:
             self.velocity = self._ramped(driving.velocity, elapsed_s, REST if fell_back else self.velocity)
+            if self._kinematics.steers:
+                self.velocity = self._kinematics.reach(self.velocity)
         speeds = self._kinematics.wheels_rps(*self.velocity)
         if speeds == self.speeds and now_ns - self._sent_ns < self._refresh_ns:
             return None

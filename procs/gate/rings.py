@@ -52,6 +52,9 @@ class GateBox:
         age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
         source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
         block = box.DECISION.get(core.blocked(now_ns), 1)
-        numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds)
+        speeds = len(core.speeds)
+        room = (0.0,) * (box.MOST_SPEEDS - speeds)
+        numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds, *room)
         count, self._count = min(self._count, 255), 0
-        self._ring.put(box.TICK.pack(epoch & box.MOST_U32, block, flags, count, age_us, *numbers, source, who), now_ns)
+        head = (epoch & box.MOST_U32, block, flags, count, speeds, age_us)
+        self._ring.put(box.TICK.pack(*head, *numbers, source, who), now_ns)

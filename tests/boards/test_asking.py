@@ -18,7 +18,7 @@ from failstop.board.wire import Wire
 from failstop.lab.boards.live import LiveModel
 from failstop.lab.machine.robot import DEVICE, Robot
 from failstop.lab.sim.model import BoardModel
-from failstop.policy.settings import BOARDS
+from failstop.policy.layouts import BOARDS
 from tests.support.boards import own_folder
 
 NS = 1_000_000_000

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.board import own
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
@@ -16,6 +17,7 @@ from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
+from failstop.supervisor.fit import checked_board
 from tests.support import commands
 from tests.support.boards import own_folder
 from tests.support.pages import ROOT
@@ -38,15 +40,23 @@ def test_a_board_of_the_users_own_is_stopped_for_every_process(folder: str) -> N
             trial.recover(process, pid)
 
 
+def test_a_layout_that_its_wire_does_not_drive_is_refused(folder: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f'board.kind = "{folder}"\nwheels.layout = "omni3"\n')
+    with pytest.raises(SettingError) as refused:
+        checked_board(config.load(str(file)), str(file))
+    assert str(refused.value) == f"{file}: board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels"
+
+
 def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:
     assert wire_of(folder).stop.writes[0].data == wire_of("arduino").stop.writes[0].data
     assert type(model_of(folder).live()).__module__ == f"{own.OWN_PACKAGE}.receiver"
-    assert board_of(folder, 0.08, 0.0).motor_speeds((0.0,) * 4, 1.0) == board_of(folder, 0.08, 0.0).stop
+    assert board_of(folder, 0.08, 0.0).motor_speeds((0.0, 0.0), 1.0) == board_of(folder, 0.08, 0.0).stop
 
 
 def test_it_takes_two_speeds(folder: str) -> None:
     settings = Settings({"board.kind": folder})
-    assert (settings.text("wheels.layout"), settings["wheels.sign_3"]) == ("differential", 1)
+    assert (settings.text("wheels.layout"), settings.mounted()) == ("differential", [(0, 1), (1, 1)])
     with pytest.raises(SettingError, match="has no servos"):
         Settings({"board.kind": folder, "joints.base.servo": 1})
 

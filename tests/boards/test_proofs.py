@@ -13,8 +13,8 @@ from failstop.board.kinds import KINDS, board_of
 from failstop.board.ugv.wire import WATCHDOG_NS
 from failstop.cli.main import main
 from failstop.lab.trial import Trial, wait_for
+from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
-from failstop.policy.settings import BOARDS
 
 HEARD = {"arduino": BY_ANSWER, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 
 import random
 from math import inf, nan, pi
+from struct import Struct
 
 import pytest
 
 from failstop.board.arduino import codec as arduino
+from failstop.board.described import Described
 from failstop.board.framing import FrameError
 from failstop.board.hoverboard import codec as hoverboard
 from failstop.board.hoverboard import feedback
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.ugv import codec as ugv
-from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels
+from failstop.board.wire import Answer, Battery, Imu, Motion, Obeyed, Sample, Wheels, Wire, beyond
 from failstop.lab.boards.line import arrivals, model_of, play
+from failstop.policy.kinematics import from_settings
+from failstop.policy.settings import Settings
 from tests.support.amounts import amount
 from tests.support.boards import EVERY_KIND
 from tests.support.rooms import PACKAGE
@@ -174,7 +178,30 @@ def test_a_frame_tells_the_speeds_that_it_sets(kind: str) -> None:
     most = min(motion.apart / 2, motion.limit) / per_rps
     for _ in range(100):
         left, right = rng.uniform(-most, most), rng.uniform(-most, most)
-        told = board.speeds(board.motor_speeds((left, left, right, right), most))
-        assert told == pytest.approx((left, left, right, right), abs=2 * motion.step / per_rps)
-    assert board.speeds(board.stop) == (0.0,) * 4
+        told = board.speeds(board.motor_speeds((left, right), most))
+        assert told == pytest.approx((left, right), abs=2 * motion.step / per_rps)
+    assert board.speeds(board.stop) == (0.0, 0.0)
     assert not any(board.speeds(ask) for ask in board.pings)
+
+
+def test_a_wire_of_three_speeds_is_driven_in_its_own_unit() -> None:
+    """LeKiwi's: 4096 steps a turn, and 1129 of them a second for 0.1 m/s."""
+    steps = Struct("<3h")
+    own = wire_of("arduino")
+    motion = vars(own.motion) | {
+        "wheels": 3,
+        "limit": 3000.0,
+        "apart": 6000.0,
+        "frame": lambda speeds, _limit: steps.pack(*map(int, speeds)),
+        "rest": bytes(6),
+        "check": lambda frame, limit: beyond(steps.unpack(frame), limit, 3000.0),
+        "speeds": steps.unpack,
+    }
+    board = Described(Wire(**(vars(own) | {"motion": Motion(**motion)})), 4096.0)
+    base = from_settings(Settings({"board.kind": "/own", "wheels.layout": "omni3"}))
+    assert board.wheels == 3
+    frame = board.motor_speeds(base.wheels_rps(0.1, 0.0, 0.0), board.most_rps)
+    assert steps.unpack(frame) == (-1129, 0, 1129)
+    assert board.speeds(frame) == pytest.approx((-1129 / 4096, 0.0, 1129 / 4096))
+    assert board.motor_speeds(base.rest, 1.0) == board.stop
+    assert (board.check_motion(frame, 0.3), board.check_motion(frame, 0.2)) == ("", "0 at -1129, limit 819.2")

@@ -24,7 +24,8 @@ from failstop.board.rrc.board import BOARD
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root
-from failstop.policy.settings import BOARDS, Settings
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import Settings
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop
 

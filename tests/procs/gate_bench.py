@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from failstop.policy.kinematics import mecanum
+from failstop.policy import kinematics
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
+from failstop.procs.gate.core import REST, GateCore
 from failstop.procs.gate.sources import Command
 from tests.support.why import told
 
 MS = 1_000_000
 TICK = 20 * MS
 T0 = 100_000 * MS
-ROBOT = mecanum(0.08, 0.17706, 0.17165)
+ROBOT = kinematics.from_settings(Settings())
+NO_SPEEDS = (0.0,) * 4
 Velocity = tuple[float, float, float]
 
 

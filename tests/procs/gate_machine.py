@@ -10,12 +10,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
-from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
+from failstop.procs.gate.core import REST, GateCore
 from failstop.procs.gate.sources import Command
 from tests.support.amounts import amount
 from tests.support.why import told, why
+
+from .gate_bench import NO_SPEEDS, ROBOT
 
 MS = 1_000_000
 SCAN_NS = 500 * MS
@@ -36,7 +37,6 @@ REFRESH_NS = 200 * MS
 BOUND_NS = 40 * MS
 LIMITS = (0.2, 0.2, 1.0)
 ACCELERATIONS = (0.5, 0.5, 2.0)
-ROBOT = mecanum(0.08, 0.17706, 0.17165)
 
 # Times that matter and any other: ticks, the deadman's and the refresh's boundaries.
 durations = st.sampled_from(

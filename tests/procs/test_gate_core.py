@@ -9,10 +9,9 @@ from itertools import pairwise
 
 import pytest
 
-from failstop.procs.gate.core import NO_SPEEDS
 from tests.support.why import said, told, why
 
-from .gate_bench import Gate, stands
+from .gate_bench import NO_SPEEDS, Gate, stands
 from .gate_machine import GateMachine
 
 FORWARD = (0.2, 0.0, 0.0)

@@ -8,9 +8,8 @@ import pytest
 
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
-from failstop.procs.gate.core import NO_SPEEDS
 
-from .gate_bench import MS, T0, Gate, stands
+from .gate_bench import MS, NO_SPEEDS, T0, Gate, stands
 
 TIMEOUT = 300 * MS
 SCAN = 500 * MS

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import causes
-from failstop.procs.gate.core import NO_SPEEDS, REST
+from failstop.procs.gate.core import REST
 
 from .client_side import Service
-from .gate_bench import MS, Gate, stands
+from .gate_bench import MS, NO_SPEEDS, Gate, stands
 
 VELOCITY = (0.2, 0.0, 0.0)
 TOLD = "motion disabled: client 1, which had driven, has died"

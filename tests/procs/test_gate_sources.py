@@ -9,11 +9,11 @@ import pytest
 from failstop.policy import kinematics
 from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
-from failstop.procs.gate.core import NO_SPEEDS, REST, GateCore
+from failstop.procs.gate.core import REST, GateCore
 from failstop.procs.gate.sources import PAD_PRIORITY, Command
 from tests.support.why import told
 
-from .gate_bench import MS, T0, TICK, Gate
+from .gate_bench import MS, NO_SPEEDS, T0, TICK, Gate
 
 WITH_TELEOP: dict[str, object] = {
     "sources.cmd_vel.priority": 0,
@@ -309,12 +309,3 @@ def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
     gate.tick(400 * MS)
     assert gate.blocked == "cmd timeout"
     assert gate.told() == []
-
-
-def test_the_worst_corner_of_each_layout_bounds_its_wheels() -> None:
-    mecanum = kinematics.mecanum(0.08, 0.17706, 0.17165)
-    corner = mecanum.wheels_rps(0.2, -0.3, -1.0)
-    assert mecanum.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))
-    differential = kinematics.differential(0.08, 0.17165)
-    corner = differential.wheels_rps(0.2, 0.0, -1.0)
-    assert differential.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))

@@ -1,23 +1,36 @@
-"""Kinematics: the published numbers, the published formulas, and zeros that are the stop frame to the byte."""
+"""Kinematics: published numbers, published formulas both ways, and zeros that are the stop frame to the byte."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import permutations, product
-from math import copysign, pi
+from math import copysign, cos, pi, radians, sin, tan
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
-from failstop.policy import kinematics
-from failstop.policy.kinematics import Chassis, differential, mecanum
+from failstop.board.kinds import board_of
+from failstop.policy.kinematics import Chassis, Velocity, from_settings
+from failstop.policy.layouts import LAYOUTS, WHEEL_NAMES
 from failstop.policy.settings import Settings
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
-ROBOT = mecanum(DIAMETER_M, WHEELBASE_M, TRACK_M)
-TWO_SIDED = differential(DIAMETER_M, TRACK_M)
+RIM_M = pi * DIAMETER_M
+
+
+def base(layout: str, board: str = "rrc", changed: Mapping[str, object] | None = None) -> Chassis:
+    return from_settings(Settings({"board.kind": board, "wheels.layout": layout, **(changed or {})}))
+
+
+ROBOT = base("mecanum")
+TWO_SIDED = base("differential")
+TWO_SPEEDS = base("differential", "ugv")
+LEKIWI = base("omni3", "/own")
 speed = st.floats(-10, 10)
+EVERY = [("rrc", layout) for layout in LAYOUTS] + [("ugv", "differential"), ("/own", "omni3")]
+every_base = pytest.mark.parametrize(("board", "layout"), EVERY)
 
 
 @pytest.mark.parametrize(
@@ -30,24 +43,85 @@ speed = st.floats(-10, 10)
         (ROBOT, (0.0, 0.0, -1.0), ["0.694", "0.694", "0.694", "0.694"]),
         (TWO_SIDED, (0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
         (TWO_SIDED, (0.0, 0.0, 1.0), ["-0.341", "-0.341", "-0.341", "-0.341"]),
+        (TWO_SPEEDS, (0.2, 0.0, 0.0), ["0.796", "0.796"]),
+        (TWO_SPEEDS, (0.0, 0.0, 1.0), ["-0.341", "0.341"]),
+        # lerobot's lekiwi.py makes 1129 and -1129 steps of 4096 a turn of 0.1 m/s forward: 0.2756 turns a second.
+        (LEKIWI, (0.1, 0.0, 0.0), ["-0.276", "0.000", "0.276"]),
+        (LEKIWI, (0.0, 0.1, 0.0), ["0.159", "-0.318", "0.159"]),
+        (LEKIWI, (0.0, 0.0, 1.0), ["0.398", "0.398", "0.398"]),
+        (base("omni3"), (0.1, 0.0, 0.0), ["-0.276", "0.000", "0.276", "0.000"]),
     ],
 )
-def test_published_numbers(robot: Chassis, velocity: tuple[float, float, float], printed: list[str]) -> None:
+def test_published_numbers(robot: Chassis, velocity: Velocity, printed: list[str]) -> None:
     assert [f"{rps:.3f}" for rps in robot.wheels_rps(*velocity)] == printed
 
 
 @given(speed, speed, speed)
 def test_published_formulas(vx: float, vy: float, wz: float) -> None:
     k = (WHEELBASE_M + TRACK_M) / 2
-    rim_mps = (vx - vy - wz * k, vx + vy - wz * k, -(vx + vy + wz * k), -(vx - vy + wz * k))
-    expected = [mps / (pi * DIAMETER_M) for mps in rim_mps]
-    assert ROBOT.wheels_rps(vx, vy, wz) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    left, right = vx - wz * TRACK_M / 2, vx + wz * TRACK_M / 2
+    ways = [radians(degrees - 90) for degrees in (240, 0, 120)]
+    for robot, around_m, rim_mps in (
+        (ROBOT, RIM_M, (vx - vy - wz * k, vx + vy - wz * k, -(vx + vy + wz * k), -(vx - vy + wz * k))),
+        (TWO_SIDED, RIM_M, (left, left, -right, -right)),
+        (TWO_SPEEDS, RIM_M, (left, right)),
+        (LEKIWI, 0.1 * pi, [vx * cos(way) + vy * sin(way) + wz * 0.125 for way in ways]),
+    ):
+        expected = [mps / around_m for mps in rim_mps]
+        assert robot.wheels_rps(vx, vy, wz) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_geometry_counts() -> None:
-    twice = mecanum(2 * DIAMETER_M, 2 * WHEELBASE_M, 2 * TRACK_M)
-    assert twice.wheels_rps(0.2, 0.0, 0.0)[0] == pytest.approx(ROBOT.wheels_rps(0.1, 0.0, 0.0)[0])
-    assert twice.wheels_rps(0.0, 0.0, 1.0)[0] == pytest.approx(ROBOT.wheels_rps(0.0, 0.0, 1.0)[0])
+def body(robot: Chassis, rps: tuple[float, ...]) -> Velocity:
+    """The velocity of a base whose wheels turn so: the means of what each of them says."""
+    if robot is LEKIWI:
+        rim = [0.1 * pi * each for each in rps]
+        ways = (radians(150), radians(-90), radians(30))
+        vx, vy = (2 / 3 * sum(way(a) * mps for a, mps in zip(ways, rim, strict=True)) for way in (cos, sin))
+        return vx, vy, sum(rim) / 3 / 0.125
+    if robot is TWO_SPEEDS:
+        left, right = (RIM_M * each for each in rps)
+        return (left + right) / 2, 0.0, (right - left) / TRACK_M
+    a, b, c, d = (RIM_M * each * sign for each, sign in zip(rps, (1, 1, -1, -1), strict=True))
+    sideways, lever = (1, WHEELBASE_M + TRACK_M) if robot is ROBOT else (0, TRACK_M)
+    return (a + b + c + d) / 4, sideways * (b - a + c - d) / 4, (c + d - a - b) / 2 / lever
+
+
+@given(speed, speed, speed, st.floats(0, 1))
+@pytest.mark.parametrize("robot", [ROBOT, TWO_SIDED, TWO_SPEEDS, LEKIWI])
+def test_wheels_move_the_base_as_asked_and_a_limit_scales_all_alike(
+    robot: Chassis, vx: float, vy: float, wz: float, share: float
+) -> None:
+    asked = tuple(axis * value for axis, value in zip(robot.axes, (vx, vy, wz), strict=True))
+    rps = robot.wheels_rps(vx, vy, wz)
+    assert body(robot, rps) == pytest.approx(asked, rel=1e-9, abs=1e-9)
+    limited = robot.wheels_rps(*(share * value for value in (vx, vy, wz)))
+    assert limited == pytest.approx([share * each for each in rps], rel=1e-9, abs=1e-9)
+
+
+# Steered.
+
+STEERED = base("ackermann")
+STEERED_RIM_M, STEEREST = pi * 0.085, radians(34)
+
+
+@given(speed, speed)
+def test_a_steered_base_goes_along_the_curve_that_its_wheels_make(vx: float, wz: float) -> None:
+    """The rear wheels and the angle in front each say how it turns."""
+    asked = STEERED.reach((vx, 1.0, wz))
+    _, left, _, right, angle = STEERED.wheels_rps(vx, 1.0, wz)
+    left_mps, right_mps = STEERED_RIM_M * left, -STEERED_RIM_M * right
+    turns = (right_mps - left_mps) / TRACK_M
+    assert ((left_mps + right_mps) / 2, 0.0, turns) == pytest.approx(asked, rel=1e-9, abs=1e-9)
+    assert vx * tan(angle) / WHEELBASE_M == pytest.approx(turns, rel=1e-9, abs=1e-9)
+    assert abs(angle) <= STEEREST * (1 + 1e-12)
+    if abs(wz) * WHEELBASE_M < abs(vx) * tan(STEEREST):
+        assert asked == (vx, 0.0, wz), "a wider curve than its narrowest"
+
+
+def test_a_steered_base_does_not_turn_on_the_spot() -> None:
+    assert STEERED.wheels_rps(0.0, 0.0, 1.0) == STEERED.rest
+    assert STEERED.reach((0.0, 0.0, 1.0)) == (0.0, 0.0, 0.0)
+    assert STEERED.wheels_rps(-0.1, 0.0, 0.1)[-1] < 0, "backward to the left it is steered to the right"
 
 
 @given(speed, speed)
@@ -60,16 +134,8 @@ def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: flo
 # Chosen by name.
 
 
-def test_the_default_is_the_mecanum_robot() -> None:
-    chosen = kinematics.from_settings(Settings())
-    assert chosen.axes == (1.0, 1.0, 1.0)
-    for velocity in product((0.2, 0.0, -0.1), repeat=3):
-        assert chosen.wheels_rps(*velocity) == ROBOT.wheels_rps(*velocity)
-
-
 def test_differential_by_name() -> None:
-    settings = Settings({"wheels.layout": "differential", "wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
-    chosen = kinematics.from_settings(settings)
+    chosen = base("differential", "rrc", {"wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
     assert chosen.axes == (1.0, 0.0, 1.0)
     right_rps = -0.4 / (pi * 0.1)
     assert chosen.wheels_rps(0.2, 0.0, 1.0) == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
@@ -81,46 +147,49 @@ def test_a_layout_without_kinematics_is_refused_by_name() -> None:
             return "tracks"
 
     with pytest.raises(ValueError, match=r"wheels\.layout = 'tracks'"):
-        kinematics.from_settings(Tracks())
-
-
-@given(speed, speed)
-def test_differential_formulas(vx: float, wz: float) -> None:
-    left, right = (vx - wz * TRACK_M / 2) / (pi * DIAMETER_M), (vx + wz * TRACK_M / 2) / (pi * DIAMETER_M)
-    assert TWO_SIDED.wheels_rps(vx, 0.0, wz) == pytest.approx((left, left, -right, -right), rel=1e-12, abs=1e-12)
+        from_settings(Tracks())
 
 
 def test_no_fixed_wheel_goes_sideways() -> None:
-    assert TWO_SIDED.axes == (1.0, 0.0, 1.0)
     assert TWO_SIDED.wheels_rps(0.1, 5.0, 0.3) == TWO_SIDED.wheels_rps(0.1, 0.0, 0.3)
     assert TWO_SIDED.worst_rps(0.2, 3.0, 1.0) == TWO_SIDED.worst_rps(0.2, 0.0, 1.0)
 
 
-def test_zero_is_the_stop_frame_in_every_mounting() -> None:
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_zero_is_the_stop_frame_in_every_mounting(layout: str) -> None:
     """Zeros of either sign."""
-    robots = [ROBOT, TWO_SIDED]
-    for signs in product((1, -1), repeat=4):
-        robots += [mecanum(0.08, 0.2, 0.2, signs, (3, 1, 0, 2)), differential(0.08, 0.2, signs, (3, 1, 0, 2))]
-    for robot, velocity in product(robots, product((0.0, -0.0), repeat=3)):
-        speeds = robot.wheels_rps(*velocity)
-        assert [copysign(1.0, rps) for rps in speeds] == [1.0] * 4
-        assert codec.motor_speeds(speeds, 0.0) == codec.STOP
+    settings = Settings({"wheels.layout": layout})
+    count, board = len(settings.mounted()), board_of(*settings.board())
+    for signs in product((1, -1), repeat=count):
+        mounting = {f"wheels.sign_{number}": sign for number, sign in enumerate(signs, 1)}
+        mounting |= {f"wheels.id_{number}": wire_id for number, wire_id in enumerate((3, 1, 0, 2)[:count], 1)}
+        robot = base(layout, "rrc", mounting)
+        for velocity in product((0.0, -0.0), repeat=3):
+            speeds = robot.wheels_rps(*velocity)
+            assert speeds == robot.rest
+            assert [copysign(1.0, rps) for rps in speeds] == [1.0] * len(speeds)
+            assert board.motor_speeds(speeds, 0.0) == board.stop
 
 
-@pytest.mark.parametrize("wheel", [1, 2, 3, 4])
-@pytest.mark.parametrize("layout", ["mecanum", "differential"])
-def test_a_sign_turns_one_wheel(layout: str, wheel: int) -> None:
-    before = Settings({"wheels.layout": layout})
-    after = Settings({"wheels.layout": layout, f"wheels.sign_{wheel}": -int(before[f"wheels.sign_{wheel}"])})
-    was, now = (kinematics.from_settings(settings).wheels_rps(0.2, 0.0, 0.5) for settings in (before, after))
-    for index, (old, new) in enumerate(zip(was, now, strict=True)):
-        assert new == (-old if index == wheel - 1 else old) != 0.0
+@every_base
+def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
+    before = Settings({"board.kind": board, "wheels.layout": layout})
+    for index, (wire_id, sign) in enumerate(before.mounted()):
+        was = from_settings(before).wheels_rps(0.2, 0.1, 0.5)
+        now = base(layout, board, {f"wheels.sign_{index + 1}": -sign}).wheels_rps(0.2, 0.1, 0.5)
+        assert now == tuple(-old if at == wire_id else old for at, old in enumerate(was))
+        assert was[wire_id] != 0.0
 
 
-@pytest.mark.parametrize("layout", ["mecanum", "differential"])
-def test_each_wheel_goes_to_its_wire_id(layout: str) -> None:
-    by_wheel = kinematics.from_settings(Settings({"wheels.layout": layout})).wheels_rps(0.2, 0.0, 0.5)
-    for ids in permutations(range(4)):
+@every_base
+def test_each_wheel_goes_to_its_wire_id(board: str, layout: str) -> None:
+    settings = Settings({"board.kind": board, "wheels.layout": layout})
+    default = from_settings(settings).wheels_rps(0.2, 0.1, 0.5)
+    by_wheel = [default[wire_id] for wire_id, _ in settings.mounted()]
+    count = len(by_wheel)
+    assert count in WHEEL_NAMES
+    for ids in permutations(range(settings.speeds), count):
         changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
-        by_id = kinematics.from_settings(Settings({"wheels.layout": layout, **changed})).wheels_rps(0.2, 0.0, 0.5)
-        assert [by_id[wire_id] for wire_id in ids] == list(by_wheel)
+        by_id = base(layout, board, changed).wheels_rps(0.2, 0.1, 0.5)
+        assert [by_id[wire_id] for wire_id in ids] == by_wheel
+        assert not any(by_id[wire_id] for wire_id in range(settings.speeds) if wire_id not in ids), "no wheel is there"

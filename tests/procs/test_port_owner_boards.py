@@ -22,7 +22,7 @@ def made(kind: str, **given: Any) -> Scene:
 
 
 def motion(scene: Scene) -> bytes:
-    return bytes(scene.board.motor_speeds((0.5, 0.5, 0.5, 0.5), MAX_RPS))
+    return bytes(scene.board.motor_speeds((0.5, 0.5), MAX_RPS))
 
 
 def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:

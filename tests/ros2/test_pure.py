@@ -9,10 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from failstop.api import snapshot
 from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
 from failstop.policy import causes
+from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, transport, words
 from failstop.ros2.commanders import Publisher
@@ -89,15 +91,17 @@ def test_gamepad_values() -> None:
 
 def test_wheels_turn_as_far_as_they_were_told() -> None:
     wheels = messages.Wheels()
-    wheels.follow((2 * math.pi,) * 4, 0)
-    assert wheels.fields(0)[1][1:] == ([0.0] * 4, [2 * math.pi] * 4)
-    wheels.follow((0.0,) * 4, S // 2)
-    names, (_, position, velocity) = wheels.fields(0)
-    assert names == list(messages.WHEELS)
-    assert position == pytest.approx([math.pi] * 4)
-    assert velocity == [0.0] * 4
-    wheels.follow((0.0,) * 4, 9 * S)
-    assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * 4)
+    assert wheels.fields(0)[0] == [], "nobody has said how many there are"
+    for count in (4, 3, 2):
+        wheels.follow(snapshot.Wheels((2 * math.pi,) * count), 0)
+        assert wheels.fields(0)[1][1:] == ([0.0] * count, [2 * math.pi] * count)
+        wheels.follow(snapshot.Wheels((0.0,) * count), S // 2)
+        names, (_, position, velocity) = wheels.fields(0)
+        assert names == [f"wheel_{name.replace(' ', '_')}" for name in WHEEL_NAMES[count]]
+        assert position == pytest.approx([math.pi] * count)
+        assert velocity == [0.0] * count
+        wheels.follow(None, 9 * S)
+        assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * count)
 
 
 # The state.

@@ -6,9 +6,10 @@ from failstop.board import codec
 from failstop.board.framing import BUZZER, MOTOR
 from failstop.board.rrc.board import BOARD
 from failstop.lab.sim.model import Frame, Speeds
-from failstop.lab.sim.teller import STANDING, Teller
+from failstop.lab.sim.teller import Teller
 
 FAST: Speeds = (0.8, 0.8, -0.8, -0.8)
+STANDING: Speeds = (0.0,) * 4
 
 
 class Told:

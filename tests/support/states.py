@@ -34,7 +34,7 @@ def state(**changed: Any) -> State:
         cause=None,
         blocked="disabled",
         body_vel=Velocity(0.0, 0.0, 0.0),
-        wheels_radps=Wheels(0.0, 0.0, 0.0, 0.0),
+        wheels_radps=Wheels((0.0,) * 4),
         epoch=1,
         waiting_for=None,
         device=Device("/dev/ttyACM0", "open", "alive"),
@@ -75,7 +75,7 @@ def driving(**changed: Any) -> State:
         "enabled": True,
         "blocked": None,
         "body_vel": Velocity(0.2, 0.0, 0.0),
-        "wheels_radps": Wheels(5.0, 5.0, 5.0, 5.0),
+        "wheels_radps": Wheels((5.0,) * 4),
         "sources": (source,),
         "clients": (Client(0, "nav", 42, True),),
     }

@@ -21,6 +21,7 @@ from failstop.board.interface import (
     Hearing,
 )
 from failstop.board.port import ROSORIN_PORT
+from failstop.board.rrc.steering import Steering
 from failstop.board.wire import Commander
 
 TYPE_CHECKING = False
@@ -111,6 +112,7 @@ class Rrc(Board):
     echo_ns = 0
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
+    wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
     usb = ("1a86:55d4",)
     usb_alone = True
@@ -180,9 +182,31 @@ class Rrc(Board):
         return bus.frame_ns(frame)
 
 
+class SteeredRrc(Rrc):
+    """The board of a base with a servo that steers: the angle comes after the speeds, and its frame after theirs."""
+
+    __slots__ = ("_steering",)
+
+    def __init__(self, steering: Steering) -> None:
+        self._steering = steering
+
+    def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
+        """Both frames; wheels at rest are not steered, so that the frame is the stop."""
+        *speeds, angle_rad = rps
+        motor = codec.motor_speeds(speeds, max_rps)
+        return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
+
+    def check_motion(self, frame: bytes, max_rps: float) -> str:
+        """Both frames, or the stop."""
+        motor, steers = frame[: codec.MOTOR_BYTES], frame[codec.MOTOR_BYTES :]
+        if why := codec.check_motion(motor, max_rps):
+            return why
+        return "" if motor == self.stop and not steers else self._steering.check(steers)
+
+
 BOARD = Rrc()
 
 
-def board(_diameter_m: float, _per_rps: float) -> Board:
+def board(_diameter_m: float, _per_rps: float, steering: tuple[str, int, int, float, float] | None) -> Board:
     """Its speeds are turns a second already."""
-    return BOARD
+    return SteeredRrc(Steering(*steering)) if steering else BOARD

@@ -9,10 +9,10 @@ from argparse import ArgumentParser, Namespace
 from textwrap import indent
 
 from failstop import config
-from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.policy.setting import Setting
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
+from failstop.supervisor.fit import checked_board
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -26,7 +26,9 @@ GROUPS = {
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
     "limits": "Speeds and ramps that no command passes.",
-    "wheels": "What the base stands on. Layouts: mecanum; differential (wheels 1 and 2 left, 3 and 4 right).",
+    "wheels": "The base. Wheels 1 to 4: front left, rear left, front right, rear right; of two: left, right; of three: "
+    "left, rear, right. Defaults of omni3: LeKiwi's, 0.1 m; of ackermann: ROSOrin's, 0.085 m, ids 1 and 3.",
+    "steering": "The servo that steers a base of the layout ackermann; a stop leaves it as it is.",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",
@@ -50,8 +52,8 @@ GROUPS = {
 
 HEAD = """\
 # Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
-# A line that begins with # and no space is a default: take the # away to change it. What stays commented out follows
-# the version that is installed. `failstop config --check FILE` reads a file as `failstop run --config FILE` will.
+# A line that begins with # and no space is a default (## of another layout): take the # away to change it. What stays
+# commented out follows the installed version. `failstop config --check FILE` reads it as `failstop run --config` will.
 """
 ALWAYS_SET = ("device.path",)
 """Settings that the example sets although they have a default: no two robots need be alike in them."""
@@ -86,7 +88,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        board_of(*config.checked(read, arguments.check).board())
+        checked_board(config.checked(read, arguments.check), arguments.check)
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:
@@ -151,12 +153,13 @@ def example() -> str:
 
 
 def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
-    lines = [f"[{name}]"]
+    marks = {key: mark + "#" * (mark == "#" and f"{name}.{key}" not in Settings().flat()) for key in values}
+    lines = [f"{'##' * ({*marks.values()} == {'##'})}[{name}]"]
     for key, value in values.items():
         setting = declaration(f"{name}.{key}")
         what = "" if setting.allowed or not isinstance(setting.default, str) else "text, "
         lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{what}{setting.range()}]")
-        lines.append(f"{'' if setting.key in ALWAYS_SET else mark}{key} = {literal(setting, value)}")
+        lines.append(f"{'' if setting.key in ALWAYS_SET else marks[key]}{key} = {literal(setting, value)}")
     return "\n".join(lines) + "\n"
 
 

@@ -14,6 +14,7 @@ from failstop.cli import standard
 from failstop.cli.commands import add_name, seconds
 from failstop.cli.screen.progress import Progress
 from failstop.messages.records import CAUSE
+from failstop.policy.kinematics import AXES
 
 EXAMPLES = {
     "enable": """\
@@ -94,8 +95,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
-    if asked[1] and robot.settings["wheels.layout"] == "differential":
-        raise Refused(f"a differential base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
+    if asked[1] and not AXES[str(robot.settings["wheels.layout"])][1]:
+        raise Refused(f"this base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
     reached = asked
     while time.monotonic() < until_s:
         robot.drive(*asked, manual=True)

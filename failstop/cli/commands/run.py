@@ -76,18 +76,14 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    from failstop.policy.kinematics import max_wheel_rps
-    from failstop.supervisor import status  # its imports would hold up the first stop
+    from failstop.supervisor import fit, status  # their imports would hold up the first stop
 
     rights.take_descriptors()
     rights.take_stack()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
-    board = board_of(*settings.board())
-    if (fastest := max_wheel_rps(settings)) > board.most_rps:
-        text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
-        raise SettingError(f"{arguments.config or 'settings'}: {text}: lower [limits], or see board.per_rps")
+    fit.checked_board(settings, arguments.config)
     instance.check_name(arguments.name)
     if port is None:
         return

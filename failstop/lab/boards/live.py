@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from struct import Struct
 
-from failstop.board.framing import MOTOR
+from failstop.board.framing import MOTOR, WHEELS
 from failstop.board.kinds import wire_of
 from failstop.lab.boards.line import model_of
 from failstop.lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
@@ -18,14 +18,14 @@ STEP_NS = 1_000_000
 """How often time passes for it; its own times are exact all the same."""
 DIAMETER_M = 0.08
 """Of its wheels, as the settings have it by default."""
-_WHEELS = Struct("<BBBfBfBfBf")
-_SET_ALL = 1
+_HEAD, _WHEEL = Struct("<BB"), Struct("<Bf")
+_SET_MANY = 1
 
 
 def _command(speeds: Speeds) -> bytes:
-    """The data of the first board's frame for these."""
-    a, b, c, d = speeds
-    return _WHEELS.pack(_SET_ALL, 4, 0, a, 1, b, 2, c, 3, d)
+    """The data of the first board's frame for these; what has no wheel is zero there."""
+    four = (*speeds, *(0.0,) * (WHEELS - len(speeds)))
+    return _HEAD.pack(_SET_MANY, WHEELS) + b"".join(_WHEEL.pack(id_, speed) for id_, speed in enumerate(four))
 
 
 class LiveModel(BoardModel):
@@ -37,6 +37,7 @@ class LiveModel(BoardModel):
         self._byte_ns = wire.port.byte_ns
         self._per_rps = wire.motion.per_rps(DIAMETER_M)
         self._board = model_of(kind).live()
+        self.wheels = (0.0,) * wire.motion.wheels
         self._start_ns = self._passed_ns = start_ns
         self._coming: deque[tuple[int, int, int]] = deque()
         """When a byte has come through, which, and when it was read."""
@@ -99,6 +100,5 @@ class LiveModel(BoardModel):
         self.wheels = self._rps(board.wheels)
 
     def _rps(self, speeds: tuple[float, ...]) -> Speeds:
-        """Turns a second of four wheels, two on a side."""
-        left, right = (speed / self._per_rps for speed in speeds)
-        return left, left, right, right
+        """Turns a second of each wheel."""
+        return tuple(speed / self._per_rps for speed in speeds)

@@ -161,9 +161,8 @@ class SimBoard:
         return found
 
     def wheels(self) -> Speeds:
-        """The wheel speeds now, in rps: wire ids 0 to 3."""
-        a, b, c, d = self._ask("wheels")["speeds_rps"]
-        return a, b, c, d
+        """The wheel speeds now, in rps by wire id."""
+        return tuple(self._ask("wheels")["speeds_rps"])
 
     def joints(self) -> dict[int, float]:
         """Where each of the arm's servos stands now, in pulses."""
@@ -216,14 +215,12 @@ class SimBoard:
         deadline_s = time.monotonic() + timeout_s
         while True:
             answer = self._ask("wheels")
-            a, b, c, d = answer["speeds_rps"]
-            if any((a, b, c, d)) == moving:
-                return a, b, c, d
+            speeds = tuple(answer["speeds_rps"])
+            if any(speeds) == moving:
+                return speeds
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
-                raise TimeoutError(
-                    f"wheels at {(a, b, c, d)} rps for {timeout_s:g} s, {'none' if moving else 'one'} turns"
-                )
+                raise TimeoutError(f"wheels at {speeds} rps for {timeout_s:g} s, {'none' if moving else 'one'} turns")
             self._ask("events", wait_s=left_s, since=answer["executed"], timeout_s=left_s)
 
     def _from(self, index: int, timeout_s: float) -> list[Event]:

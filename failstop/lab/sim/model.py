@@ -27,7 +27,7 @@ from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 from failstop.lab.sim.servos import Servos
 
-Speeds = tuple[float, float, float, float]
+Speeds = tuple[float, ...]
 
 BYTE_NS = 10_000
 BATTERY_PERIOD_NS = 1_050_000_000
@@ -57,7 +57,7 @@ class Executed:
 
     @property
     def is_stop(self) -> bool:
-        """A motor frame that tells all four wheels to stop, whether or not they do."""
+        """A motor frame that tells all wheels to stop, whether or not they do."""
         return commands_stop(self.func, self.data)
 
     @property
@@ -188,8 +188,7 @@ class BoardModel:
     def _set_wheels(self, wanted: Speeds) -> None:
         if self.refuse_stop:
             # A zero set point with the PWM held: that wheel turns on.
-            a, b, c, d = (new or old for new, old in zip(wanted, self.wheels, strict=True))
-            wanted = (a, b, c, d)
+            wanted = tuple(new or old for new, old in zip(wanted, self.wheels, strict=True))
         self.wheels = wanted
 
     def _pwm_servo(self, data: bytes, t_ns: int) -> None:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from failstop.board.kinds import is_own, wire_of
 from failstop.lab.boards.line import model_of
 from failstop.lab.sim.usb.port import VHCI
-from failstop.policy.settings import BOARDS, BY_KEY
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import BY_KEY
 
 IMU_HZ = 110.0
 BATTERY_MV = 12_000

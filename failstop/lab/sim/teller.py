@@ -20,7 +20,6 @@ BURST_GAP_S = 0.12
 BURST_LEAST = 3
 """So many are more than the gate's own zero frames, which come every 0.2 s."""
 COUNT_EVERY_S = 10.0
-STANDING: Speeds = (0.0, 0.0, 0.0, 0.0)
 NAMES = dict(zip(AUX_FUNCS, ("system", "LED", "buzzer", "servo", "bus servo", "OLED", "RGB"), strict=True))
 _PINGS = frozenset((ping[2], ping[4:-1]) for ping in BOARD.pings)
 """(function, data) of each."""
@@ -32,9 +31,9 @@ class Teller:
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
         self._first_ns: int | None = None
-        self._speeds = STANDING
+        self._speeds: Speeds = ()
         self._changed_ns = 0
-        self._told = STANDING
+        self._told: Speeds = ()
         self._told_ns = 0
         self._stops = 0
         """Of those that follow each other closely."""
@@ -47,6 +46,7 @@ class Teller:
         now_ns = frame.executed_ns
         if self._first_ns is None:
             self._first_ns = self._counted_ns = now_ns
+            self._speeds = self._told = (0.0,) * len(frame.speeds)
         self._end_count(now_ns)
         self._wheels(frame)
         if commands_stop(frame.func, frame.data):

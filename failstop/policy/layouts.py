@@ -1,0 +1,165 @@
+"""Layouts: how many wheels a robot has, what they are called, and their settings. Pure.
+
+The board says how many speeds a frame has, the layout how many wheels there are; a speed that no wheel takes is zero.
+"""
+
+from __future__ import annotations
+
+from math import radians
+
+from failstop.policy import robots
+from failstop.policy.setting import Setting, SettingError, all_differ
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    Values = Mapping[str, float | str]
+
+BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
+"""The kinds of boards, each a folder of the board room that describes it."""
+SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
+"""Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
+ACKERMANN = "ackermann"
+LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
+"""Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
+SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
+"""Of the kinds of servos that can steer: their pulses, and the highest id."""
+SERVOS = tuple(SERVO_PULSES)
+STEERED = (BOARDS[0],)
+"""Boards with a servo that steers."""
+WHEEL_NAMES = {
+    2: ("left", "right"),
+    3: ("left", "rear", "right"),
+    4: ("front left", "rear left", "front right", "rear right"),
+}
+"""The wheels in the order of their numbers, by how many there are."""
+NUMBERS = (1, 2, 3, 4)
+OF_THE_BASE = (
+    Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", tuple(LAYOUTS)),
+    Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
+    Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
+    Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
+    Setting("wheels.lever_m", 0.125, "m", 0.01, 3.0, "distance of each wheel from the middle (omni3)"),
+    *(
+        Setting(
+            f"wheels.angle_{number}_deg",
+            way,
+            "degrees",
+            0.0,
+            360.0,
+            f"the way wheel {number} rolls, counter-clockwise from forward (omni3)",
+        )
+        for number, way in zip(NUMBERS, (150.0, 270.0, 30.0), strict=False)
+    ),
+    *(
+        Setting(
+            f"wheels.sign_{number}",
+            sign,
+            "",
+            None,
+            None,
+            f"wheel {number}: -1 for a motor that turns it backward",
+            (1, -1),
+        )
+        for number, sign in zip(NUMBERS, (1, 1, -1, -1), strict=True)
+    ),
+    *(
+        Setting(
+            f"wheels.id_{number}", number - 1, "", 0, 3, f"the id of wheel {number}'s motor on the wire; all differ"
+        )
+        for number in NUMBERS
+    ),
+    Setting(
+        "steering.kind", "pwm", "", None, None, "pulses of a pwm servo are us, of a bus servo 0.24 degrees", SERVOS
+    ),
+    Setting("steering.servo", 3, "", 1, 253, "the id of the servo that steers; of a pwm servo 1 to 4"),
+    Setting("steering.centre", 1500, "", 1, 2500, "its pulses for straight ahead"),
+    Setting("steering.per_rad", 636.62, "", 1.0, 2000.0, "its pulses for a radian"),
+    Setting("steering.sign", -1, "", None, None, "-1: more pulses are an angle to the right", (1, -1)),
+    Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle of the steered wheels"),
+)
+DEFAULTS: dict[str, dict[str, float | str]] = {
+    "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
+    ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
+}
+"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of ackermann ROSOrin's."""
+_GEOMETRY: dict[str, tuple[str, ...]] = {
+    "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
+    "wheels.track_m": ("mecanum", "differential", ACKERMANN),
+    "wheels.lever_m": ("omni3",),
+    **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
+    **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
+}
+"""Settings that only some layouts have."""
+
+
+def wheel_count(kind: str, layout: str) -> int:
+    """How many wheels are driven. Raises SettingError where the board can't drive that layout."""
+    if layout == ACKERMANN and kind not in STEERED:
+        raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
+    if (speeds := SPEEDS.get(kind)) is None:
+        return LAYOUTS[layout][0]
+    if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
+        return fitting[-1]
+    others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds and name != ACKERMANN)
+    has = f"it has {LAYOUTS[layout][0]} wheels, and board.kind {kind} takes {speeds} speeds"
+    raise SettingError(f'wheels.layout = "{layout}": {has}; allowed is {others}')
+
+
+def wheel_ids(given: Mapping[str, str]) -> list[int]:
+    """Of each wheel the id of its motor on the wire, by settings as texts; what is not given has its default."""
+    found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
+    numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
+    return [int(found[f"wheels.id_{number}"]) for number in numbers]
+
+
+def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
+    """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
+    settings in `changed` that it does not have."""
+    kind = str(values["board.kind"])
+    if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
+        values["wheels.layout"] = "differential"
+    if "wheels.layout" not in changed and kind == BOARDS[0]:
+        values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
+    layout = str(values["wheels.layout"])
+    values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
+    absent = _absent(layout, wheel_count(kind, layout))
+    if kind != BOARDS[0]:
+        absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"
+    for key, why in absent.items():
+        if key in changed:
+            raise SettingError(f"{key}: {why}; take it out")
+        del values[key]
+    if "board.robot" in values:
+        robots.fill_figures(values, changed)
+
+
+def _absent(layout: str, count: int) -> dict[str, str]:
+    """Settings that a robot of so many wheels in that layout does not have, each with the reason."""
+    named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, WHEEL_NAMES[count], strict=False))
+    beyond = f"this robot has {count} wheels ({named})"
+    found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
+    return found | {key: f'wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of}
+
+
+def check_base(values: Values) -> None:
+    """Each motor has an id of its own that the board knows, and the steering servo can turn as far as it is to. Raises
+    SettingError."""
+    ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
+    all_differ(ids)
+    kind = str(values["board.kind"])
+    most = SPEEDS.get(kind, len(ids)) - 1
+    for key, value in ids.items():
+        if int(value) > most:
+            raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
+    if "steering.servo" in values:
+        steered, servo = str(values["steering.kind"]), int(values["steering.servo"])
+        least, most, highest = SERVO_PULSES[steered]
+        centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre", "per_rad", "most_deg"))
+        far = per_rad * radians(angle)
+        if servo > highest:
+            raise SettingError(f"steering.servo = {servo}: a {steered} servo has an id of 1 to {highest}")
+        if far > min(centre - least, most - centre):
+            reach = f"steering.most_deg = {angle:g} is {far:.0f} pulses to each side of steering.centre = {centre:g}"
+            raise SettingError(f"{reach}: a {steered} servo has {least} to {most}")

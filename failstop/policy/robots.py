@@ -1,0 +1,86 @@
+"""Robots: Hiwonder's RRC family by name, as defaults for settings. Pure tables.
+
+The figures are those of each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py).
+One that no source gives, or that sources give in two ways, is None: whoever has that robot measures it.
+"""
+
+from __future__ import annotations
+
+from math import pi, radians
+
+from failstop.policy.setting import SettingError
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    Defaults = dict[str, float | str | None]
+
+USUAL_ROBOT = "rosorin"
+SIZES = ("wheels.diameter_m", "wheels.wheelbase_m", "wheels.track_m")
+
+
+def _sizes(*sizes_m: float) -> Defaults:
+    return dict(zip(SIZES, sizes_m, strict=True))
+
+
+def _signs(*signs: int) -> Defaults:
+    return {f"wheels.sign_{number}": sign for number, sign in enumerate(signs, 1)}
+
+
+def _steering(per_rad: float, sign: int | None, most_deg: float) -> Defaults:
+    return {"steering.per_rad": per_rad, "steering.sign": sign, "steering.most_deg": most_deg}
+
+
+LEFT_BACKWARD = _signs(-1, -1, 1, 1)
+"""All motors are mounted the other way round than ROSOrin's."""
+MENTORPI = _sizes(0.065, 0.1368, 0.1446) | LEFT_BACKWARD
+ROBOTS: dict[str, dict[str, Defaults]] = {
+    USUAL_ROBOT: {
+        "mecanum": _sizes(0.08, 0.17706, 0.17165),
+        "differential": _sizes(0.08, 0.17706, 0.17165),
+        "ackermann": _sizes(0.085, 0.17706, 0.17165) | _steering(2000 / pi, -1, 34.0),
+        "omni3": {},
+    },
+    # The way that its steering servo turns is given in two ways (29 degrees to one side, 40 to the other).
+    "mentorpi": {"mecanum": MENTORPI, "ackermann": _sizes(0.067, 0.145, 0.133) | _steering(2000 / pi, None, 29.0)},
+    "landerpi": {
+        "mecanum": MENTORPI,
+        # Its tracks skid: they turn it as mecanum wheels of the same base would.
+        "differential": _sizes(0.068, 0.1368, 0.1368 + 0.1446) | LEFT_BACKWARD,
+        "ackermann": _sizes(0.067, 0.145, 0.133) | _signs(-1, 1) | _steering(1000 / pi, 1, 40.0),
+    },
+    # Sources differ on its sizes (a track of 0.182, 0.195 or 0.222 m). It is steered by bus servo 9, of 240 degrees.
+    "jetacker": {
+        "ackermann": dict.fromkeys(SIZES)
+        | _steering(1000 / radians(240), 1, 37.0)
+        | {"steering.kind": "bus", "steering.servo": 9, "steering.centre": 500}
+    },
+    "jetrover": {"mecanum": _sizes(0.097, 0.216, 0.195)},
+}
+UNDRIVEN = {
+    "turbopi": "its own program sets duties, never speeds: after a stop of speeds a motor without an encoder goes on "
+    "turning; where its motors have encoders, leave this name out and set device.path and [wheels]",
+}
+"""Robots of the family that can't be driven, each with the reason."""
+LAYOUT_OF = {"jetacker": "ackermann"}
+"""The layout of a robot that has one alone, and not the usual one."""
+
+
+EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
+
+
+def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
+    """Put in this robot's figures. Raises SettingError for a robot that can't be driven, and for figures that are to be
+    measured."""
+    robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
+    if robot in UNDRIVEN:
+        raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')
+    # A base of two sides is as wide as it is, however long.
+    sizes = [key for key in SIZES if (layout, key) != ("differential", "wheels.wheelbase_m")]
+    known = ROBOTS[robot].get(layout, dict.fromkeys(sizes))
+    missing = [key for key, value in known.items() if value is None and key in values and key not in changed]
+    if missing:
+        whose = f'board.robot "{robot}" with wheels.layout "{layout}"'
+        raise SettingError(f"{', '.join(missing)}: no source has this of {whose}; measure it, and set it")
+    values |= {key: value for key, value in known.items() if value is not None and key in values and key not in changed}
