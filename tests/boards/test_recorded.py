@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.boards.arduino import Arduino
-from failstop.lab.boards.hoverboard import Hoverboard
+from failstop.lab.boards.hoverboard import BYTE_NS, Hoverboard
 from failstop.lab.boards.ugv import Ugv
 
 HERE = Path(__file__).parent
 MS = 1_000_000
 
 
-def cases(kind: str) -> list[list]:
-    recorded = json.loads((HERE / f"recorded_{kind}.json").read_text())
+def cases(name: str, least: int = 200) -> list[list]:
+    recorded = json.loads((HERE / f"recorded_{name}.json").read_text())
     assert len(recorded["commit"]) == 40
-    assert len(recorded["cases"]) > 200
+    assert len(recorded["cases"]) >= least
     return recorded["cases"]
 
 
@@ -41,6 +41,18 @@ def test_the_hoverboard_s_receiver_does_what_its_firmware_did() -> None:
                 board.look()
             expected = next(left) or expected
             assert [board.steer, board.speed, *board.obeyed, board.coasts, *board.wheels] == expected, script
+
+
+def test_the_hoverboard_s_receiver_takes_timed_stops_when_its_firmware_did() -> None:
+    """A case: its main loop, the place in its ring, bytes with the time of the first; then when it took which command.
+    Stops of one to three writers, cuts, motion between; its own feedback ends amid some."""
+    for first_loop_ns, loop_ns, at, pieces, taken in cases("hoverboard_stops", 60):
+        board = Hoverboard(first_loop_ns, at, loop_ns)
+        for came_ns, data in pieces:
+            for index, value in enumerate(bytes.fromhex(data)):
+                board.byte(came_ns + index * BYTE_NS, value)
+        board.until(pieces[-1][0] + 200 * MS)
+        assert [[at_ns, *speeds] for at_ns, speeds in board.commands] == taken
 
 
 def test_the_arduino_s_receiver_does_what_its_firmware_did() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import combinations, cycle, islice
+from itertools import combinations, cycle, islice, permutations, product
 
 import pytest
 
@@ -97,9 +97,20 @@ class Trial:
         return max(0, stops[0][0] - max(BEGIN_NS, *(at_ns for at_ns, _ in late), 0))
 
 
+def meetings(stop: TimedStop, first: int, second: int) -> list[int]:
+    """How much later the second writer begins when a write of its own begins together with one of the first's."""
+    rows = stop.repeats_ns
+    return [apart for a, b in product(rows[first], rows[second]) if 0 < (apart := a - b) < APART_NS] or [0]
+
+
 def random_trial(trial: Trial, rng: random.Random, cuts: list[bytes], writers: Sequence[int], tick: Tick) -> int:
-    """Writers that begin some time apart, behind any cut; among three one still writes a frame of motion."""
-    begins = [BEGIN_NS, *(BEGIN_NS + rng.randrange(APART_NS) for _ in writers[1:])]
+    """Writers that begin some time apart, in any order, behind any cut; among three one still writes a frame of motion.
+    Half of them begin so that later writes of two meet."""
+    writers = rng.sample(writers, len(writers))
+    apart = [rng.randrange(APART_NS) for _ in writers]
+    if rng.random() < 0.5:
+        apart[1] = max(0, rng.choice(meetings(trial.stop, *writers[:2])) + rng.randrange(-MS, MS))
+    begins = [BEGIN_NS, *(BEGIN_NS + later_ns for later_ns in apart[1:])]
     late = [(BEGIN_NS + rng.randrange(MS), rng.choice(trial.motion))] if len(writers) > 2 else []
     receiver = trial.model.any_state(rng)
     return trial.stopped_ns(receiver, rng.choice(cuts), list(zip(writers, begins, strict=True)), late, tick)
@@ -142,6 +153,19 @@ def test_writers_that_do_not_see_each_other_stop_the_wheels(kind: str, adapter: 
         writers = rng.choice(groups)
         bar_ns = ADAPTER_BAR_NS if adapter else BAR_NS if len(writers) == 2 else CROWD_BAR_NS
         assert 0 <= random_trial(trial, rng, cuts, writers, tick) <= bar_ns
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EVERY_KIND if wire_of(kind).stop.after_ns])
+def test_beside_the_first_one_pair_of_two_writers_early_stops_touches_at_most(kind: str) -> None:
+    """Stops that touch are lost, and a feedback frame may take one more. Either of the two may begin."""
+    wire = wire_of(kind)
+    lasts_ns = (len(wire.stop.writes[0].data) + 1) * wire.port.byte_ns
+    rows = wire.stop.repeats_ns
+    for (first, second), apart_ns in product(permutations(range(len(rows)), 2), range(0, APART_NS, MS // 100)):
+        pairs = product(rows[first], (at_ns + apart_ns for at_ns in rows[second]))
+        early = [pair for pair in pairs if max(pair) <= BAR_NS - lasts_ns]
+        touch = [pair for pair in early if abs(pair[0] - pair[1]) < lasts_ns and pair != (0, apart_ns)]
+        assert len(touch) <= 1, (first, second, apart_ns)
 
 
 @every_board
