@@ -31,12 +31,8 @@ HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 
-STANDING: dict[str, Any] = {
-    "enabled": False,
-    "body_vel": (0.0,) * 3,
-    "wheels_rps": (0.0,) * box.MOST_SPEEDS,
-    "sources": [],
-}
+ZEROS = (0.0,) * box.MOST_SPEEDS
+STANDING: dict[str, Any] = {"enabled": False, "body_vel": ZEROS[:3], "wheels_rps": ZEROS, "sources": []}
 """Of the gate's record: what stands while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
 """The gate's record before a run's first gate has published one: a run begins with motion disabled."""

@@ -157,7 +157,7 @@ def test_a_line_that_sends_everything_back_is_no_board(there: str) -> None:
 def test_half_a_motion_line_is_ended_by_the_stop_before_the_question(there: str, wanted: str) -> None:
     """Without it the question would be the end of that line, which would then be run."""
     on, board = There(there, own_speed=False), boards(there)[there]
-    on.robot.board.receive(board.motor_speeds((0.05,) * 4, 0.1)[:-1])
+    on.robot.board.receive(board.motor_speeds((0.05,) * board.wheels, 0.1)[:-1])
     assert on.asked(wanted)[-1].kind == there
     assert not any(on.model.wheels)
 
