@@ -17,7 +17,7 @@ from failstop.lab.prove import table
 from failstop.lab.prove.frozen import EARLY_S, NOT_STOPPED, FrozenRun
 from failstop.lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, Means, means_of
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.sight import ByWheels, Sample, Unseen, longest_gap_s, rest_ns, rests
+from failstop.lab.prove.sight import ByWheels, SeenSample, Unseen, longest_gap_s, rest_ns, rests
 from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS
 from failstop.lab.trial import wait_for
 from tests.prove.judged import MEANS, MS
@@ -30,7 +30,7 @@ WITHIN_S = 0.9
 """From the freeze to wheels at rest, where all is well."""
 
 
-def reports(stops_s: float, until_s: float = 3.0, speed: float = 0.2) -> list[Sample]:
+def reports(stops_s: float, until_s: float = 3.0, speed: float = 0.2) -> list[SeenSample]:
     """Every 50 ms, from a second before the freeze on."""
     times = [-1.0 + 0.05 * number for number in range(round((until_s + 1.0) / 0.05))]
     return [(FAULT_NS + round(t_s * 1000) * MS, (speed if t_s < stops_s else 0.0,) * 2, ()) for t_s in times]

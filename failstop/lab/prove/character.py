@@ -10,7 +10,7 @@ from failstop.board.interface import BY_WHEELS
 from failstop.lab.prove import shake, sight
 from failstop.lab.prove.run import MOST_S, NS, STAYS_S, STEADY_S, speed_up_s
 from failstop.lab.prove.shake import Noise
-from failstop.lab.prove.sight import ByImu, ByWheels, Sample, Sight, Unseen, Verdict
+from failstop.lab.prove.sight import ByImu, ByWheels, SeenSample, Sight, Unseen, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import Turning
 
@@ -20,7 +20,7 @@ STOOD_S = 1.0
 """Watched at rest, where the board reports its wheels."""
 MOUNTED = "lift the robot less softly, or mount the IMU firmly"
 SIMULATED = "the simulated board was held up, or its wheels were stopped; repeat on a quieter machine"
-PLUGGED = "are the motors' supply and the encoders plugged in, and is board.per_rps right?"
+SUPPLIED = "are the motors' supply and the encoders plugged in, and is board.per_rps right?"
 RUNAWAY = "THE WHEELS DID NOT COME TO REST after {}: use the POWER SWITCH"
 
 
@@ -41,7 +41,7 @@ def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) ->
     return Unseen() if stand.means.may_be_blind and not still else _by_imu(stand, still, velocities, share)
 
 
-def _by_imu(stand: Stand, stood: list[Sample], velocities: Iterable[Turning], share: float) -> ByImu:
+def _by_imu(stand: Stand, stood: list[SeenSample], velocities: Iterable[Turning], share: float) -> ByImu:
     configured = stand.settings["still.std_radps"]
     still = _noise(stood, "at rest")
     spinning = {}
@@ -78,7 +78,7 @@ def _by_wheels(stand: Stand, velocities: Iterable[Turning], share: float) -> ByW
                 raise Unfit(f"a stop came while the wheels were to turn: {cause}")
             raise Unfit(
                 f"at {velocity.words} the board's reports do not show turning wheels: "
-                f"{SIMULATED if stand.board else PLUGGED}"
+                f"{SIMULATED if stand.board else SUPPLIED}"
             )
         found = ByWheels(max(found.gap_s, sight.longest_gap_s(turned)), found.rolled_s)
         _come_to_rest(stand, velocity, found.verdict(begun_ns))
@@ -90,7 +90,7 @@ def _by_wheels(stand: Stand, velocities: Iterable[Turning], share: float) -> ByW
     return found
 
 
-def _spin(stand: Stand, velocity: Turning, seconds: float) -> list[Sample]:
+def _spin(stand: Stand, velocity: Turning, seconds: float) -> list[SeenSample]:
     """The samples of wheels at speed."""
     stand.driver.velocity = velocity.command
     stand.driver.enable()
@@ -103,13 +103,13 @@ def _come_to_rest(stand: Stand, velocity: Turning, verdict: Verdict) -> None:
         raise Runaway(RUNAWAY.format(velocity.words))
 
 
-def _collect(stand: Stand, seconds: float) -> list[Sample]:
+def _collect(stand: Stand, seconds: float) -> list[SeenSample]:
     stand.watch.forget()
     stand.run(seconds)
     return list(stand.watch.samples)
 
 
-def _noise(samples: list[Sample], when: str) -> Noise:
+def _noise(samples: list[SeenSample], when: str) -> Noise:
     found = shake.noise(samples)
     if found is None:
         span_s = (samples[-1][0] - samples[0][0]) / NS if samples else 0.0

@@ -16,7 +16,7 @@ EVERY_S = 0.01
 WOKEN_LATE_NS = 50_000_000
 """Woken later than this, a process was held up: a quiet machine wakes it within a millisecond, and one that is busy and
 has a core to spare within ten."""
-LOOK_S = 0.1
+OTHERS_S = 0.1
 """How often the kernel is asked for how long the others have waited for a processor."""
 WAITED_SHARE = 0.2
 """Of the time, waiting for a processor. The test sleeps for a millisecond at a time: on a quiet machine it waits for
@@ -75,7 +75,7 @@ class Held:
             self.woken(due_ns + round(EVERY_S * 1e9), now_ns)
             due_ns = now_ns
             if now_ns >= look_ns:
-                look_ns = now_ns + round(LOOK_S * 1e9)
+                look_ns = now_ns + round(OTHERS_S * 1e9)
                 self.look(now_ns)
 
     def woken(self, due_ns: int, now_ns: int) -> None:

@@ -13,7 +13,7 @@ from failstop.api.snapshot import State
 from failstop.lab.faults.fault import Wanted, fits, told
 from failstop.lab.faults.steps import Steps
 from failstop.lab.prove import held, shake, table
-from failstop.lab.prove.sight import Sample, Sight
+from failstop.lab.prove.sight import SeenSample, Sight
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Turning
@@ -69,7 +69,7 @@ class Result:
     """The sign that the machine did not run everybody in time meanwhile; empty: there is none."""
     arm: dict[str, Any] | None = None
     """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
-    samples: list[Sample] = dataclasses.field(default_factory=list)
+    samples: list[SeenSample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
     again: list[str] = dataclasses.field(default_factory=list)
     """Signs for which it was taken again: the machine had spoiled it."""
@@ -203,7 +203,7 @@ class PathRun:
         if self.stand.gone():
             self.stand.watch.take_port()
 
-    def _after(self) -> list[Sample]:
+    def _after(self) -> list[SeenSample]:
         return [sample for sample in self.stand.watch.samples if sample[0] >= self.cause_ns]
 
     def _acknowledged(self) -> int | None:
@@ -221,7 +221,7 @@ class PathRun:
         if not path.ends and path.process != SUPERVISOR:
             self._judge_latch()
 
-    def _before(self) -> list[Sample]:
+    def _before(self) -> list[SeenSample]:
         """The samples of half a second before the cause, in which the wheels turned; all are kept in the result."""
         samples = self.stand.watch.samples
         self.result.samples = [(t_ns - self.cause_ns, one, other) for t_ns, one, other in samples]
@@ -230,7 +230,7 @@ class PathRun:
             self.result.doubt("the wheels were not seen turning before the stop")
         return before
 
-    def _judge_rest(self, before: list[Sample]) -> None:
+    def _judge_rest(self, before: list[SeenSample]) -> None:
         result, sight = self.result, self.sight
         after = self._after()
         if not self._verdict.still(self.stand.watch.samples):

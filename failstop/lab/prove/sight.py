@@ -16,7 +16,7 @@ from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.table import REST_RESOLUTION_S, Path, Turning
 from failstop.procs.telemetry.readback import ReadBack
 
-Sample = tuple[int, Any, Any]
+SeenSample = tuple[int, Any, Any]
 """When it was read (ns), and the gyro's x and y (rad/s), or the wheels' speeds and positions as the board reports."""
 
 NS = 1e9
@@ -27,7 +27,7 @@ ROLLED = 1.5
 class Verdict(Protocol):
     """A running judgement over a list of samples that grows."""
 
-    def still(self, samples: Sequence[Sample]) -> bool:
+    def still(self, samples: Sequence[SeenSample]) -> bool:
         """Whether its last word is that the wheels stand still."""
 
 
@@ -43,15 +43,15 @@ class Sight:
         """A judgement of the samples from then on."""
         raise NotImplementedError
 
-    def turning(self, samples: Sequence[Sample]) -> bool:
+    def turning(self, samples: Sequence[SeenSample]) -> bool:
         """Whether the wheels turned all the while."""
         raise NotImplementedError
 
-    def rest_ns(self, samples: Sequence[Sample], velocity: str) -> int | None:
+    def rest_ns(self, samples: Sequence[SeenSample], velocity: str) -> int | None:
         """The moment of rest, after which nothing turns; None: there is none."""
         raise NotImplementedError
 
-    def blind_ns(self, samples: Sequence[Sample], begin_ns: int, end_ns: int) -> int:
+    def blind_ns(self, samples: Sequence[SeenSample], begin_ns: int, end_ns: int) -> int:
         """How long nothing was reported just before `end_ns`, where that is longer than usual; else 0."""
         return shake.blind_ns(samples, begin_ns, end_ns)
 
@@ -84,10 +84,10 @@ class ByImu(Sight):
     def verdict(self, begin_ns: int = 0) -> shake.Verdict:
         return shake.Verdict(self.limit_radps, begin_ns)
 
-    def turning(self, samples: Sequence[Sample]) -> bool:
+    def turning(self, samples: Sequence[SeenSample]) -> bool:
         return shake.turning(samples, self.limit_radps)
 
-    def rest_ns(self, samples: Sequence[Sample], velocity: str) -> int | None:
+    def rest_ns(self, samples: Sequence[SeenSample], velocity: str) -> int | None:
         return shake.rest_ns(samples, self.still, self.spinning[velocity])
 
     def lines(self) -> list[str]:
@@ -120,7 +120,7 @@ class WheelsVerdict:
         self._begin_ns = begin_ns
         self._taken = 0
 
-    def still(self, samples: Sequence[Sample]) -> bool:
+    def still(self, samples: Sequence[SeenSample]) -> bool:
         """Whether its last word is that the wheels stand still."""
         for t_ns, speeds, positions in samples[self._taken :]:
             if t_ns >= self._begin_ns:
@@ -144,14 +144,14 @@ class ByWheels(Sight):
     def verdict(self, begin_ns: int = 0) -> WheelsVerdict:
         return WheelsVerdict(begin_ns)
 
-    def turning(self, samples: Sequence[Sample]) -> bool:
+    def turning(self, samples: Sequence[SeenSample]) -> bool:
         judged = rests(samples)
         return bool(judged) and not any(still for _, still in judged)
 
-    def rest_ns(self, samples: Sequence[Sample], velocity: str) -> int | None:
+    def rest_ns(self, samples: Sequence[SeenSample], velocity: str) -> int | None:
         return rest_ns(samples)
 
-    def blind_ns(self, samples: Sequence[Sample], begin_ns: int, end_ns: int) -> int:
+    def blind_ns(self, samples: Sequence[SeenSample], begin_ns: int, end_ns: int) -> int:
         silent_ns = shake.blind_ns(samples, begin_ns, end_ns)
         return silent_ns if silent_ns > 2 * self.gap_s * NS else 0
 
@@ -169,13 +169,13 @@ class ByWheels(Sight):
         return dataclasses.asdict(self)
 
 
-def rests(samples: Sequence[Sample]) -> list[tuple[int, bool]]:
+def rests(samples: Sequence[SeenSample]) -> list[tuple[int, bool]]:
     """(when, whether the wheels stood) of each report that says it."""
     judge = ReadBack()
     return [(t_ns, judge.still_ns > 0) for t_ns, speeds, positions in samples if judge.take(speeds, positions, t_ns)]
 
 
-def rest_ns(samples: Sequence[Sample]) -> int | None:
+def rest_ns(samples: Sequence[SeenSample]) -> int | None:
     """The first report of a rest that lasts; None: the last one tells of turning wheels, or there is none."""
     found = None
     for t_ns, still in rests(samples):
@@ -183,13 +183,13 @@ def rest_ns(samples: Sequence[Sample]) -> int | None:
     return found
 
 
-def longest_gap_s(samples: Sequence[Sample]) -> float:
+def longest_gap_s(samples: Sequence[SeenSample]) -> float:
     """Between two reports that say whether the wheels stand; 0: there are no two."""
     return max((two - one for (one, _), (two, _) in pairwise(rests(samples))), default=0) / NS
 
 
 class _Nothing:
-    def still(self, samples: Sequence[Sample]) -> bool:
+    def still(self, samples: Sequence[SeenSample]) -> bool:
         """Nobody says otherwise."""
         return True
 
@@ -200,10 +200,10 @@ class Unseen(Sight):
     def verdict(self, begin_ns: int = 0) -> Verdict:
         return _Nothing()
 
-    def turning(self, samples: Sequence[Sample]) -> bool:
+    def turning(self, samples: Sequence[SeenSample]) -> bool:
         return True
 
-    def rest_ns(self, samples: Sequence[Sample], velocity: str) -> int | None:
+    def rest_ns(self, samples: Sequence[SeenSample], velocity: str) -> int | None:
         return None
 
     def rest_bar_s(self, path: Path, velocity: Turning) -> float:

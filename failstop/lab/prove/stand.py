@@ -83,13 +83,13 @@ class Stand:
         self.board = board
         values = settings_for(user)
         self.settings: Settings = config.checked(dict(values))
+        self.language = board_of(*self.settings.board())
+        self.means: Means = means_of(self.settings.text("board.kind"), self.language)
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
         self.name = f"prove-{os.getpid()}"
         self.service = StandService(self.name, device, folder, ("--config", path))
         self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
-        self.language = board_of(*self.settings.board())
-        self.means: Means = means_of(self.settings.text("board.kind"), self.language)
         self.service.ready_s += self.language.port.deaf_ns / 1e9
         self.watch = Watch(device, self.language)
         self.driver.each = self.look

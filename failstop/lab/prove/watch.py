@@ -26,7 +26,7 @@ from failstop.board.interface import (
 from failstop.board.port import PortError, open_port
 from failstop.board.tap import Tap
 from failstop.lab.prove import borrowed
-from failstop.lab.prove.sight import Sample
+from failstop.lab.prove.sight import SeenSample
 from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm.cell import RingReader
@@ -72,7 +72,7 @@ class Watch:
         self._ask_ns = 0
         # A board that says something of its wheels only when it is asked has a question for it among the others.
         self._ask_every_ns = board.ping_ns // len(board.pings) if board.ping_ns else ASK_EVERY_NS
-        self.samples: list[Sample] = []
+        self.samples: list[SeenSample] = []
         """Reports of what observes that the wheels stand: the IMU, or the board's own of its wheels."""
         self.answers: list[tuple[int, int]] = []
         """(when the ping was written, when its answer was read); of an echo of zeros, when they were written at the
