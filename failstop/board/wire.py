@@ -90,6 +90,11 @@ class Watchdog(Data):
     fed_by: str
     """A sentence for people: what keeps it from acting, and what does not."""
 
+    @property
+    def acts_ns(self) -> int:
+        """How long after the last motion it acts in a service of failstop; 0: it has none."""
+        return self.set_ns or self.after_ns
+
 
 class Motion(Data):
     """Motion from the speeds of the wheels, in the board's own unit."""

@@ -70,6 +70,8 @@ class Service:
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
         self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
         self.started_ns = 0
+        self.ready_s = READY_S
+        """How long its start may take."""
         self.process: subprocess.Popen[bytes] | None = None
 
     def become(self, *command: str) -> None:
@@ -80,7 +82,7 @@ class Service:
         """Exec the service and wait until motion could be enabled. Raises TrialError with what it said."""
         self.exec()
         try:
-            wait_for(f"service {self.name} to be ready", self.ready)
+            wait_for(f"service {self.name} to be ready", self.ready, self.ready_s)
         except TrialError as error:
             if self.process is None or self.process.poll() is not None:
                 raise

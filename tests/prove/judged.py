@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from types import SimpleNamespace
 
+from failstop.board.interface import BY_ANSWER, BY_IMU
+from failstop.lab.prove.means import Means
 from failstop.lab.prove.run import PathRun
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.policy import causes
@@ -15,6 +17,8 @@ from tests.support.board_events import STILL as REST
 
 MS = 1_000_000
 LATCH = causes.PIPED("prove")
+MEANS = Means(BY_ANSWER, BY_IMU, pad=True)
+"""Of the first board."""
 
 
 def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object) -> PathRun:
@@ -30,6 +34,7 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
     stand = SimpleNamespace(
         board=SimpleNamespace(events=lambda: events),
         watch=watch,
+        means=MEANS,
         driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(cause=latch, estop=latch and str(latch)))),
         service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from failstop.lab.prove.run import Character
 from failstop.lab.prove.shake import GyroSample, Noise
+from failstop.lab.prove.sight import ByImu
 
 S = 1_000_000_000
 RATE_HZ = 110
@@ -30,7 +30,7 @@ def level(std: float) -> Noise:
     return Noise(std, std, 0.85 * std, 1.2 * std, 0.0, 0.0, RATE_HZ)
 
 
-SIMULATED = Character(
+SIMULATED = ByImu(
     still=level(STILL), spinning={"0.2": level(DRIVE), "turn": level(TURN)}, limit_radps=0.0035, configured_radps=0.0035
 )
 """The character of the simulated board."""

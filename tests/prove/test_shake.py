@@ -85,6 +85,9 @@ def test_a_silence_of_the_imu() -> None:
     gapped = [sample for sample in samples if not S < sample[0] < 1.5 * S]
     after_ns = next(t_ns for t_ns, _, _ in gapped if t_ns > S)
     assert shake.blind_ns(gapped, 0, after_ns) == pytest.approx(0.5 * S, rel=0.05)
+    waited = [(after_ns - number * S // 10_000, x, y) for number, (_, x, y) in enumerate(gapped[:20], 1)]
+    heap = sorted([*gapped, *waited])
+    assert shake.blind_ns(heap, 0, after_ns) == shake.blind_ns(gapped, 0, after_ns), "read together after the silence"
     assert shake.longest_silence_ns(samples, 0, 3 * S) == 0
     assert shake.longest_silence_ns(gapped, 0, 3 * S) == pytest.approx(0.5 * S, rel=0.05)
     assert shake.longest_silence_ns(gapped, 2 * S, 3 * S) == 0

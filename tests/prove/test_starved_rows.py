@@ -29,7 +29,7 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.supervisor import status
-from tests.prove.judged import MS, UNSEEN, run, wrong
+from tests.prove.judged import MEANS, MS, UNSEEN, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
@@ -180,11 +180,36 @@ def test_lateness_is_counted_since_a_moment() -> None:
     assert held.starved((0, now_ns)) == ""
     held.woken(0, 80 * MS)
     held.woken(1_000 * MS, 1_060 * MS)
-    assert held.longest_ns(0) == 80 * MS
+    assert held.longest(0) == (80 * MS, "this test")
     assert held.starved((81 * MS, now_ns)) == "this test was not run for 60 ms"
     assert held.starved((2_000 * MS, now_ns)) == ""
     assert held.starved((2_000 * MS, now_ns), causes.HELD_UP(300)) == str(causes.HELD_UP(300))
     assert held.starved((2_000 * MS, now_ns), causes.KEY(1)) == ""
+
+
+def test_others_that_wait_for_a_processor_are_named() -> None:
+    """A pid that is new, or none, has waited for nothing yet."""
+    waits = {7: 5_000 * MS, 8: 0}
+    held = Held(others=lambda: {"gate": 7, "the simulated board": 8, "stopper": 0})
+    for at_ns, gate_ms, board_ms in ((100 * MS, 49, 0), (200 * MS, 0, 60), (300 * MS, 49, 0)):
+        held.look(at_ns, waits.__getitem__)
+        waits[7] += gate_ms * MS
+        waits[8] += board_ms * MS
+    held.look(400 * MS, waits.__getitem__)
+    assert held.longest(0) == (60 * MS, "the simulated board")
+    assert held.longest(301 * MS) == (0, "")
+
+
+def test_a_row_that_the_machine_spoils_is_taken_again() -> None:
+    """No more than a few times, and one that failed, or after which none can follow, is not."""
+    spoiled = [result(wrong=["late"], doubts=["late"], starved=f"held {number}") for number in range(9)]
+    told: list[Result] = []
+    found = session.until_valid(iter([*spoiled[:2], result()]).__next__, told.append)
+    assert (found.verdict, found.again, told) == ("PASS", ["held 0", "held 1"], spoiled[:2])
+    assert "taken 3 times" in report.row(found)
+    assert session.until_valid(iter(spoiled).__next__, told.append).verdict == "INVALID"
+    for last in (result(wrong=["NO STOP"]), result(wrong=["late"], doubts=["late"], starved="held", over="no service")):
+        assert session.until_valid(iter([last]).__next__, told.append).again == []
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.19, ""), (0.3, "this test waited for a processor for 30% of the time")])
@@ -203,9 +228,9 @@ import os, signal, time
 from failstop.lab.prove.held import Held
 with Held() as held:
     os.kill(os.getpid(), signal.SIGSTOP)
-    while not held.longest_ns(0):
+    while not held.longest(0)[0]:
         time.sleep(0.001)
-print(held.longest_ns(0))
+print(held.longest(0)[0])
 """
 
 
@@ -226,7 +251,9 @@ def test_advice_fits_the_board(simulated: bool) -> None:
     driver = SimpleNamespace(robot=SimpleNamespace(disable=str), enable=str)
     settings = {"still.std_radps": 0.0035, "limits.acceleration_mps2": 0.5, "limits.acceleration_radps2": 2.0}
     watch = SimpleNamespace(samples=gyro((2.0, STILL)), forget=str)
-    stand = SimpleNamespace(settings=settings, driver=driver, board=simulated or None, run=lambda *_: True, watch=watch)
+    stand = SimpleNamespace(
+        settings=settings, driver=driver, board=simulated or None, run=lambda *_: True, watch=watch, means=MEANS
+    )
     with pytest.raises(Unfit) as error:
         character.characterize(stand, [BY_TURNING["0.2"]], quick=True)  # type: ignore[arg-type]
     assert (MOUNTED in str(error.value)) is not simulated

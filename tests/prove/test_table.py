@@ -94,6 +94,6 @@ def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
 
 
 def test_a_limit_that_does_not_fit_is_told_with_one_that_does() -> None:
-    assert report.character_lines(SIMULATED)[-1].endswith("it fits this robot")
+    assert SIMULATED.lines()[-1].endswith("it fits this robot")
     other = dataclasses.replace(SIMULATED, limit_radps=0.0031)
-    assert "set it to 0.0031" in report.character_lines(other)[-1]
+    assert "set it to 0.0031" in other.lines()[-1]

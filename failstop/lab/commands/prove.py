@@ -11,22 +11,28 @@ from argparse import ArgumentParser, Namespace
 
 from failstop import config
 from failstop.api.errors import FailstopError, Refused
+from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.files.root import state_directory
 from failstop.lab.prove import report, table
+from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import Stand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
+from failstop.lab.sim.options import add_board
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
+failstop prove --sim --board hoverboard # another kind of board
 sudo systemctl stop failstop && sudo failstop prove
 failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
 """
+
+Plan = list[tuple[Path, Turning]]
 
 WORD = "spin"
 PROVE_FOLDER = "prove"
@@ -51,6 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop prove`."""
     add = parser.add_argument
     add("--sim", action="store_true", help="on a simulated board of its own, without questions")
+    add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
     add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
     add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
     add("--at", metavar="V,...", help=f"these velocities alone: {', '.join(BY_TURNING)}")
@@ -65,35 +72,52 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
     only, at = _words(arguments)
+    if arguments.board and not arguments.sim:
+        raise FailstopError("--board is for --sim: a real board is the one that the settings name, by board.kind")
     say = (lambda _: None) if arguments.json else report.print_now
 
-    def taken(device: str, user: dict[str, object], board: SimBoard | None) -> Evidence:
-        ask = report.print_now if arguments.pad else None
-        stand = Stand(device, user, folder, board)
-        has_arm = bool(stand.settings.servos())
-        plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
-        if not plan:
-            raise FailstopError(
-                "nothing to do: the settings name no joints, and only the arm's stop paths are asked for"
-            )
-        if not board:
-            _ask_consent(device, plan, has_arm=has_arm)
+    def taken(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
         velocities = list(dict.fromkeys(velocity for path, velocity in plan if not path.arm))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
-        return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask)
+        ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
+        stand = Stand(device, user, folder, board)
+        return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask, watcher=watcher)
 
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-", ignore_cleanup_errors=True) as folder:
         if arguments.sim:
             link = os.path.join(folder, "board")
-            with SimBoard(link) as board:
-                evidence = taken(link, config.read(arguments.config), board)
+            user = config.read(arguments.config)
+            if arguments.board:
+                user["board.kind"] = arguments.board
+            plan, _ = _plan(arguments, user, only, at)
+            with SimBoard(link, board=str(user.get("board.kind", ""))) as board:
+                evidence = taken(link, user, plan, board)
         else:
             path = config.chosen(arguments.name, arguments.config)
             device = arguments.device or config.load(path).text("device.path")
             check_free(device, arguments.name)
-            evidence = taken(device, config.read(path), None)
+            user = config.read(path)
+            plan, has_arm = _plan(arguments, user, only, at)
+            _ask_consent(device, plan, has_arm=has_arm)
+            evidence = taken(device, user, plan)
     _show(arguments, evidence)
     return evidence.exit_code
+
+
+def _plan(
+    arguments: Namespace, user: dict[str, object], only: tuple[str, ...], at: tuple[str, ...]
+) -> tuple[Plan, bool]:
+    """The runs that this robot can have, in order, and whether its arm moves. Raises FailstopError where there are
+    none, SettingError."""
+    settings = config.checked(settings_for(user))
+    has_arm = bool(settings.servos())
+    means = means_of(settings.text("board.kind"), board_of(*settings.board()))
+    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
+    fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
+    if not fitted:
+        why = {means.lacks(path) for path, _ in plan} or {"the settings name no joints, and this is the arm's alone"}
+        raise FailstopError(f"nothing to do of {', '.join(only)}: {'; '.join(sorted(why))}")
+    return fitted, has_arm
 
 
 def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -111,7 +135,7 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return chosen[0], chosen[1]
 
 
-def _ask_consent(device: str, plan: list[tuple[Path, Turning]], *, has_arm: bool) -> None:
+def _ask_consent(device: str, plan: Plan, *, has_arm: bool) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
     arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
     print(f"{device}:", file=sys.stderr)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from failstop.lab.faults import ptrace, table
 from failstop.lab.faults.fault import SPIN, Fault
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.table import BY_PATH, PAD_STOP, PATHS, TURNINGS, Path, Turning, of_fault
+from failstop.lab.prove.table import BY_PATH, FROZEN, PAD_STOP, PATHS, TURNINGS, Path, Turning, of_fault
 
 Draw = tuple[Path, Turning, random.Random]
 WIDTH = 46
@@ -25,8 +25,8 @@ def _fit(row: Fault) -> bool:
 
 
 def paths() -> dict[str, Path]:
-    """Everything that can be done on a stand without a person, by name."""
-    found = [path for path in PATHS if path.kind != PAD_STOP]
+    """Everything that can be done on a stand without a person, on any board, by name."""
+    found = [path for path in PATHS if path.kind not in (PAD_STOP, FROZEN)]
     found += [of_fault(row) for row in table.TABLE if _fit(row)]
     return {path.name: path for path in found}
 

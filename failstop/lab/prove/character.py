@@ -1,20 +1,27 @@
-"""Characterizing the robot: how it shakes at rest, and with its wheels turning at each velocity."""
+"""Characterizing the robot: how rest and turning show at each velocity, by its IMU or by its board's reports."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 
 from failstop.api.errors import FailstopError
-from failstop.lab.prove import shake
-from failstop.lab.prove.run import MOST_S, NS, STEADY_S, Character, speed_up_s
-from failstop.lab.prove.shake import GyroSample, Noise, Verdict
+from failstop.board.interface import BY_WHEELS
+from failstop.lab.prove import shake, sight
+from failstop.lab.prove.run import MOST_S, NS, STAYS_S, STEADY_S, speed_up_s
+from failstop.lab.prove.shake import Noise
+from failstop.lab.prove.sight import ByImu, ByWheels, SeenSample, Sight, Unseen, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import Turning
 
 STILL_S = 3.0
 SPIN_S = 2.0
+STOOD_S = 1.0
+"""Watched at rest, where the board reports its wheels."""
 MOUNTED = "lift the robot less softly, or mount the IMU firmly"
 SIMULATED = "the simulated board was held up, or its wheels were stopped; repeat on a quieter machine"
+SUPPLIED = "are the motors' supply and the encoders plugged in, and is board.per_rps right?"
+RUNAWAY = "THE WHEELS DID NOT COME TO REST after {}: use the POWER SWITCH"
 
 
 class Unfit(FailstopError):
@@ -25,17 +32,21 @@ class Runaway(FailstopError):
     """The wheels do not stop."""
 
 
-def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) -> Character:
+def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) -> Sight:
     """Measure. Raises Unfit, Runaway, TrialError, FailstopError."""
-    configured = stand.settings["still.std_radps"]
     share = 0.6 if quick else 1.0
-    still = _noise(_collect(stand, STILL_S * share), "at rest")
+    if stand.means.observed_by == BY_WHEELS:
+        return _by_wheels(stand, velocities, share)
+    still = _collect(stand, STILL_S * share)
+    return Unseen() if stand.means.may_be_blind and not still else _by_imu(stand, still, velocities, share)
+
+
+def _by_imu(stand: Stand, stood: list[SeenSample], velocities: Iterable[Turning], share: float) -> ByImu:
+    configured = stand.settings["still.std_radps"]
+    still = _noise(stood, "at rest")
     spinning = {}
     for velocity in velocities:
-        stand.driver.velocity = velocity.command
-        stand.driver.enable()
-        stand.run(speed_up_s(stand, velocity) + STEADY_S / 2)
-        spinning[velocity.name] = _noise(_collect(stand, SPIN_S * share), f"at {velocity.words}")
+        spinning[velocity.name] = _noise(_spin(stand, velocity, SPIN_S * share), f"at {velocity.words}")
         limit = shake.limit(still, list(spinning.values()), configured)
         stand.driver.robot.disable()
         if limit is None:
@@ -44,21 +55,61 @@ def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) ->
                 f"(from {spinning[velocity.name].least:.4f} rad/s): {SIMULATED if stand.board else MOUNTED}"
             )
         stand.watch.forget()
-        verdict = Verdict(limit)
-        if not stand.run(MOST_S, lambda verdict=verdict: verdict.still(stand.watch.samples)):  # type: ignore[misc]
-            raise Runaway(f"THE WHEELS DID NOT COME TO REST after {velocity.words}: use the POWER SWITCH")
+        _come_to_rest(stand, velocity, shake.Verdict(limit))
     limit = shake.limit(still, list(spinning.values()), configured)
     assert limit is not None
-    return Character(still, spinning, limit, configured)
+    return ByImu(still, spinning, limit, configured)
 
 
-def _collect(stand: Stand, seconds: float) -> list[GyroSample]:
+def _by_wheels(stand: Stand, velocities: Iterable[Turning], share: float) -> ByWheels:
+    """Nothing is known of how such robots roll: the bar of rest is made of how this one does."""
+    stood = _collect(stand, STOOD_S)
+    judged = sight.rests(stood)
+    if not judged or not judged[-1][1]:
+        seen = "the board says that its wheels turn" if judged else "the board reports nothing of its wheels"
+        raise Unfit(f"at rest: {seen}")
+    found = ByWheels(sight.longest_gap_s(stood), {})
+    for velocity in velocities:
+        turned = _spin(stand, velocity, SPIN_S * share)
+        begun_ns = time.monotonic_ns()
+        stand.driver.robot.disable()
+        if not found.turning(turned):
+            if cause := stand.driver.robot.state.cause:
+                raise Unfit(f"a stop came while the wheels were to turn: {cause}")
+            raise Unfit(
+                f"at {velocity.words} the board's reports do not show turning wheels: "
+                f"{SIMULATED if stand.board else SUPPLIED}"
+            )
+        found = ByWheels(max(found.gap_s, sight.longest_gap_s(turned)), found.rolled_s)
+        _come_to_rest(stand, velocity, found.verdict(begun_ns))
+        stand.run(STAYS_S)
+        rest_ns = sight.rest_ns([sample for sample in stand.watch.samples if sample[0] >= begun_ns])
+        if rest_ns is None:
+            raise Runaway(RUNAWAY.format(velocity.words))
+        found.rolled_s[velocity.name] = (rest_ns - begun_ns) / NS
+    return found
+
+
+def _spin(stand: Stand, velocity: Turning, seconds: float) -> list[SeenSample]:
+    """The samples of wheels at speed."""
+    stand.driver.velocity = velocity.command
+    stand.driver.enable()
+    stand.run(speed_up_s(stand, velocity) + STEADY_S / 2)
+    return _collect(stand, seconds)
+
+
+def _come_to_rest(stand: Stand, velocity: Turning, verdict: Verdict) -> None:
+    if not stand.run(MOST_S, lambda: verdict.still(stand.watch.samples)):
+        raise Runaway(RUNAWAY.format(velocity.words))
+
+
+def _collect(stand: Stand, seconds: float) -> list[SeenSample]:
     stand.watch.forget()
     stand.run(seconds)
     return list(stand.watch.samples)
 
 
-def _noise(samples: list[GyroSample], when: str) -> Noise:
+def _noise(samples: list[SeenSample], when: str) -> Noise:
     found = shake.noise(samples)
     if found is None:
         span_s = (samples[-1][0] - samples[0][0]) / NS if samples else 0.0

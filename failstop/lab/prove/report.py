@@ -14,8 +14,10 @@ from typing import Any
 from failstop.cli import style
 from failstop.doctor.machine import facts
 from failstop.lab.prove.held import repeat
-from failstop.lab.prove.run import Character, Result
-from failstop.lab.prove.shake import Noise
+from failstop.lab.prove.means import Means
+from failstop.lab.prove.run import Result
+from failstop.lab.prove.sight import ByImu, Sight
+from failstop.lab.prove.table import FROZEN
 from failstop.supervisor.status import cost
 
 CAN_NOT = (
@@ -35,7 +37,7 @@ class Evidence:
     device: str
     simulated: bool
     realtime: bool
-    character: Character | None = None
+    character: Sight | None = None
     results: list[Result] = dataclasses.field(default_factory=list)
     ended: str = ""
     """Why it ended before its end; empty: it did not."""
@@ -46,6 +48,13 @@ class Evidence:
     begun_unix_s: float = dataclasses.field(default_factory=time.time)
     tool: str = "prove"
     """The command."""
+    means: Means | None = None
+    """Of the board; None: nothing is said of them."""
+
+    @property
+    def blind(self) -> bool:
+        """Nothing reports whether the wheels stand."""
+        return self.character is not None and not self.character.by
 
     @property
     def exit_code(self) -> int:
@@ -83,7 +92,8 @@ class Evidence:
             "verdict": self.verdict,
             "passed": self.passed,
             "ended": self.ended,
-            "character": dataclasses.asdict(self.character) if self.character else None,
+            "character": self.character.as_dict() if self.character else None,
+            "unproved": self.means.unproved(blind=self.blind) if self.means else [],
             "rows": [_record(result) for result in self.results],
         }
 
@@ -110,14 +120,20 @@ def _record(result: Result) -> dict[str, Any]:
         "written_bar_ms": result.path.reaction_bar_ms(simulated=result.simulated),
         "acknowledged_ms": result.acknowledged_ms,
         "rest_s": result.rest_s,
-        "rest_bar_s": result.path.rest_bar_s(result.velocity),
+        "rest_bar_s": result.rest_bar_s,
         "blind_s": result.blind_s,
         "board_ms": result.board_ms,
         "back_s": result.back_s,
         "latched": result.latched,
         "arm": result.arm,
-        "samples": [[round(t_ns / 1e6, 2), round(x, 5), round(y, 5)] for t_ns, x, y in result.samples],
+        "taken_again": result.again,
+        "samples": [[round(t_ns / 1e6, 2), *(_rounded(part) for part in parts)] for t_ns, *parts in result.samples],
     }
+
+
+def _rounded(part: float | Sequence[float]) -> float | list[float]:
+    """A value of the gyro, or those of the wheels."""
+    return [round(value, 5) for value in part] if isinstance(part, Sequence) else round(part, 5)
 
 
 def head(width: int = NAME) -> str:
@@ -130,16 +146,18 @@ def head(width: int = NAME) -> str:
 
 def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = NAME) -> str:
     """One line of the table, the verdict painted."""
+    frozen = result.path.kind == FROZEN  # nobody writes
     bar_ms = result.path.reaction_bar_ms(simulated=result.simulated)
-    written = _cell(result.written_ms, ".2f", f"{bar_ms:.0f}")
+    written = _cell(result.written_ms, ".2f", "" if frozen else f"{bar_ms:.0f}")
     acknowledged = _cell(result.acknowledged_ms, ".0f", "")
-    rest = _cell(result.rest_s, ".2f", f"{result.path.rest_bar_s(result.velocity):.2f}")
+    rest = _cell(result.rest_s, ".2f", f"{result.rest_bar_s:.2f}" if result.rest_bar_s else "")
     board = _cell(result.board_ms, ".2f", "")
     why = f" {'; '.join(result.wrong) or result.skipped}" if result.wrong or result.skipped else ""
     if result.verdict == "INVALID":
         why = f" {repeat(result.starved)};{why}"
     notes = [f"blind for {result.blind_s:.2f} s"] if result.blind_s and result.rest_s is not None else []
     notes += [f"turning again {result.back_s:.1f} s after the return"] if result.back_s is not None else []
+    notes += [f"taken {len(result.again) + 1} times"] if result.again else []
     note = f" ({'; '.join(notes)})" if notes else ""
     name = f"{result.path.name:<{width}}"
     return (
@@ -153,25 +171,13 @@ def _cell(value: float | None, form: str, bar: str) -> str:
     return f"{shown} ({bar})" if bar else shown
 
 
-def character_lines(character: Character) -> list[str]:
-    """How this robot shakes."""
-    lines = [f"IMU at rest        {_noise(character.still)}"]
-    lines += [f"IMU at {name:<11} {_noise(noise)}" for name, noise in character.spinning.items()]
-    if character.limit_radps == character.configured_radps:
-        lines.append(f"still.std_radps = {character.configured_radps:g} lies between: it fits this robot")
-    else:
-        lines.append(
-            f"still.std_radps = {character.configured_radps:g} does not lie between: "
-            f"set it to {character.limit_radps:.4f}, which is used here"
-        )
+def character_lines(evidence: Evidence) -> list[str]:
+    """How this robot shows rest, and what can't be proved on it."""
+    lines = evidence.character.lines() if evidence.character else []
+    if evidence.means:
+        lines += evidence.means.lines(blind=evidence.blind)
+        lines += [f"NOT PROVED HERE: {reason}" for reason in evidence.means.unproved(blind=evidence.blind)]
     return lines
-
-
-def _noise(noise: Noise) -> str:
-    return (
-        f"std x {noise.std_x:.4f} y {noise.std_y:.4f} rad/s, windows {noise.least:.4f} to {noise.most:.4f}, "
-        f"{noise.rate_hz:.0f} Hz"
-    )
 
 
 def head_lines(evidence: Evidence) -> list[str]:
@@ -199,7 +205,7 @@ def last_lines(evidence: Evidence) -> list[str]:
 
 def text(evidence: Evidence) -> str:
     """The whole report."""
-    character = ["", *character_lines(evidence.character)] if evidence.character else []
+    character = ["", *character_lines(evidence)]
     rows = ["", head(), *map(row, evidence.results)] if evidence.results else []
     return "\n".join([*head_lines(evidence), *character, *rows, "", *last_lines(evidence)]) + "\n"
 
@@ -214,8 +220,9 @@ def save(evidence: Evidence, folder: str) -> list[str]:
         file.write(text(evidence))
     with open(paths[1], "w", encoding="utf-8") as file:
         json.dump(evidence.as_dict(), file, indent=1)
+    shaken = isinstance(evidence.character, ByImu)
     picture = os.path.join(place, "gyro.png")
-    return [*paths, picture] if _draw(evidence.results, picture) else paths
+    return [*paths, picture] if shaken and _draw(evidence.results, picture) else paths
 
 
 def _draw(results: Sequence[Result], path: str) -> bool:
@@ -239,7 +246,7 @@ def _draw(results: Sequence[Result], path: str) -> bool:
         panel.axvline(0.0, color="black", linewidth=0.8)
         if result.rest_s is not None:
             panel.axvline(result.rest_s, color="green", linewidth=0.8)
-        panel.axvline(result.path.rest_bar_s(result.velocity), color="red", linestyle=":", linewidth=0.8)
+        panel.axvline(result.rest_bar_s, color="red", linestyle=":", linewidth=0.8)
         panel.set_title(f"{result.path.name} {result.velocity.words}: {result.verdict}", fontsize=8)
     for panel in panels:
         panel.set_visible(False)

@@ -13,7 +13,7 @@ from failstop.api.snapshot import State
 from failstop.lab.faults.fault import Wanted, fits, told
 from failstop.lab.faults.steps import Steps
 from failstop.lab.prove import held, shake, table
-from failstop.lab.prove.shake import GyroSample, Noise, Verdict
+from failstop.lab.prove.sight import SeenSample, Sight
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Turning
@@ -36,17 +36,6 @@ SILENCE_CAUSES = (*held.BUSY, causes.HANGS, causes.MUTE)
 """Causes that a process has which was not run, whatever kept it."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Character:
-    """How this robot shakes."""
-
-    still: Noise
-    spinning: dict[str, Noise]
-    limit_radps: float
-    """The limit below which wheels are still here."""
-    configured_radps: float
-
-
 @dataclasses.dataclass
 class Result:
     """The outcome of one run. Times count from the cause; None: it was not seen."""
@@ -58,8 +47,10 @@ class Result:
     written_by: str = ""
     acknowledged_ms: float | None = None
     rest_s: float | None = None
+    bar_s: float | None = None
+    """Of the time to rest, as this robot's sight has it; None: that of the path."""
     blind_s: float = 0.0
-    """The IMU was silent for so long before the moment of rest, which is then the latest it can have been."""
+    """Nothing was reported for so long before the moment of rest, which is then the latest it can have been."""
     board_ms: float | None = None
     """The simulated board's own word: its first stop frame."""
     back_s: float | None = None
@@ -78,8 +69,15 @@ class Result:
     """The sign that the machine did not run everybody in time meanwhile; empty: there is none."""
     arm: dict[str, Any] | None = None
     """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
-    samples: list[GyroSample] = dataclasses.field(default_factory=list)
+    samples: list[SeenSample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
+    again: list[str] = dataclasses.field(default_factory=list)
+    """Signs for which it was taken again: the machine had spoiled it."""
+
+    @property
+    def rest_bar_s(self) -> float:
+        """From the cause to rest, at most."""
+        return self.path.rest_bar_s(self.velocity) if self.bar_s is None else self.bar_s
 
     @property
     def verdict(self) -> str:
@@ -101,7 +99,7 @@ class PathRun:
     def __init__(
         self,
         stand: Stand,
-        character: Character,
+        sight: Sight,
         path: Path,
         velocity: Turning,
         ask: Ask | None,
@@ -109,17 +107,17 @@ class PathRun:
     ) -> None:
         """`chance`: for what is left to it in a row of the fault table."""
         self.stand = stand
-        self.character = character
+        self.sight = sight
         self.path = path
         self.velocity = velocity
         self.ask = ask
-        self.result = Result(path, velocity, stand.board is not None)
+        self.result = Result(path, velocity, stand.board is not None, bar_s=sight.rest_bar_s(path, velocity))
         self._steps = Steps(path.fault, chance) if path.fault else None
         self._pids: dict[str, int] = {}
         self.cause_ns = 0
         """When the stop was brought about."""
         self._rest_seen_ns = 0
-        self._verdict = Verdict(character.limit_radps)
+        self._verdict = sight.verdict()
 
     def take(self) -> Result:
         """Do it. What can't be done, and what must not happen, is in the result."""
@@ -134,10 +132,7 @@ class PathRun:
                 result.starved = self.stand.held.starved(begun, before)
                 raise TrialError(f"a stop came before the cause: {before}")
             try:
-                self.cause_ns = self._strike()
-                self._verdict = Verdict(self.character.limit_radps, self.cause_ns)
-                self.stand.run(MOST_S, self._settled)
-                self.judge()
+                self._stop()
                 if self.path.kind == table.SCAN and not result.runaway:
                     self._sense_again()
             except Skipped as reason:
@@ -151,6 +146,13 @@ class PathRun:
         result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
+    def _stop(self) -> None:
+        """Bring the stop about, see it through, judge it."""
+        self.cause_ns = self._strike()
+        self._verdict = self.sight.verdict(self.cause_ns)
+        self.stand.run(MOST_S, self._settled)
+        self.judge()
+
     def _strike(self) -> int:
         if self._steps:
             return self._steps.take(self._pids, self.stand.run)
@@ -163,7 +165,7 @@ class PathRun:
         if problem := stand.safe():
             result.wrong.append(problem)
         stand.watch.forget()
-        verdict = Verdict(self.character.limit_radps, time.monotonic_ns())
+        verdict = self.sight.verdict(time.monotonic_ns())
         seen = stand.watch.take_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
         if not seen:
             result.wrong.append("the wheels were not seen at rest after that")
@@ -194,14 +196,14 @@ class PathRun:
             return False
         self._rest_seen_ns = self._rest_seen_ns or now_ns
         waited = now_ns > max(self.cause_ns + LEAST_S * NS, self._rest_seen_ns + STAYS_S * NS)
-        return waited and self._acknowledged() is not None
+        return waited and (self._acknowledged() is not None or not self.stand.means.acknowledged_by)
 
     def _follow_to_port(self) -> None:
         """A service that has gone leaves the port to us."""
         if self.stand.gone():
             self.stand.watch.take_port()
 
-    def _after(self) -> list[GyroSample]:
+    def _after(self) -> list[SeenSample]:
         return [sample for sample in self.stand.watch.samples if sample[0] >= self.cause_ns]
 
     def _acknowledged(self) -> int | None:
@@ -210,35 +212,45 @@ class PathRun:
     def judge(self) -> None:
         """Whether all was as it should be, by what was seen since the cause."""
         result, path = self.result, self.path
-        result.samples = [(t_ns - self.cause_ns, x, y) for t_ns, x, y in self.stand.watch.samples]
-        before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self.cause_ns < 0]
-        if not shake.turning(before, self.character.limit_radps):
-            result.doubt("the wheels were not seen turning before the stop")
-        judge_written(result, self.stand.watch, self.cause_ns)
-        self._judge_rest(before)
+        before = self._before()
+        judge_written(result, self.stand.watch, self.cause_ns, acknowledged=bool(self.stand.means.acknowledged_by))
+        if self.sight.by:
+            self._judge_rest(before)
         if self.stand.board:
             self._judge_board()
         if not path.ends and path.process != SUPERVISOR:
             self._judge_latch()
 
-    def _judge_rest(self, before: list[GyroSample]) -> None:
-        result, character = self.result, self.character
+    def _before(self) -> list[SeenSample]:
+        """The samples of half a second before the cause, in which the wheels turned; all are kept in the result."""
+        samples = self.stand.watch.samples
+        self.result.samples = [(t_ns - self.cause_ns, one, other) for t_ns, one, other in samples]
+        before = [sample for sample in samples if -0.55 * NS < sample[0] - self.cause_ns < 0]
+        if not self.sight.turning(before):
+            self.result.doubt("the wheels were not seen turning before the stop")
+        return before
+
+    def _judge_rest(self, before: list[SeenSample]) -> None:
+        result, sight = self.result, self.sight
         after = self._after()
         if not self._verdict.still(self.stand.watch.samples):
-            seen = "the IMU is silent" if not after else "THE WHEELS DID NOT COME TO REST"
+            seen = f"the {sight.source} is silent" if not after else "THE WHEELS DID NOT COME TO REST"
             result.wrong.append(seen)
             result.runaway = True
             return
-        rest_ns = shake.rest_ns(before + after, character.still, character.spinning[self.velocity.name])
+        rest_ns = sight.rest_ns(before + after, self.velocity.name)
         if rest_ns is None:
-            result.doubt("no moment of rest in the IMU's samples")
+            result.doubt(f"no moment of rest in the samples of the {sight.source}")
             return
         rest_ns = max(rest_ns, self.cause_ns)
         result.rest_s = (rest_ns - self.cause_ns) / NS
-        result.blind_s = shake.blind_ns(before + after, self.cause_ns, rest_ns) / NS
-        bar_s = self.path.rest_bar_s(self.velocity)
-        if result.rest_s - result.blind_s > bar_s:
-            result.doubt(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
+        result.blind_s = sight.blind_ns(before + after, self.cause_ns, rest_ns) / NS
+        self._judge_bar()
+
+    def _judge_bar(self) -> None:
+        result = self.result
+        if result.rest_s is not None and result.rest_s - result.blind_s > result.rest_bar_s:
+            result.doubt(f"at rest after {result.rest_s:.2f} s, the bar is {result.rest_bar_s:.2f}")
 
     def _judge_board(self) -> None:
         assert self.stand.board is not None
@@ -249,7 +261,7 @@ class PathRun:
             result.wrong.append("the board has seen NO STOP")
             return
         result.board_ms = (stop.arrival_ns - self.cause_ns) / 1e6
-        # A simulated board without real-time priority is held up itself, its IMU with it, on a busy machine.
+        # A simulated board without real-time priority is held up itself, its reports with it, on a busy machine.
         held_ns = shake.longest_silence_ns(self.stand.watch.samples, self.cause_ns, stop.arrival_ns)
         bar_ms = self.path.reaction_bar_ms(simulated=True) + held_ns / 1e6
         if result.board_ms > bar_ms:
@@ -267,11 +279,10 @@ class PathRun:
         watch = self.stand.watch
         begun_ns = time.monotonic_ns()
         self.stand.driver.senses = True
-        limit = self.character.limit_radps
 
         def turns() -> bool:
             recent = [sample for sample in watch.samples if sample[0] > time.monotonic_ns() - 0.55 * NS]
-            return shake.turning(recent, limit)
+            return self.sight.turning(recent)
 
         if self.stand.run(BACK_S + speed_up_s(self.stand, self.velocity), turns):
             self.result.back_s = (time.monotonic_ns() - begun_ns) / NS
@@ -334,8 +345,8 @@ def judge_latch(result: Result, state: State, wanted: tuple[Wanted, ...]) -> Non
         result.wrong.append(wrong)
 
 
-def judge_written(result: Result, watch: Watch, cause_ns: int) -> None:
-    """The stop and its acknowledgement."""
+def judge_written(result: Result, watch: Watch, cause_ns: int, *, acknowledged: bool = True) -> None:
+    """The stop and its acknowledgement, where the board gives one."""
     path = result.path
     written = _written(watch, cause_ns, by_gate=path.by_gate)
     if written is None:
@@ -346,6 +357,8 @@ def judge_written(result: Result, watch: Watch, cause_ns: int) -> None:
     if result.written_ms > bar_ms:
         result.doubt(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
     answer_ns = acknowledged_ns(watch, cause_ns, by_gate=path.by_gate)
+    if answer_ns is None and not acknowledged:
+        return
     if answer_ns is None:
         result.wrong.append("not acknowledged by the board")
         return

@@ -9,6 +9,7 @@ import random
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from types import FrameType
 
 from failstop.api.errors import FailstopError, NoService, Refused
@@ -18,18 +19,24 @@ from failstop.doctor.system import System
 from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.character import Runaway, characterize
+from failstop.lab.prove.character import Runaway, Unfit, characterize
+from failstop.lab.prove.frozen import FrozenRun
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Character, PathRun, Result
+from failstop.lab.prove.run import PathRun, Result
+from failstop.lab.prove.sight import Sight
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask
-from failstop.lab.prove.table import Path, Turning
+from failstop.lab.prove.table import FROZEN, Path, Turning
 from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
 from failstop.supervisor.status import LEASE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TAKES = 3
+"""Of a row, where the machine spoils it."""
+COMES_TO_REST_S = 1.5
+"""Before the robot is characterized again."""
 RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 
 Runs = Iterable[tuple[Path, Turning, random.Random]]
@@ -44,30 +51,32 @@ def session(
     quick: bool = False,
     say: Callable[[str], None],
     ask: Ask | None = None,
+    watcher: Ask | None = None,
     tool: str = "prove",
     keep_all: bool = True,
     width: int = report.NAME,
 ) -> Evidence:
     """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
-    the first wheel that turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples
-    of the runs that passed, too; `width`: of the paths' names."""
+    the first wheel that turns on. `stand` is entered here; `ask`: tells a person to press a button; `watcher`: tells
+    one who watches the wheels; `tool`: which command this is; `keep_all`: the samples of the runs that passed, too;
+    `width`: of the paths' names."""
     begun = stand.held.mark()
-    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
+    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool, means=stand.means)
     try:
         with stand:
             with Robot(stand.name) as robot:
                 evidence.realtime = all(process.realtime for process in robot.state.processes.values())
                 evidence.lease_s = robot.state.lease_s
             say("\n".join(report.head_lines(evidence)) + "\n")
-            character: list[str] = []
             if velocities:
-                evidence.character = _characterize(stand, velocities, quick=quick)
-                character = [*report.character_lines(evidence.character), ""]
-            say("\n".join([*character, report.head(width)]))
+                evidence.character = _characterize(stand, velocities, quick=quick, say=say)
+            say("\n".join([*report.character_lines(evidence), "", report.head(width)]))
             # The settings give a lease, or the service's rights do: a bar is never of another one.
             lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
             for path, velocity, chance in runs:
-                result = _take(stand, evidence.character, path.leased(lease_s), velocity, ask, chance)
+                asks = watcher if path.kind == FROZEN else ask
+                take = partial(_take, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
+                result = until_valid(take, lambda invalid: say(report.row(invalid, style.paint, width)))
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)
@@ -91,21 +100,42 @@ def session(
     return evidence
 
 
+def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -> Result:
+    """The result of a row, which is taken again where the machine spoils it. `spoiled`: tells of one that it did."""
+    again: list[str] = []
+    while (result := take()).verdict == "INVALID" and not result.over and len(again) + 1 < TAKES:
+        spoiled(result)
+        again.append(result.starved)
+    result.again = again
+    return result
+
+
 def _take(
-    stand: Stand, character: Character | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
+    stand: Stand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
     if path.arm:
         return ArmRun(stand, path, velocity).take()
-    assert character
-    return PathRun(stand, character, path, velocity, ask, chance).take()
+    assert sight
+    run = FrozenRun if path.kind == FROZEN else PathRun
+    return run(stand, sight, path, velocity, ask, chance).take()
 
 
-def _characterize(stand: Stand, velocities: Sequence[Turning], *, quick: bool) -> Character:
-    try:
-        return characterize(stand, velocities, quick=quick)
-    except Runaway as error:
-        _alarm(str(error))
-        raise
+def _characterize(stand: Stand, velocities: Sequence[Turning], *, quick: bool, say: Callable[[str], None]) -> Sight:
+    """Measured again where the machine spoils it."""
+    for left in reversed(range(TAKES)):
+        begun = stand.held.mark()
+        try:
+            return characterize(stand, velocities, quick=quick)
+        except Runaway as error:
+            _alarm(str(error))
+            raise
+        except Unfit as error:
+            if not (left and (starved := stand.held.starved(begun))):
+                raise
+            say(f"{error}; {repeat(starved)}: it is measured again")
+            stand.driver.robot.disable()
+            stand.run(COMES_TO_REST_S)
+    raise AssertionError("unreachable")
 
 
 def check_free(device: str, *names: str, system: System | None = None) -> None:

@@ -22,6 +22,8 @@ STEP_NS = 50_000_000
 """Windows begin this far apart."""
 BLIND_NS = 100_000_000
 """A silence of the IMU that is longer hides when the wheels came to rest."""
+TOGETHER_NS = 2_000_000
+"""Samples that are read closer to each other than this had waited: no board sends that fast."""
 NS = 1e9
 
 
@@ -123,10 +125,15 @@ def turning(samples: Sequence[GyroSample], std_radps: float) -> bool:
 
 
 def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
-    """How long the IMU was silent just before `end_ns`; 0 when it was not."""
-    times = [t_ns for t_ns, _, _ in samples if t_ns < end_ns]
-    silent_ns = end_ns - max([begin_ns, *times[-1:]])
-    return silent_ns if silent_ns > BLIND_NS else 0
+    """How long nothing was read just before `end_ns`; 0 when it was not for long. Samples that had waited, as those of
+    a port whose owner was gone, are read one right after the other: their times are one."""
+    woken_ns, last_ns = end_ns, begin_ns
+    for t_ns in (t_ns for t_ns, _, _ in reversed(samples) if t_ns < end_ns):
+        if woken_ns - t_ns > TOGETHER_NS:
+            last_ns = max(begin_ns, t_ns)
+            break
+        woken_ns = t_ns
+    return end_ns - last_ns if woken_ns - last_ns > BLIND_NS else 0
 
 
 def longest_silence_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:

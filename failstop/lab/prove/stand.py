@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 from failstop import config, stopping
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
+from failstop.board.kinds import board_of
 from failstop.board.port import PortError
-from failstop.board.rrc.board import BOARD
 from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
 from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.held import Held
+from failstop.lab.prove.means import Means, means_of
 from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
@@ -82,14 +83,17 @@ class Stand:
         self.board = board
         values = settings_for(user)
         self.settings: Settings = config.checked(dict(values))
+        self.language = board_of(*self.settings.board())
+        self.means: Means = means_of(self.settings.text("board.kind"), self.language)
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
         self.name = f"prove-{os.getpid()}"
         self.service = StandService(self.name, device, folder, ("--config", path))
         self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
-        self.watch = Watch(device)
+        self.service.ready_s += self.language.port.deaf_ns / 1e9
+        self.watch = Watch(device, self.language)
         self.driver.each = self.look
-        self.held = Held()
+        self.held = Held(others=self._others)
         self.unsafe = ""
         self.swing: Swing | None = None
         """How the arm is moved; chosen by its first run."""
@@ -138,6 +142,10 @@ class Stand:
         self._pids = self.service.pids()
         return self._pids
 
+    def _others(self) -> dict[str, int]:
+        """Processes that the machine has to run in time, beside this one."""
+        return {**({"the simulated board": self.board.pid} if self.board else {}), **self._pids}
+
     def whole(self) -> bool:
         """The service is ready, with all its processes."""
         try:
@@ -174,7 +182,7 @@ class Stand:
             self.service.kill()
         self._kill_rest()
         try:
-            stopping.stop(self.device, BOARD, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
+            stopping.stop(self.device, self.language, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
             return f"the last stop could not be written: {error}"
         return ""

@@ -50,11 +50,15 @@ PAD_STOP = "pad"
 KILL = "kill"
 HANG = "hang"
 END = "end"
+FROZEN = "frozen"
+"""Every process stands, and the board's own watchdog is all there is."""
 FAULT = "fault"
 """Any other row of the fault table about processes."""
 ARM_ROW = "arm"
 """A row of the arm's faults."""
 DISABLE_MS = STOP_MS = 5.0
+WATCHDOG_MS = 500.0
+"""Of a board's own watchdog, until it is known which board it is (means.py)."""
 LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
 """The bars of the fault table that are a lease, or a deadline that is never shorter than one."""
 
@@ -153,6 +157,7 @@ PATHS = (
     Path(PAD_STOP, PAD_STOP, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),
     *(_struck(KILL, process) for process in PROCESS_NAMES),
     *(_struck(HANG, process) for process in (PORT_OWNER, GATE, TELEMETRY, STOPPER, SUPERVISOR)),
+    Path(FROZEN, FROZEN, "the whole service is frozen (SIGSTOP)", WATCHDOG_MS, latched=FAULT_BY_NAME[FROZEN].latched),
     Path("service-stop", END, "the service is stopped (SIGTERM)", _bar("service-stopped"), ends=True),
 )
 
@@ -167,8 +172,8 @@ def _moving(row: ArmFault) -> Path:
 
 
 QUICK_PATHS = (TIMEOUT, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
-"""Each at one velocity in turn, and the service's end."""
-QUICK_NAMES = (*QUICK_PATHS, "service-stop")
+"""Each at one velocity in turn, then the board's own watchdog, if it has one, and the service's end."""
+QUICK_NAMES = (*QUICK_PATHS, FROZEN, "service-stop")
 
 BY_PATH = {path.name: path for path in PATHS}
 BY_TURNING = {velocity.name: velocity for velocity in TURNINGS}

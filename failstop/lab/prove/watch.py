@@ -1,7 +1,8 @@
 """Watching a run from outside: what the board sends, when stops were written, and the pings' answers.
 
 While a port owner lives, all of it is read from shared memory (reading only); when the service is gone, the port itself
-is opened and asked. Telemetry's word is not used: it is one of the processes that die here.
+is opened and asked; while all of it is frozen, the port owner's own descriptor is read (borrowed.py). Telemetry's word
+is not used: it is one of the processes that die here.
 """
 
 from __future__ import annotations
@@ -12,11 +13,20 @@ from struct import Struct
 
 from failstop.api.client import attach
 from failstop.board import servos
-from failstop.board.interface import HEARD_IMU, HEARD_PAD, HEARD_PONG, HEARD_SERVO
+from failstop.board.interface import (
+    BY_IMU,
+    HEARD_IMU,
+    HEARD_OBEYED,
+    HEARD_PAD,
+    HEARD_PONG,
+    HEARD_SERVO,
+    HEARD_WHEELS,
+    Board,
+)
 from failstop.board.port import PortError, open_port
-from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
-from failstop.lab.prove.shake import GyroSample
+from failstop.lab.prove import borrowed
+from failstop.lab.prove.sight import SeenSample
 from failstop.messages import layout, records
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm.cell import RingReader
@@ -47,20 +57,26 @@ def moves(t_ns: int, data: bytes) -> list[Move]:
 class Watch:
     """Call look() every millisecond or so; the lists grow until forget()."""
 
-    def __init__(self, device: str) -> None:
+    def __init__(self, device: str, board: Board) -> None:
         self._device = device
-        self._hearing = BOARD.hearing()
+        self._board = board
+        self._hearing = board.hearing()
         self._received: RingReader | None = None
         self._frames: RingReader | None = None
         self._pings: list[Word] = []
         self._writers: dict[str, Word] = {}
         self._last: dict[str, int] = {}
         self._tap: Tap | None = None
+        self._asks = False
         self._asked: dict[int, int] = {}
         self._ask_ns = 0
-        self.samples: list[GyroSample] = []
+        # A board that says something of its wheels only when it is asked has a question for it among the others.
+        self._ask_every_ns = board.ping_ns // len(board.pings) if board.ping_ns else ASK_EVERY_NS
+        self.samples: list[SeenSample] = []
+        """Reports of what observes that the wheels stand: the IMU, or the board's own of its wheels."""
         self.answers: list[tuple[int, int]] = []
-        """(when the ping was written, when its answer was read)."""
+        """(when the ping was written, when its answer was read); of an echo of zeros, when they were written at the
+        latest."""
         self.written: list[tuple[int, str]] = []
         """(when, by whom) of every burst."""
         self.zeros: list[int] = []
@@ -88,21 +104,36 @@ class Watch:
         """Read the port itself, once the service has gone; False while it can't be opened."""
         if self._tap is None:
             try:
-                fd = open_port(self._device, exclusive=False)
+                fd = open_port(self._device, exclusive=False, line=self._board.port)
             except PortError:
                 return False
-            self._tap = Tap(fd, BOARD)
-            self._asked = {}
-            self._ask_ns = 0
+            self._tap_into(fd, asks=bool(self._board.pings))
             self._received = self._frames = None
             self._writers = {}
         return True
+
+    def borrow_port(self, pid: int) -> str:
+        """Read the port beside the frozen process `pid`, which holds it, until let_go(); returns why that can't be
+        done, empty if it can. It is written to only where the board says nothing of its wheels unasked."""
+        try:
+            self._tap_into(borrowed.port_of(pid, self._device), asks=self._board.ping_ns > 0)
+        except OSError as error:
+            return f"the port of the frozen service can't be read ({error.strerror}): run it as root"
+        return ""
+
+    def _tap_into(self, fd: int, *, asks: bool) -> None:
+        self.let_go()
+        self._asks = asks
+        self._tap = Tap(fd, self._board)
+        self._asked = {}
+        self._ask_ns = 0
 
     def let_go(self) -> None:
         """Close the port, if it is open here."""
         if self._tap:
             os.close(self._tap.fd)
             self._tap = None
+            self._hearing.reset()
 
     def forget(self) -> None:
         """Begin again; what lies ahead is kept in order."""
@@ -117,7 +148,7 @@ class Watch:
                 self.written.append((written_ns, which))
         while self._frames and (entry := self._frames.next()):
             _, kind, body = records.FRAME.unpack(entry[2])
-            if kind == records.WRITE_BURST or (kind == records.MOTION and body == BOARD.stop):
+            if kind == records.WRITE_BURST or (kind == records.MOTION and body == self._board.stop):
                 self.zeros.append(entry[1])
             elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
                 self.moves += moves(entry[1], body[_COMMAND_AT:-1])
@@ -129,8 +160,8 @@ class Watch:
 
     def _look_at_port(self, tap: Tap, now_ns: int) -> None:
         try:
-            if now_ns >= self._ask_ns:
-                self._ask_ns = now_ns + ASK_EVERY_NS
+            if self._asks and now_ns >= self._ask_ns:
+                self._ask_ns = now_ns + self._ask_every_ns
                 with contextlib.suppress(BlockingIOError):
                     index, asked_ns = tap.ping()
                     self._asked[index] = asked_ns
@@ -141,7 +172,14 @@ class Watch:
 
     def _take(self, t_ns: int, kind: int, said: Value) -> None:
         if kind == HEARD_IMU:
-            self.samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
+            if self._board.observed_by == BY_IMU:
+                self.samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
+        elif kind == HEARD_WHEELS:
+            if self._board.observed_by != BY_IMU:
+                self.samples.append((t_ns, *said))
+        elif kind == HEARD_OBEYED:
+            if self._board.echo_ns and not any(said):
+                self.answers.append((t_ns - self._board.echo_ns, t_ns))
         elif kind == HEARD_PAD:
             if said[0]:
                 self.buttons.append((t_ns, said[0]))

@@ -73,15 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until-eof", action="store_true", help="end when standard input is closed")
 
 
-def add_board(parser: argparse.ArgumentParser) -> None:
-    """Add the option that says which board."""
-    parser.add_argument(
-        "--board",
-        type=_kind,
-        metavar="KIND",
-        default=BOARDS[0],
-        help=f"{', '.join(BOARDS)}, or the path of a folder of your own (default: %(default)s)",
-    )
+def add_board(
+    parser: argparse.ArgumentParser, default: str | None = BOARDS[0], words: str = "{} (default: %(default)s)"
+) -> None:
+    """Add the option that says which board. `words`: its help, around the kinds there are."""
+    kinds = f"{', '.join(BOARDS)}, or the path of a folder of your own"
+    parser.add_argument("--board", type=_kind, metavar="KIND", default=default, help=words.format(kinds))
 
 
 def from_arguments(args: argparse.Namespace) -> Options:

@@ -1,0 +1,87 @@
+"""Means: what a board gives to a stand test, and what can't be proved without it. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.board.interface import BY_IMU, Board
+from failstop.board.kinds import is_described, wire_of
+from failstop.board.wire import COAST
+from failstop.lab.prove.table import FROZEN, PAD_STOP, Path
+from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS
+
+NO_WATCHDOG = "this board has no watchdog of its own, and keeps its last speed"
+NO_PAD = "this board has no gamepad"
+NO_REPORTS = (
+    "at rest: this board reports neither its wheels nor an IMU. Watch the wheels, and use the POWER SWITCH when they "
+    "turn on"
+)
+NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
+FREEZES = "a frozen computer, a pulled cable"
+
+
+@dataclasses.dataclass(frozen=True)
+class Means:
+    """The proofs that a board can give beside *written*."""
+
+    acknowledged_by: str
+    """As the board's interface has it; empty: nothing acknowledges."""
+    observed_by: str
+    pad: bool = False
+    """It reports a gamepad's buttons."""
+    may_be_blind: bool = False
+    """It may have no IMU either, where it reports no wheels."""
+    watchdog_s: float = 0.0
+    """After how long its own watchdog acts; 0: it has none."""
+    does: str = ""
+    """Its watchdog's act, as wire.py words it."""
+
+    def lacks(self, path: Path) -> str:
+        """Why this board can't have a path; empty: it can."""
+        if path.kind == PAD_STOP and not self.pad:
+            return NO_PAD
+        return NO_WATCHDOG if path.kind == FROZEN and not self.watchdog_s else ""
+
+    def fitted(self, path: Path) -> Path:
+        """The path with this board's times."""
+        return dataclasses.replace(path, reaction_ms=self.watchdog_s * 1000) if path.kind == FROZEN else path
+
+    def lines(self, *, blind: bool = False) -> list[str]:
+        """For people: what proves a stop here."""
+        heard = ACKNOWLEDGED_BY.get(self.acknowledged_by, "nothing")
+        seen = "nobody but you" if blind else SEEN_BY[self.observed_by]
+        found = [f"a stop is acknowledged by {heard}; wheels at rest are observed by {seen}"]
+        if self.watchdog_s:
+            found.append(f"without a host for {self.watchdog_s:g} s the board acts by itself: {WATCHDOGS[self.does]}")
+        return found
+
+    def unproved(self, *, blind: bool = False) -> list[str]:
+        """For people: what can't be proved here, and why."""
+        found = [NO_REPORTS] if blind else []
+        if not self.acknowledged_by:
+            found.append(NO_ANSWER)
+        if not self.pad:
+            found.append(f"{PAD_STOP}: {NO_PAD}")
+        if not self.watchdog_s:
+            found.append(f"{FREEZES}: {NO_WATCHDOG}")
+        elif self.does == COAST:
+            found.append(
+                "a frozen computer on a slope: its watchdog takes the current away, and the wheels may roll on"
+            )
+        return found
+
+
+def means_of(kind: str, board: Board) -> Means:
+    """Of the board of a kind. Raises OwnBoardError, a ValueError."""
+    if not is_described(kind):
+        return Means(board.acknowledged_by, board.observed_by, pad=True)
+    watchdog = wire_of(kind).watchdog
+    seen = board.observed_by
+    return Means(
+        board.acknowledged_by,
+        seen,
+        False,
+        seen == BY_IMU,
+        watchdog.acts_ns / 1e9,
+        watchdog.does if watchdog.acts_ns else "",
+    )
