@@ -69,6 +69,19 @@ def test_a_stop_ends_motion_that_waits() -> None:
     assert not any(motion(scene) in data for _, data in writes(scene, 200 * MS))
 
 
+def test_motion_that_waits_and_is_given_up_leaves_no_timer_behind() -> None:
+    """The gate disables before the line is silent: a loop that waited for it still would never sleep again."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    assert scene.turn() == scene.board.burst
+    scene.put(motion(scene), epoch=2)
+    scene.turn()
+    scene.put(b"", kind=records.WRITE_BURST)
+    scene.turn()
+    writes(scene, 100 * MS)
+
+
 def test_a_stop_that_a_thread_has_written_is_not_written_again_at_once() -> None:
     """Without a gap between them both would be lost."""
     scene = made("hoverboard")
