@@ -157,3 +157,20 @@ def test_repeats_that_are_late_do_not_touch() -> None:
     apart_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
     assert len(times) == 3
     assert all(after - before >= apart_ns for before, after in pairwise(times))
+
+
+@pytest.mark.parametrize("room", [0, 30])
+def test_what_the_port_does_not_take_whole_is_told_again_before_it_counts_as_open(room: int) -> None:
+    """A watchdog that was left at its own time would be told to nobody. With room for a part a stop cuts it off."""
+    scene = made("ugv")
+    scene.turn()
+    writes(scene, scene.board.port.deaf_ns - TICK)
+    scene.wire.port.takes(room)
+    arms = scene.board.port.opening[1]
+    wrote = b"".join(data for _, data in writes(scene, 3 * TICK))
+    assert arms not in wrote
+    assert scene.port_record.read() is None
+    scene.raise_epoch(2)
+    scene.wire.port.takes()
+    assert arms in b"".join(data for _, data in writes(scene, 3 * TICK))
+    assert scene.port_state() == records.PORT_OPEN
