@@ -152,7 +152,7 @@ class _Injection:
         """Until the service is whole again, with what it says, what it latched, and what clears that."""
         scene, fault = self.scene, self.fault
         if fault.survives:
-            scene.driver.until("the service to be whole", self._whole)
+            scene.driver.until("the service to be whole", self._whole, scene.whole_s)
         else:
             self._end_run()
         if fault.latched:

@@ -15,7 +15,7 @@ from failstop.api.errors import FailstopError
 from failstop.config import checked, read
 from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.faults.driving import INTERLOCK, Driver
+from failstop.lab.faults.driving import INTERLOCK, WHOLE_S, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
 from failstop.messages.layout import SUPERVISOR
@@ -116,6 +116,11 @@ class Scene:
         self.driver = Driver(self.name)
 
     @property
+    def whole_s(self) -> float:
+        """A service is whole within so long, on a board that may be deaf first."""
+        return WHOLE_S + self.traits.deaf_ns / 1e9
+
+    @property
     def board(self) -> SimBoard:
         """The judge."""
         return self.trial.board
@@ -159,7 +164,7 @@ class Scene:
         service.kill()
         self._kill_rest()
         service.exec()
-        self.driver.until("the service to be ready again", service.ready)
+        self.driver.until("the service to be ready again", service.ready, self.whole_s)
         self.driver.leave()
 
     def _kill_rest(self) -> None:
