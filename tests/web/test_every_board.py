@@ -18,7 +18,6 @@ from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 from tests.support.leases import LEASES
 
-
 IN_SHORT = ("hoverboard", *EVERY_KIND[len(KINDS) :])
 """In each commit the board that answers no question, and one of one's own."""
 

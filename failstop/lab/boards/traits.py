@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-from failstop.board.interface import BY_IMU, Board
+from failstop.board.interface import BY_IMU, HEARD_BATTERY, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.lab.boards.line import BAR_NS, CROWD_BAR_NS, ReceiverModel, arrivals, model_of, play
 from failstop.lab.boards.live import DIAMETER_M
@@ -17,7 +17,8 @@ from failstop.policy.settings import BOARDS
 HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU = "an arm", "a gamepad", "keys", "pings", "an IMU"
 HAS_CHECK = "a check in its frames"
 """A stop of which one bit was changed on the way turns no wheel."""
-PARTS = (HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK)
+HAS_BATTERY = "a battery that it reports"
+PARTS = (HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY)
 CARRIED_OUT_NS = 100_000_000
 """So long after its first byte every stop has been carried out."""
 
@@ -60,6 +61,7 @@ def traits_of(kind: str) -> Traits:
         HAS_GAMEPAD: not is_described(kind),
         HAS_KEYS: not is_described(kind),
         HAS_CHECK: not is_described(kind) or _checks(model_of(kind), language.burst, language.port.byte_ns),
+        HAS_BATTERY: not is_described(kind) or _reports_battery(model_of(kind), language),
     }
     parts = frozenset(part for part, there in has.items() if there)
     port, own_ns, late_ns, watchdog_ns = language.port, 0, 0, 0
@@ -68,6 +70,15 @@ def traits_of(kind: str) -> Traits:
         watchdog_ns = watchdog.set_ns or watchdog.after_ns
     resets = port.dtr and port.deaf_ns > 0
     return Traits(kind, language, parts, own_ns, late_ns, port.deaf_ns, resets, watchdog_ns)
+
+
+def _reports_battery(model: ReceiverModel, language: Board) -> bool:
+    """Whether its receiver tells of it unasked."""
+    receiver = model.live()
+    for at_ns in range(0, 5 * CARRIED_OUT_NS, BAR_NS):
+        receiver.until(at_ns)
+    said = language.hearing().feed(b"".join(data for _, data in receiver.said))
+    return any(kind == HEARD_BATTERY for kind, _ in said)
 
 
 def _checks(model: ReceiverModel, stop: bytes, byte_ns: int) -> bool:

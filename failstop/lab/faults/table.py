@@ -6,7 +6,7 @@ is the simulated board's word (judge.py), never the service's.
 
 from __future__ import annotations
 
-from failstop.lab.boards.traits import HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS
+from failstop.lab.boards.traits import HAS_BATTERY, HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
     ASKED_TO_STOP,
@@ -242,7 +242,7 @@ SURROUNDINGS = (
         ((DIED, GATE),), BY_RESET, "", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
-    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written", needs=HAS_BATTERY),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
         "port owner; the supervisor looks once a second", (), BY_NEW_RUN, str(REMOVED("")).lstrip(),

@@ -178,7 +178,14 @@ def make_thread_state(calls: Calls) -> ModuleType:
 
 def make_own(calls: Calls) -> ModuleType:
     """failstop.board.own: the folder lies on the real machine, and its modules ask none."""
-    return Module("failstop.board.own", calls, wire=own.wire, load=own.load, OwnBoardError=own.OwnBoardError)
+    return Module(
+        "failstop.board.own",
+        calls,
+        wire=own.wire,
+        load=own.load,
+        OwnBoardError=own.OwnBoardError,
+        OWN_PACKAGE=own.OWN_PACKAGE,
+    )
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
