@@ -32,7 +32,8 @@ campaigns: $(VENV)/.dev
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
-	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py
+	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
+	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
@@ -57,11 +58,11 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m bench.soak
 
 chaos: $(VENV)/.installed
-	$(BIN)/failstop chaos --count 10000 --json chaos.json
+	$(BIN)/failstop chaos --count 10000 --json chaos.json $(if $(BOARD),--board $(BOARD))
 
-# Every single fault at every call of every scenario, on a simulated machine (docs/dev/simulation.md).
+# Every single fault at every call of every scenario, on a simulated machine (docs/dev/simulation.md). BOARD: as for `board`.
 simulate: $(VENV)/.dev
-	$(BIN)/failstop simulate --whole --marks
+	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
 
 model:
 	model/check
@@ -70,7 +71,8 @@ model:
 BOARD ?=
 board: $(VENV)/.dev
 	@[ -n "$(BOARD)" ] || { echo "which folder? make board BOARD=/path/to/folder"; exit 1; }
-	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards -k $(abspath $(BOARD))
+	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards tests/machine/test_every_board.py \
+	  tests/faults/test_every_board.py tests/web/test_every_board.py -k $(abspath $(BOARD))
 	$(BIN)/failstop demo --board $(abspath $(BOARD))
 
 # All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.

@@ -75,8 +75,9 @@ class Described(Board):
     """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
-        "_motion", "_per_rps", "_wire", "acknowledged_by", "burst", "commanders", "echo_ns", "first_stop", "idle_ns",
-        "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb", "wheels",
+        "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "burst", "commanders", "echo_ns", "first_stop",
+        "idle_ns", "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
+        "wheels",
     )  # fmt: skip
 
     usb_alone = False
@@ -87,6 +88,7 @@ class Described(Board):
         self._wire, self._motion, self._per_rps = wire, wire.motion, per_rps
         self.port = wire.port
         self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
+        self.after_ns = wire.stop.after_ns
         self.repeats_ns = tuple(row[1:] for row in wire.stop.repeats_ns)
         self.stop = wire.motion.rest
         self.burst = self.first_stop = self.refresh = write.data

@@ -56,6 +56,8 @@ class Board:
     """How its serial port is set up, and how long it is deaf then."""
     idle_ns: int
     """How long the line has to be silent after a write before anything but a stop may be written; 0: no time."""
+    after_ns: int
+    """How long the line has to be silent behind a stop, even before the next stop; 0: stops may touch."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
     each other's bytes have different times, so that no two of them touch twice in a row."""

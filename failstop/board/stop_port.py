@@ -23,6 +23,7 @@ TRIES = 3
 DRAIN_S = 0.1
 """The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
 LOOK_S = 0.0005
+ALREADY = -1
 SAME_NS = 2_000_000
 """An early stop as young as this is the stop that its loop is about to write."""
 
@@ -30,7 +31,7 @@ SAME_NS = 2_000_000
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_early_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
+    __slots__ = ("_early_ns", "_line_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
@@ -40,6 +41,9 @@ class StopPort:
         self.free_ns = 0
         """When the line, as far as is known here, will have been silent for as long as the board needs; 0: it needs no
         silence."""
+        self._line_ns = 0
+        """Until then the last thing written here, a whole stop, is on the line or needs silence behind it: another stop
+        would garble both. 0: none is."""
         self._early_ns = 0
         """When it wrote an early stop that is a whole one, which no burst of its own has followed yet."""
         self.fd = fd
@@ -58,6 +62,9 @@ class StopPort:
                 self._write_early()
 
     def _write_early(self) -> int:
+        """How much the kernel took; ALREADY where a whole stop is on the line."""
+        if self._on_line():
+            return ALREADY
         taken = self._write(self.board.first_stop)
         if taken == len(self._stop):
             self._early_ns = time.monotonic_ns()
@@ -66,11 +73,14 @@ class StopPort:
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
         since the burst heals any cut; the rest of an earlier burst goes first. Where all of the stop was just written
-        early, that was it: a second one without a gap behind it would garble both on some boards."""
+        early, or is on the line still, that was it: a second one without a gap behind it garbles both on some
+        boards."""
         begun = self.unsent if self._stop.endswith(self.unsent) else b""
         with self._writing:
             early_ns, self._early_ns = self._early_ns, 0
             if early_ns and not (self.lost or self.unsent) and time.monotonic_ns() - early_ns < SAME_NS:
+                return True
+            if self._on_line():
                 return True
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
@@ -85,6 +95,9 @@ class StopPort:
         """Go on with what the kernel did not take; True when nothing is left."""
         with self._writing:
             return not self.unsent or self._put(self.unsent, rest=True)
+
+    def _on_line(self) -> bool:
+        return self._line_ns > 0 and not (self.lost or self.unsent) and time.monotonic_ns() < self._line_ns
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         """Write what can be; `rest`: of what was begun before."""
@@ -104,7 +117,10 @@ class StopPort:
             self.lost = False
             if idle_ns := self.board.idle_ns:
                 begun_ns = max(time.monotonic_ns(), self.free_ns - idle_ns)
-                self.free_ns = begun_ns + taken * self.board.port.byte_ns + idle_ns
+                end_ns = begun_ns + taken * self.board.port.byte_ns
+                self.free_ns = end_ns + idle_ns
+                whole = self.board.after_ns > 0 and taken == len(data) and data == self._stop
+                self._line_ns = end_ns + self.board.after_ns if whole else 0
             return taken
         return 0
 
@@ -130,7 +146,7 @@ class StopPort:
             old, self.fd = self.fd, fd
             self.lost = fd < 0
             self.unsent = b""
-            self._early_ns = 0
+            self._early_ns = self._line_ns = 0
         if old >= 0:
             port.close_port(old)
 

@@ -164,14 +164,14 @@ class Trial:
     def __init__(
         self, name: str | None = None, options: tuple[str, ...] = (), imu_hz: float = 110.0, kind: str = ""
     ) -> None:
-        """`kind`: the board's; empty: what the service's own options say."""
+        """`kind`: the board's; the service is told of it where its `options` name no file of settings."""
         self.name = name or f"trial-{os.getpid()}"
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-", ignore_cleanup_errors=True)
         self.link = os.path.join(self._directory.name, "board")
         self.state = os.path.join(self._directory.name, "state")
         """The state directory of the service: nothing of a trial goes to the machine's own."""
         self.board = SimBoard(self.link, imu_hz=imu_hz, board=kind)
-        if kind:
+        if kind and "--config" not in options:
             settings = os.path.join(self._directory.name, "settings.toml")
             write_settings(settings, {"board.kind": kind})
             options = (*options, "--config", settings)

@@ -149,8 +149,7 @@ class PortOwner:
         """Account for a burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
-        self._held = None
-        self._line.set(NEVER)
+        self._take_held()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
@@ -239,7 +238,7 @@ class PortOwner:
 
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
-        motion, self._held = self._held, None
+        motion = self._take_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.FRAME.unpack(payload)
@@ -322,7 +321,6 @@ class PortOwner:
     def _forward_motion(self, motion: DatedFrame) -> None:
         """Where the line has to be silent first, it waits: what may go out is decided when it does."""
         now_ns = monotonic_ns()
-        self._line.set(NEVER)
         if self.wire.free_ns > now_ns:
             self._held = motion
             self._line.set(self.wire.free_ns)
@@ -332,6 +330,13 @@ class PortOwner:
             self._write_motion(motion)
         else:
             self._obey(verdict, now_ns)
+
+    def _take_held(self) -> DatedFrame | None:
+        """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
+        motion, self._held = self._held, None
+        if motion:
+            self._line.set(NEVER)
+        return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having

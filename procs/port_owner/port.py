@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from failstop.procs.port_owner.port_writer import PortWriter
 
 RECEIVED_CHUNK = 512
+AGAIN_NS = 20_000_000
+"""After so long it is told again what the kernel did not take whole."""
 
 
 class OpenPort:
@@ -39,7 +41,8 @@ class OpenPort:
         told = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if told == records.PORT_OPEN else now_ns + self._deaf_ns
         """When the board hears. A port that the process before this one has used was not opened again."""
-        self._tell = told != records.PORT_OPEN
+        self._untold = () if told == records.PORT_OPEN else self._opening
+        """Frames that the board is to be told before the port counts as open."""
 
     def begin(self, now_ns: int) -> None:
         """The first burst is written."""
@@ -49,12 +52,22 @@ class OpenPort:
             self._hears.set(self.hears_ns)
 
     def _hear(self, now_ns: int) -> None:
-        self._hears.set(NEVER)
-        if self._tell and not self._wire.lost:
-            for frame in self._opening:
-                self._wire.frame(frame, len(frame) * len(self._opening))
-        self._tell = False
-        self.publish(now_ns)
+        """The board hears. What it is to be told may be refused, and a stop may cut it off: then the port is not open
+        yet, since nobody would tell it later that its own watchdog was left as it was."""
+        if self._wire.lost or self._told():
+            self._hears.set(NEVER)
+            self.publish(now_ns)
+        else:
+            self._hears.set(now_ns + AGAIN_NS)
+
+    def _told(self) -> bool:
+        """Whether the kernel has taken all that the board is to be told."""
+        wire = self._wire
+        for frame in self._untold:
+            if not wire.frame(frame, len(frame) * len(self._untold)) or wire.unsent:
+                return False
+        self._untold = ()
+        return True
 
     def follow(self, now_ns: int) -> None:
         """Once a turn: tell a board that hears now what it is to be told."""
@@ -71,7 +84,7 @@ class OpenPort:
         """Take another, on which the supervisor has stopped; its first bytes are a burst."""
         fd, self.number, self._path = sent
         self._wire.adopt(fd)
-        self._tell = True
+        self._untold = self._opening
         self.hears_ns = now_ns + self._deaf_ns
 
     def serve(self, ready: dict[int, int]) -> None:

@@ -6,7 +6,7 @@ import os
 import select
 
 from failstop.board.port import unsent_bytes
-from failstop.board.stop_port import StopPort
+from failstop.board.stop_port import ALREADY, StopPort
 from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
@@ -25,7 +25,7 @@ class PortWriter(StopPort):
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """How much the kernel took of each early stop that the loop has not heeded yet."""
+        """How much the kernel took of each early stop that the loop has not heeded yet, or ALREADY."""
         self._handed = 0
         """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
@@ -49,7 +49,8 @@ class PortWriter(StopPort):
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
-            self._note(box.WIRE_BURST, self.board.first_stop, taken)
+            if taken != ALREADY:
+                self._note(box.WIRE_BURST, self.board.first_stop, taken)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         if rest and self._early:

@@ -14,7 +14,10 @@ from failstop.board.kinds import wire_of
 from failstop.board.wire import TimedStop, Wire
 from failstop.lab.boards.hoverboard import Hoverboard
 from failstop.lab.boards.line import (
+    ADAPTER_BAR_NS,
     AT_ONCE,
+    BAR_NS,
+    CROWD_BAR_NS,
     Receiver,
     ReceiverModel,
     Tick,
@@ -29,11 +32,6 @@ from tests.support.boards import EVERY_KIND
 
 MS = 1_000_000
 BEGIN_NS = 20 * MS
-BAR_NS = 12 * MS
-"""For one writer and for two."""
-CROWD_BAR_NS = 40 * MS
-"""For three at once, and where a frame of motion that was already on its way comes between."""
-ADAPTER_BAR_NS = 150 * MS
 APART_NS = 5 * MS
 """Writers begin within this: they learn of a death within 0.2 ms, and may be late."""
 ADAPTER_NS = MS

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from failstop.lab.trial import Trial
+from failstop.policy.layouts import BOARDS
 from tests.support.shared_trial import IMU_HZ, Keeper, patient
 from tests.support.simulated import Simulated
 
@@ -46,7 +47,9 @@ def fresh(name: str, tmp_path: Path) -> Iterator[Trial]:
 
 @pytest.fixture
 def simulated(request: pytest.FixtureRequest) -> Iterator[Simulated]:
-    """The service on a simulated machine, with the SETTINGS of the test's module; no program there may fail."""
-    made = Simulated(getattr(request.module, "SETTINGS", None))
+    """The service on a simulated machine, with the SETTINGS of the test's module and the board of every_board; no
+    program there may fail."""
+    kind = getattr(request, "param", BOARDS[0])
+    made = Simulated(getattr(request.module, "SETTINGS", None), kind=kind)
     yield made
     assert made.failed == []

@@ -4,33 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.kinds import KINDS
-from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
-from tests.support.shared_trial import IMU_HZ
 from tests.support.simulated import MS, Simulated
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_board_is_stopped_whoever_writes_the_stop(name: str, kind: str) -> None:
-    """By the word of its receiver, at the end of its own line. The supervisor's death, which ends the service, is the
-    last. The default board is stopped for every process in tests/faults/test_table.py."""
-    with Trial(name, kind=kind, imu_hz=IMU_HZ) as trial:
-        for process in (PORT_OWNER, GATE, layout.SUPERVISOR):
-            trial.enable()
-            pid = trial.service.pids()[process]
-            stopped = trial.kill(process, 0.1)
-            assert stopped.was_moving, process
-            assert stopped.stop_ns is not None, f"no stop after {process} was killed"
-            assert stopped.still_ns is not None
-            assert stopped.motion_after == 0
-            if process != layout.SUPERVISOR:
-                trial.recover(process, pid)
-                trial.drive(0.05)
-                assert not trial.moving(), "a restarted process must not enable motion"
-        trial.leave()
-        trial.service.kill()
 
 
 @pytest.mark.parametrize("process", layout.PROCESS_NAMES)

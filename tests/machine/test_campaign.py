@@ -6,11 +6,13 @@ import multiprocessing
 
 import pytest
 
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.simulate import campaign, marks
 from failstop.lab.simulate.campaign import Plan
 from failstop.lab.simulate.controls import CONTROLS, Mutant
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
+from failstop.policy.layouts import BOARDS
 
 pytestmark = pytest.mark.slow
 FOUND = ("own stop does not refuse motion", "one stop frame for a burst", "a sleep of the machine goes unnoticed")
@@ -53,7 +55,7 @@ def test_a_scenario_misses_what_is_taken_out(row: str) -> None:
 
 
 def test_what_was_not_reached_is_told() -> None:
-    missing = marks.missing({"cause died": 1})
+    missing = marks.missing({"cause died": 1}, traits_of(BOARDS[0]))
     assert "cause hangs" in missing
     assert "cause died" not in missing
     assert not marks.NOT_TRIED.keys() & set(missing)

@@ -55,7 +55,9 @@ def test_a_campaign_ends_with_its_time_and_counts_its_faults() -> None:
     assert found.took_s >= 1.0
     assert found.runs == 0 or found.events >= found.runs
     other = seeds.Seeds()
-    other.add(Seeded(3, "gate_dies", [Event(HANG_UP, "stopper", 0, "late")], ["the wheels turn"]))
+    other.add(
+        Seeded(3, "gate_dies", [Event(HANG_UP, "stopper", 0, "late")], ["the wheels turn"], again="failstop simulate")
+    )
     found.merge(other)
     assert found.wrong[-1].seed == 3
     assert "again: failstop simulate --seed 3" in found.wrong[-1].text()

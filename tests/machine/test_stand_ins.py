@@ -20,6 +20,7 @@ LEFT_OUT = {
     "failstop.procs.rights": {"STACK_BYTES", "no_stack"},
     "failstop.procs.starved": {"starved"},
     "failstop.shm.thread_state": set[str](),
+    "failstop.board.own": set[str](),
 }
 """Names of these modules that the service uses nowhere but in themselves."""
 

@@ -41,7 +41,7 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
     scene.turn(6000 * MS)
     scene.turn()
     scene.raise_epoch(2)
-    assert scene.turn().startswith(scene.board.burst)
+    assert scene.turn(TICK // 2).startswith(scene.board.burst)
     again = [at_ns for at_ns, data in writes(scene, 150 * MS) if scene.board.burst in data]
     assert again == list(scene.board.repeats_ns[PORT_OWNER_ROW])
 
@@ -65,8 +65,21 @@ def test_a_stop_ends_motion_that_waits() -> None:
     scene.put(motion(scene), epoch=2)
     scene.turn()
     scene.ask_to_stop(b"\n")
-    assert scene.board.burst in scene.turn()
+    assert scene.turn() == b"", "the stop on the line is this one's too"
     assert not any(motion(scene) in data for _, data in writes(scene, 200 * MS))
+
+
+def test_motion_that_waits_and_is_given_up_leaves_no_timer_behind() -> None:
+    """The gate disables before the line is silent: a loop that waited for it still would never sleep again."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    scene.raise_epoch(2)
+    assert scene.turn() == scene.board.burst
+    scene.put(motion(scene), epoch=2)
+    scene.turn()
+    scene.put(b"", kind=records.WRITE_BURST)
+    scene.turn()
+    writes(scene, 100 * MS)
 
 
 def test_a_stop_that_a_thread_has_written_is_not_written_again_at_once() -> None:
@@ -105,6 +118,29 @@ def test_a_successor_does_not_tell_it_again() -> None:
     assert scene.board.port.opening[1] not in wrote
 
 
+def test_stops_for_two_deaths_at_once_do_not_touch() -> None:
+    """As when gate and telemetry end with the supervisor: a second stop behind the first would garble both."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    wire, stop = scene.owner.wire, scene.board.burst
+    wire.early_stop()
+    scene.clock.now_ns += MS // 2
+    wire.early_stop()
+    assert scene.wire.read() == stop
+    assert wire.burst()
+    assert scene.wire.read() == b""
+    assert not wire.frame(motion(scene)), "the loop has not looked who has died"
+    wire.heed()
+    scene.clock.now_ns += MS
+    wire.early_stop()
+    assert scene.wire.read() == stop, "the line is silent again"
+    wire.heed()
+    scene.clock.now_ns += MS
+    assert wire.frame(motion(scene))
+    wire.early_stop()
+    assert scene.wire.read() == motion(scene) + stop, "motion is no stop"
+
+
 def test_repeats_that_are_late_do_not_touch() -> None:
     """A port owner that was held up has several to write."""
     scene = made("hoverboard")
@@ -121,3 +157,20 @@ def test_repeats_that_are_late_do_not_touch() -> None:
     apart_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
     assert len(times) == 3
     assert all(after - before >= apart_ns for before, after in pairwise(times))
+
+
+@pytest.mark.parametrize("room", [0, 30])
+def test_what_the_port_does_not_take_whole_is_told_again_before_it_counts_as_open(room: int) -> None:
+    """A watchdog that was left at its own time would be told to nobody. With room for a part a stop cuts it off."""
+    scene = made("ugv")
+    scene.turn()
+    writes(scene, scene.board.port.deaf_ns - TICK)
+    scene.wire.port.takes(room)
+    arms = scene.board.port.opening[1]
+    wrote = b"".join(data for _, data in writes(scene, 3 * TICK))
+    assert arms not in wrote
+    assert scene.port_record.read() is None
+    scene.raise_epoch(2)
+    scene.wire.port.takes()
+    assert arms in b"".join(data for _, data in writes(scene, 3 * TICK))
+    assert scene.port_state() == records.PORT_OPEN

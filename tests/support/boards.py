@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pytest
+
 from failstop.board.kinds import KINDS
+from failstop.policy.layouts import BOARDS
 from tests.support.pages import ROOT
 
 EVERY_KIND = (*KINDS, *filter(None, [os.environ.get("FAILSTOP_BOARD")]))
 """`make board BOARD=FOLDER` names a folder of one's own."""
+every_board = pytest.mark.parametrize("simulated", BOARDS, indirect=True)
+"""A test on the simulated machine, with each board in turn."""
 
 
 def own_folder(at: Path) -> str:

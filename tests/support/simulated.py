@@ -19,6 +19,7 @@ from failstop.lab.sim.model import Frame, Speeds
 from failstop.lab.sim.servos import Leg
 from failstop.lab.stopped import Stopped, judge
 from failstop.messages import layout
+from failstop.policy.layouts import BOARDS
 
 FORWARD = (0.2, 0.0, 0.0)
 LOOK_S = 0.001
@@ -37,6 +38,7 @@ class Board:
 
     def events(self) -> list[Frame]:
         """The frames executed since the last such call."""
+        self._robot.board.catch_up()
         found = self._model.executed(self._cursor)
         self._cursor += len(found)
         return found
@@ -53,6 +55,7 @@ class Board:
         return found[0]
 
     def wheels(self) -> Speeds:
+        self._robot.board.catch_up()
         return self._model.wheels
 
     def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
@@ -113,10 +116,17 @@ class Simulated:
     link = DEVICE
 
     def __init__(
-        self, settings: Mapping[str, object] | None = None, imu_hz: float = 20.0, *, deaf: bool = False
+        self,
+        settings: Mapping[str, object] | None = None,
+        imu_hz: float = 20.0,
+        *,
+        deaf: bool = False,
+        kind: str = BOARDS[0],
     ) -> None:
-        """`deaf`: the board hears nothing, from the start."""
-        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}))
+        """`deaf`: the board hears nothing, from the start; `kind`: the board's."""
+        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}), kind=kind)
+        self.own_ns = self.lab.board.traits.late_ns
+        """Later than the first board by so much a stop may be, and motion."""
         self.failed: list[BaseException] = []
         self.lab.machine.told = self._told
         self.me = self.lab.join("test")

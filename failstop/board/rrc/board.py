@@ -99,7 +99,7 @@ class Rrc(Board):
     __slots__ = ()
 
     port = ROSORIN_PORT
-    idle_ns = 0
+    idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
     """Its receiver takes glued stops, so writers may have the same times. A supervisor's stop is not repeated: the
     stopper's is."""

@@ -14,6 +14,12 @@ from failstop.board import own
 from failstop.board.kinds import is_own
 from failstop.board.wire import TimedStop
 
+BAR_NS = 12_000_000
+"""From a stop's first write to the command at the wheels, where one or two write it: every board."""
+CROWD_BAR_NS = 40_000_000
+"""That time where three write it at once, or a frame of motion that was already on its way comes between."""
+ADAPTER_BAR_NS = 150_000_000
+"""That time behind a USB adapter that forgets gaps, or has stalled and sends several stops at once."""
 TimedWrite = tuple[int, bytes]
 """When it is written, in ns, and what."""
 

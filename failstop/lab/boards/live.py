@@ -2,6 +2,8 @@
 
 Its line is as fast as the board's own, its wheels turn as they are told, and its reports say so. What its wheels are
 told is kept as the frames of the first board's model are, so that whoever judges judges all boards alike.
+
+`board_model` makes the model of any board.
 """
 
 from __future__ import annotations
@@ -10,12 +12,15 @@ from collections import deque
 from struct import Struct
 
 from failstop.board.framing import MOTOR, WHEELS
-from failstop.board.kinds import wire_of
+from failstop.board.kinds import is_described, wire_of
 from failstop.lab.boards.line import model_of
 from failstop.lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
 
 STEP_NS = 1_000_000
 """How often time passes for it; its own times are exact all the same."""
+QUIET_STEP_NS = 5 * STEP_NS
+"""How often, once it has answered what it was sent last."""
+ANSWERED_NS = 20 * STEP_NS
 DIAMETER_M = 0.08
 """Of its wheels, as the settings have it by default."""
 _HEAD, _WHEEL = Struct("<BB"), Struct("<Bf")
@@ -43,6 +48,11 @@ class LiveModel(BoardModel):
         """When a byte has come through, which, and when it was read."""
         self._read_ns = start_ns
         """When the last byte that has come through was read."""
+        self._kind = kind
+        self._busy_ns = 0
+        """Until then it may still have to answer."""
+        self._hears_ns = 0
+        """When it has started: what came before is lost."""
         self._battery_ns = NEVER_NS
         self._commands = self._said = 0
 
@@ -56,13 +66,23 @@ class LiveModel(BoardModel):
             at_ns += self._byte_ns
             if self.cut_bytes:
                 self.cut_bytes -= 1
-            elif not self.deaf:
+            elif not self.deaf and at_ns > self._hears_ns:
                 self._coming.append((at_ns, value, t_ns))
+        self._busy_ns = at_ns + ANSWERED_NS
+
+    def restart(self, t_ns: int, deaf_ns: int) -> None:
+        """Its processor begins anew: the wheels stand, and for so long what it is sent is lost."""
+        self._coming.clear()
+        self._board = model_of(self._kind).live()
+        self._hears_ns = self._start_ns = self._passed_ns = t_ns + deaf_ns
+        self._commands = self._said = 0
+        self.wheels = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def next_ns(self) -> int:
         """The next step, or the next byte."""
-        return min(self._passed_ns + STEP_NS, self._coming[0][0]) if self._coming else self._passed_ns + STEP_NS
+        step_ns = self._passed_ns + (STEP_NS if self._passed_ns < self._busy_ns else QUIET_STEP_NS)
+        return min(step_ns, self._coming[0][0]) if self._coming else step_ns
 
     @property
     def settled_ns(self) -> int | None:
@@ -102,3 +122,19 @@ class LiveModel(BoardModel):
     def _rps(self, speeds: tuple[float, ...]) -> Speeds:
         """Turns a second of each wheel."""
         return tuple(speed / self._per_rps for speed in speeds)
+
+
+def board_model(
+    kind: str,
+    start_ns: int,
+    *,
+    imu_hz: float = 110.0,
+    battery_mv: int = 12_000,
+    seed: int = 0,
+    first_invalid: int = 12,
+) -> BoardModel:
+    """The model of any kind of board, as the setting board.kind names it; the options that such a board has not are
+    not looked at. Raises ValueError."""
+    if is_described(kind):
+        return LiveModel(kind, start_ns, seed)
+    return BoardModel(start_ns, imu_hz=imu_hz, battery_mv=battery_mv, seed=seed, first_invalid=first_invalid)

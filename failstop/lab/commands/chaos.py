@@ -13,18 +13,22 @@ from collections.abc import Iterator
 
 from failstop.api.errors import FailstopError
 from failstop.cli import style
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.commands import check_json, matching
 from failstop.lab.faults import campaign, report
 from failstop.lab.faults.campaign import Row
 from failstop.lab.faults.scene import Scene
 from failstop.lab.sim.client import SimBoardError
+from failstop.lab.sim.options import add_board
 from failstop.lab.trial import TrialError
+from failstop.policy.layouts import BOARDS
 
 EXAMPLES = """\
 failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
+failstop chaos --board hoverboard       # another board's receiver; or a folder of your own
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 
@@ -49,6 +53,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="begin at this index of the seed's campaign (a story names it)",
     )
     add("--only", metavar="ROW,...", help="these rows alone; * stands for anything")
+    add_board(parser)
     add("--config", metavar="FILE", help="settings for the service, under those that a campaign needs")
     add("--list", action="store_true", help="list the rows")
     add("--json", metavar="FILE", help="write the result there")
@@ -69,7 +74,7 @@ def main(arguments: Namespace) -> int:
             on_stand.list_paths(arguments.only)
             return 0
         return on_stand.run(arguments, _seed(arguments), CAMPAIGN_S)
-    rows = _rows(arguments.only)
+    rows = _rows(arguments.only, arguments.board)
     if arguments.list:
         for fault in rows:
             print(f"{fault.name:<50} {fault.cause}")
@@ -100,12 +105,15 @@ def _check(arguments: Namespace) -> None:
         value = getattr(arguments, word)
         if value is not None and value <= 0:
             raise FailstopError(f"--{word} {value:g}: more than 0 is expected")
+    if arguments.device is not None and arguments.board != BOARDS[0]:
+        raise FailstopError("--board is a simulated board's: of a real one (--device) the settings say which it is")
     if arguments.each is not None and arguments.first:
         raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
 
 
-def _rows(only: str | None) -> tuple[Row, ...]:
-    return tuple(matching(only, report.EVERY, "no row {} in the fault table; `failstop chaos --list` has them"))
+def _rows(only: str | None, board: str) -> tuple[Row, ...]:
+    known = report.rows_of(traits_of(board))
+    return tuple(matching(only, known, "no row {} in the fault table of this board; `failstop chaos --list` has them"))
 
 
 def _read(path: str) -> dict[str, object]:
@@ -123,13 +131,13 @@ def _seed(arguments: Namespace) -> int:
 
 def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
     seed = _seed(arguments)
-    tally = report.Tally(rows, seed)
+    tally = report.Tally(rows, seed, arguments.board)
     live = style.lives(os.environ, terminal=sys.stderr.isatty())
     interrupted: list[bool] = []
     signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
     print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
     try:
-        with Scene(f"chaos-{os.getpid()}", arguments.config) as scene:
+        with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
             for outcome in _outcomes(arguments, scene, rows, tally):
                 if interrupted:
                     # The terminal's signal went to the board and the service too: this one proves nothing.

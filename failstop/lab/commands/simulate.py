@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import FailstopError
 from failstop.lab.commands import matching
+from failstop.lab.sim.options import add_board
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --whole         # every call
+failstop simulate --board ugv     # another board's receiver; or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # faults and orders by chance, a minute long
 failstop simulate --seed 537      # one of them again
@@ -29,6 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop simulate`."""
     add = parser.add_argument
     add("--scenario", metavar="NAME,...", help="these scenarios alone; * stands for anything")
+    add_board(parser)
     add("--whole", action="store_true", help="every call, not one of each line of code")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
     add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
@@ -43,12 +46,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the campaign; exit code 1 when anything was wrong, or a mark was not reached by all scenarios together."""
     try:
+        from failstop.lab.boards.traits import traits_of
         from failstop.lab.simulate import campaign, marks
-        from failstop.lab.simulate.scenarios import SCENARIOS
+        from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
     except ModuleNotFoundError as error:
         raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
 
-    names = matching(arguments.scenario, {name: name for name in SCENARIOS}, "no scenario {}: --list has them")
+    board, traits = arguments.board, traits_of(arguments.board)
+    known = scenarios_of(traits)
+    names = matching(arguments.scenario, {name: name for name in known}, "no scenario {}: --list has them")
     if arguments.list:
         for name in names:
             print(f"{name:<24} {SCENARIOS[name].__doc__ or ''}")
@@ -56,32 +62,38 @@ def main(arguments: Namespace) -> int:
     if arguments.call is not None:
         if len(names) != 1 or not arguments.fault:
             raise FailstopError("--call needs one --scenario and a --fault")
-        run = campaign.one(campaign.Plan(names[0], only=(arguments.call, arguments.fault)))
+        run = campaign.one(campaign.Plan(names[0], only=(arguments.call, arguments.fault), board=board))
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
-        return _controls()
+        return _controls(board)
+    chosen = names if arguments.scenario else None
     if arguments.seeds is not None:
-        return _seeds(arguments.seed or 0, arguments.seeds, arguments.jobs)
+        return _seeds(arguments.seed or 0, arguments.seeds, arguments.jobs, chosen, board)
     if arguments.seed is not None:
-        return _seed(arguments.seed)
-    gaps = marks.missing if len(names) == len(SCENARIOS) else lambda counts: []
+        return _seed(arguments.seed, chosen, board)
+    whole = len(names) == len(known)
     total, begun_s = campaign.Result(), time.monotonic()
-    todo = campaign.plans(names, 0 if arguments.whole else 1)
+    todo = campaign.plans(names, 0 if arguments.whole else 1, board)
     for done, (plan, result) in enumerate(campaign.results(todo, arguments.jobs), 1):
         total.merge(result)
         took_s = time.monotonic() - begun_s
         told = f"{plan.scenario} {plan.share[0] + 1}/{plan.share[1]}"
         counts = f"{total.runs:>6} runs  {len(total.wrong):>3} wrong"
         print(f"{done:>3}/{len(todo)}  {counts}  {took_s:6.1f} s  {told}", flush=True)
-    return _report(total, time.monotonic() - begun_s, gaps(total.marks), told_marks=arguments.marks)
+    return _report(
+        total,
+        time.monotonic() - begun_s,
+        marks.missing(total.marks, traits) if whole else [],
+        told_marks=arguments.marks,
+    )
 
 
-def _controls() -> int:
+def _controls(board: str) -> int:
     from failstop.lab.simulate import controls
 
     gaps = 0
-    for found in controls.search(CONTROL_S):
+    for found in controls.search(CONTROL_S, board):
         print(f"{found.row:<42} {found.by:<14} {found.took_s:6.1f} s  {found.faults} faults", flush=True)
         gaps += not found.story
     for row, why in controls.NOT_EXPRESSED.items():
@@ -89,11 +101,11 @@ def _controls() -> int:
     return int(bool(gaps))
 
 
-def _seeds(first: int, seconds: float, jobs: int) -> int:
+def _seeds(first: int, seconds: float, jobs: int, names: list[str] | None, board: str) -> int:
     from failstop.lab.simulate import seeds
 
     total = seeds.Seeds()
-    for part in seeds.many(first, seconds, jobs):
+    for part in seeds.many(first, seconds, jobs, names, board):
         total.merge(part)
     for run in total.wrong[:STORIES]:
         print(f"{run.text()}\n")
@@ -103,10 +115,10 @@ def _seeds(first: int, seconds: float, jobs: int) -> int:
     return int(bool(total.wrong))
 
 
-def _seed(number: int) -> int:
+def _seed(number: int, names: list[str] | None, board: str) -> int:
     from failstop.lab.simulate.seeds import Nursery
 
-    nursery = Nursery()
+    nursery = Nursery(names, board=board)
     run = nursery.run(number)
     print((nursery.shrunk(run) if run.violations else run).text())
     return int(bool(run.violations))

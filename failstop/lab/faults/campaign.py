@@ -22,6 +22,8 @@ from failstop.policy.causes import Cause
 
 Row = Fault | ArmFault
 LIMITS = ((-0.2, 0.2), (-0.2, 0.2), (-1.0, 1.0))
+SLOWEST = (0.01, 0.1)
+"""Forward and turn, below which a board with a coarse unit is told zero."""
 BEFORE_S = (0.02, 0.12)
 """How long the wheels turn before the fault: a random moment of the 20 ms tick."""
 AFTER_RESET_S = 0.03
@@ -150,7 +152,7 @@ class _Injection:
         """Until the service is whole again, with what it says, what it latched, and what clears that."""
         scene, fault = self.scene, self.fault
         if fault.survives:
-            scene.driver.until("the service to be whole", self._whole)
+            scene.driver.until("the service to be whole", self._whole, scene.whole_s)
         else:
             self._end_run()
         if fault.latched:
@@ -202,8 +204,10 @@ class _Injection:
 
 
 def _velocity(chance: random.Random) -> tuple[float, float, float]:
-    vx, vy, wz = (chance.uniform(*limit) for limit in LIMITS)
-    return vx, vy, wz
+    while True:
+        vx, vy, wz = (chance.uniform(*limit) for limit in LIMITS)
+        if abs(vx) > SLOWEST[0] or abs(wz) > SLOWEST[1]:
+            return vx, vy, wz
 
 
 def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from failstop.lab.boards.traits import Traits
 from failstop.policy.causes import Cause
 
 BY_RESET = "reset, then enable"
@@ -99,6 +100,8 @@ class Fault:
     """Nobody who can write is left: the campaign starts the stop tool, as systemd's ExecStopPost does."""
     link: str = ""
     """The link to the board by `status` meanwhile; empty: not looked at."""
+    needs: frozenset[str] = frozenset()
+    """A board must have these for it (lab/boards/traits.py)."""
     weight: int = 4
     """How often a campaign draws it, against the others."""
 
@@ -111,6 +114,12 @@ class Fault:
     def survives(self) -> bool:
         """Whether the service lives on; else systemd, here the campaign, restarts it."""
         return self.cleared != BY_NEW_RUN
+
+    def at(self, traits: Traits) -> Fault:
+        """The row as it is for a board: its bar is later by the board's own line and loop."""
+        if self.bar_ms is None or not traits.own_ns:
+            return self
+        return dataclasses.replace(self, bar_ms=self.bar_ms + traits.own_ns / 1e6)
 
     def struck(self, *actions: str) -> tuple[str, ...]:
         """The processes that one of these things is done to."""

@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from failstop.board.codec import STOP
 from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.inject import ASKED_MEANWHILE, AskedMeanwhile, Injector
 from failstop.lab.faults.scene import Scene
@@ -29,7 +28,6 @@ UP_TO_SPEED_S = 0.5
 BLOCK = 256
 IDLE_FILLS = 3
 SETTLED_S = 0.01
-CUT_AFTER = (3, 26)
 
 
 def _open_beside(scene: Scene) -> int:
@@ -62,12 +60,14 @@ class UsbDropMidFrame(UsbDrop):
     """The board's receiver is left in the middle of a frame, where the next bytes are data to it."""
 
     def strike(self, scene: Scene) -> int:
+        stop = scene.traits.language.stop
+        cut = scene.chance.randrange(1, len(stop))
         try:
             fd = _open_beside(scene)
         except OSError:
-            scene.board.cut(scene.chance.randrange(*CUT_AFTER))
+            scene.board.cut(cut)
         else:
-            os.write(fd, STOP[: scene.chance.randrange(*CUT_AFTER)])
+            os.write(fd, stop[:cut])
             os.close(fd)
         return super().strike(scene)
 

@@ -8,11 +8,14 @@ import time
 from typing import Any
 
 from failstop.doctor.machine import facts
+from failstop.lab.boards.line import BAR_NS
+from failstop.lab.boards.traits import HAS_ARM, PARTS, Traits, traits_of
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
 from failstop.lab.faults.fault import FAULT_CLASSES, Fault, told
-from failstop.lab.faults.table import BEYOND, TABLE
+from failstop.lab.faults.table import BEYOND
+from failstop.policy.layouts import BOARDS
 from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
 
 USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
@@ -25,6 +28,12 @@ LEASES = (
 
 EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAULT_BY_NAME}
 """The rows of both tables."""
+
+
+def rows_of(traits: Traits) -> dict[str, Fault | ArmFault]:
+    """The rows that a board can have, with its bars."""
+    arm = arm_table.ARM_FAULT_BY_NAME if HAS_ARM in traits.parts else {}
+    return {name: row.at(traits) for name, row in table.FAULT_BY_NAME.items() if row.needs <= traits.parts} | arm
 
 
 @dataclasses.dataclass
@@ -75,8 +84,10 @@ class Row:
 class Tally:
     """The rows of a campaign, in the table's order, and the stories of what went wrong."""
 
-    def __init__(self, rows: tuple[Fault | ArmFault, ...], seed: int) -> None:
-        self.seed = seed
+    def __init__(self, rows: tuple[Fault | ArmFault, ...], seed: int, board: str = BOARDS[0]) -> None:
+        """`board`: its kind."""
+        self.seed, self.board = seed, board
+        self._faults = {fault.name: fault for fault in rows}
         self.rows = {fault.name: Row(fault.name) for fault in rows}
         self.stories: list[str] = []
         self.interrupted = False
@@ -110,7 +121,7 @@ class Tally:
         lines = [head]
         for row in self.rows.values():
             if row.count:
-                fault = EVERY[row.name]
+                fault = self._faults[row.name]
                 times = _times(row.as_dict())
                 bar = _bar(fault) + (" ms" if fault.bar_ms is not None else "")
                 lines.append(
@@ -135,7 +146,8 @@ class Tally:
         }
         totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
         rows = [row.as_dict() for row in self.rows.values()]
-        return {"machine": machine, "seed": self.seed, **totals, "rows": rows, "stories": self.stories}
+        told = {"machine": machine, "board": self.board, "seed": self.seed}
+        return {**told, **totals, "rows": rows, "stories": self.stories}
 
 
 def _bar(fault: Fault | ArmFault) -> str:
@@ -151,7 +163,9 @@ def _times(row: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def markdown(result: dict[str, Any]) -> str:
-    """docs/dev/faults.md: the table, with what a campaign measured beside each row."""
+    """docs/dev/faults.md: the table, with what a campaign measured beside each row; of another board its rows."""
+    board = result.get("board", BOARDS[0])
+    of, known = "" if board == BOARDS[0] else f", board {board}", rows_of(traits_of(board)).values()
     measured = {row["name"]: row for row in result["rows"]}
     machine = result["machine"]
     lines = [
@@ -164,10 +178,10 @@ def markdown(result: dict[str, Any]) -> str:
         "judges, on its side of the wire: the first stop frame that it executes after the fault, and no motion frame",
         "from there to the next enable, while the client goes on commanding.",
         "",
-        f"Measured {machine['date']}: {machine['cores']}-core {machine['machine']}, kernel {machine['kernel']}, Python "
-        f"{machine['python']}, failstop {machine['version']}; {result['count']} faults in {machine['took_s']} s, "
-        f"seed {result['seed']}: **{result['missed']} stops missed, {result['motion_after']} motion frames after a "
-        f"stop, {result['wrong']} not as the table says**.",
+        f"Measured {machine['date']}{of}: {machine['cores']}-core {machine['machine']}, kernel {machine['kernel']}, "
+        f"Python {machine['python']}, failstop {machine['version']}; {result['count']} faults in "
+        f"{machine['took_s']} s, seed {result['seed']}: **{result['missed']} stops missed, "
+        f"{result['motion_after']} motion frames after a stop, {result['wrong']} not as the table says**.",
         "",
         "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
         "frame. The bar is for the p99. What is latched is a row of [causes.md](../causes.md) with its first",
@@ -179,7 +193,7 @@ def markdown(result: dict[str, Any]) -> str:
         *LEASES,
     ]
     for event in FAULT_CLASSES:
-        rows = [fault for fault in TABLE if fault.event == event]
+        rows = [fault for fault in known if isinstance(fault, Fault) and fault.event == event]
         lines += ["", f"## {event[0].upper()}{event[1:]}", ""]
         lines.append("| row | cause | first to stop | latched | cleared | said | n | p50 | p99 | max | bar |")
         lines.append("|---|---|---|---|---|---|---|---|---|---|---|")
@@ -192,13 +206,35 @@ def markdown(result: dict[str, Any]) -> str:
     ]
     lines += ["", "| row | cause | first to stop | latched | cleared | n | p50 | p99 | max | bar |"]
     lines.append("|---|---|---|---|---|---|---|---|---|---|")
-    for fault in arm_table.ROWS:
-        row = measured.get(fault.name, {})
-        cells = (str(row.get("count", 0)), *_times(row), _bar(fault))
-        lines.append(f"{fault.described()} {' | '.join(cells)} |")
+    for fault in known:
+        if isinstance(fault, ArmFault):
+            row = measured.get(fault.name, {})
+            cells = (str(row.get("count", 0)), *_times(row), _bar(fault))
+            lines.append(f"{fault.described()} {' | '.join(cells)} |")
+    lines += other_boards() if board == BOARDS[0] else []
     lines += ["", "## Beyond this side of the wire", "", "| what | what helps |", "|---|---|"]
     lines += [f"| {what} | {helps} |" for what, helps in BEYOND]
     return "\n".join(lines) + "\n"
+
+
+def other_boards() -> list[str]:
+    """The part of the page on rows and bars of another board."""
+    by_need: dict[str, list[str]] = {}
+    for fault in table.TABLE:
+        for part in fault.needs:
+            by_need.setdefault(part, []).append(f"`{fault.name}`")
+    by_need[HAS_ARM] = ["all of *The arm moves*"]
+    return [
+        *("", "## Another board", ""),
+        "`failstop chaos --board NAME`, or the path of an own board's folder, injects the same rows at that board,",
+        f"judged by its receiver. Each bar is {BAR_NS / 1e6:g} ms later, for the board's own line and loop (`BAR_NS`",
+        "of `failstop/lab/boards/line.py`, to which `tests/boards` holds each receiver). A row is absent where a",
+        "board has not what the row needs; `failstop/lab/boards/traits.py` tells that by its description. A few",
+        "rows of each board are in `make test` (`tests/faults/test_every_board.py`), all in `make campaigns`; `make",
+        "chaos BOARD=NAME` draws them.",
+        *("", "| needs | rows |", "|---|---|"),
+        *(f"| {part} | {', '.join(by_need[part])} |" for part in PARTS if part in by_need),
+    ]
 
 
 def described(fault: Fault) -> str:

@@ -13,11 +13,13 @@ import tempfile
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.config import checked, read
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.faults.driving import INTERLOCK, Driver
+from failstop.lab.faults.driving import INTERLOCK, WHOLE_S, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
 from failstop.messages.layout import SUPERVISOR
+from failstop.policy.layouts import BOARDS
 from failstop.supervisor import status
 
 SETTINGS: dict[str, object] = {
@@ -37,9 +39,10 @@ GONE_S = 5.0
 class Scene:
     """A context manager. `chance` is the injector's source of random choices."""
 
-    def __init__(self, name: str, config: str | None = None) -> None:
-        """`config`: a TOML file whose settings hold beside those of a campaign. Raises SettingError."""
-        self.name = name
+    def __init__(self, name: str, config: str | None = None, kind: str = BOARDS[0]) -> None:
+        """`config`: a TOML file whose settings hold beside those of a campaign; `kind`: the board's. Raises
+        SettingError."""
+        self.name, self.traits = name, traits_of(kind)
         self.chance = random.Random(0)
         self.was_moving = False
         """The board's word just before the fault."""
@@ -47,7 +50,7 @@ class Scene:
         self._config = os.path.join(self._folder.name, "chaos.toml")
         theirs = read(config)
         checked(theirs, config)  # values that a campaign overrides are refused too
-        write_settings(self._config, {**theirs, **SETTINGS})
+        write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
         self.trial = self._new_trial()
         self.driver = Driver(name)
         self._pids: dict[str, int] = {}
@@ -69,7 +72,7 @@ class Scene:
             self._arm = None
 
     def _new_trial(self) -> Trial:
-        return Trial(self.name, ("--config", self._config))
+        return Trial(self.name, ("--config", self._config), kind=self.traits.kind)
 
     def __enter__(self) -> Scene:
         self.trial.__enter__()
@@ -111,6 +114,11 @@ class Scene:
         self.trial = self._new_trial()
         self.trial.__enter__()
         self.driver = Driver(self.name)
+
+    @property
+    def whole_s(self) -> float:
+        """A service is whole within so long, on a board that may be deaf first."""
+        return WHOLE_S + self.traits.deaf_ns / 1e9
 
     @property
     def board(self) -> SimBoard:
@@ -156,7 +164,7 @@ class Scene:
         service.kill()
         self._kill_rest()
         service.exec()
-        self.driver.until("the service to be ready again", service.ready)
+        self.driver.until("the service to be ready again", service.ready, self.whole_s)
         self.driver.leave()
 
     def _kill_rest(self) -> None:

@@ -6,6 +6,7 @@ is the simulated board's word (judge.py), never the service's.
 
 from __future__ import annotations
 
+from failstop.lab.boards.traits import HAS_BATTERY, HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
     ASKED_TO_STOP,
@@ -53,7 +54,9 @@ THAWED = "the thaw"
 DRIVER_HAS_DIED = "which had driven, has died"
 
 
-def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
+def _asked(
+    name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0, needs: str = ""
+) -> Fault:
     """A trouble that must not stop the wheels, and not keep a stop request from stopping them either."""
     return Fault(
         name=name,
@@ -66,6 +69,7 @@ def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *
         bar_ms=bar_ms,
         injector=injector,
         counted_from=STOP_ASKED_MEANWHILE,
+        needs=frozenset({needs} - {""}),
         weight=1,
     )
 
@@ -103,7 +107,7 @@ CLIENT_ROWS = (
     ),
     Fault(
         "pad-silent", CLIENT_FAILS, "the gamepad that drives falls silent", "gate (command timeout)",
-        (), BY_ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
+        (), BY_ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, needs=frozenset({HAS_GAMEPAD}), weight=1,
     ),
     Fault(
         "client-nan", CLIENT_FAILS, "a command that is not a number", "gate",
@@ -157,11 +161,11 @@ REQUESTS = (
     ),
     Fault(
         "pad-button", ASKED_TO_STOP, "a button of the gamepad, one frame", "port owner, asked by telemetry",
-        ((BUTTON, 0x0100),), BY_RESET, "", 5.0, "pad-button",
+        ((BUTTON, 0x0100),), BY_RESET, "", 5.0, "pad-button", needs=frozenset({HAS_GAMEPAD}),
     ),
     Fault(
         "board-key", ASKED_TO_STOP, "the board's stop key", "port owner, asked by telemetry",
-        ((KEY, 1),), BY_RESET, "", 5.0, "board-key",
+        ((KEY, 1),), BY_RESET, "", 5.0, "board-key", needs=frozenset({HAS_KEYS}),
     ),
     Fault(
         "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
@@ -207,24 +211,26 @@ PORT_ROWS = (
         "board-deaf", BOARD_FAILS, "the board hears nothing while its telemetry goes on",
         "nobody; its 5 Hz zeros, later",
         ((DEAF,),), BY_RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
-        aftermath_s=0.3, weight=1,
+        aftermath_s=0.3, needs=frozenset({HAS_PINGS}), weight=1,
     ),
     Fault(
         "board-unproven", BOARD_FAILS, "the board has never answered a ping", "nobody",
-        (), BY_ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
+        (), BY_ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven",
+        needs=frozenset({HAS_PINGS}), weight=1,
     ),
     Fault(
         "board-garbles-up", BOARD_FAILS, "1 % of the bytes from the board are garbled", "nobody",
         (), BY_ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
     ),
     _asked(
-        "board-garbles-down", BOARD_FAILS, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250
+        "board-garbles-down", BOARD_FAILS, "1 % of the bytes to the board are garbled", "board-garbles-down",
+        bar_ms=250, needs=HAS_CHECK,
     ),
-    _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods"),
+    _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods", needs=HAS_KEYS),
     Fault(
         "board-refuses", BOARD_FAILS, "the board executes the stop, and the wheels turn on", "port owner, in vain",
         ((PIPED, "asked meanwhile"),), BY_RESET, "CRITICAL", 5.0, "board-refuses", counted_from=STOP_ASKED_MEANWHILE,
-        aftermath_s=2.0, weight=1,
+        aftermath_s=2.0, needs=frozenset({HAS_IMU}), weight=1,
     ),
 )  # fmt: skip
 
@@ -236,7 +242,7 @@ SURROUNDINGS = (
         ((DIED, GATE),), BY_RESET, "", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
-    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written", needs=HAS_BATTERY),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
         "port owner; the supervisor looks once a second", (), BY_NEW_RUN, str(REMOVED("")).lstrip(),

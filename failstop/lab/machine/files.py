@@ -86,8 +86,8 @@ class Open:
     def mask(self) -> int:
         return self.node.mask(self)
 
-    def release(self, process: Process, fd: int) -> None:
-        """One descriptor less."""
+    def release(self) -> None:
+        """One reference less: a descriptor, or one on its way to another process."""
         self.references -= 1
         if self.references:
             return
@@ -343,6 +343,10 @@ class Socket(Node):
 
     def closed(self, opened: Open) -> None:
         peer, self.peer = self.peer, None
+        for _, passed in self.queue:
+            for each in passed:
+                each.release()
+        self.queue.clear()
         if peer:
             peer.peer = None
             peer.notify()

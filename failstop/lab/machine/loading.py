@@ -36,7 +36,7 @@ SHARED_MODULES = frozenset(
         *("data", "version", "messages.box", "messages.records"),
         *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "processes", "proofs")),
         *("policy.setting", "policy.settings"),
-        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos")),
+        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos", "wire")),
     )
 )
 """Modules that ask no machine and import none that does: each machine has this process's own, which are loaded once."""

@@ -29,15 +29,22 @@ class Port(Node):
         self.held = bytearray()
         """Bytes that a port which does not drain keeps."""
         self.drains = True
+        self.drained_ns = 0
+        """When it has passed on last what it had kept, all at once."""
         self.refuses = False
         """It takes nothing for the moment."""
         self.gone = False
+        self.on_first_open: Callable[[], None] | None = None
+        """Called when it is opened for the first time since it was plugged in."""
         self.board: Any = None
         self.settings: list[Any] = [0, 0, 0, 0, 0, 0, [b"\0"] * 32]
 
     def open(self, opened: Open) -> None:
         if self.gone:
             raise OSError(errno.ENXIO, "no such device")
+        if told := self.on_first_open:
+            self.on_first_open = None
+            told()
 
     def mask(self, opened: Open) -> int:
         if self.gone:
@@ -73,6 +80,7 @@ class Port(Node):
         """It takes bytes again."""
         self.drains = True
         if self.held:
+            self.drained_ns = self.machine.now_ns
             self.board.receive(bytes(self.held))
             self.held.clear()
             self.notify()

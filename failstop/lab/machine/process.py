@@ -125,4 +125,4 @@ class Process:
         """Give a descriptor back."""
         opened = self.files.pop(fd)
         self.inheritable.discard(fd)
-        opened.release(self, fd)
+        opened.release()

@@ -11,13 +11,16 @@ from typing import Any
 
 import msgpack
 
+from failstop.lab.boards.live import LiveModel, board_model
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.files import Node, Null, Open, Regular
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process, Replaced
-from failstop.lab.sim.model import BoardModel, Frame
+from failstop.lab.sim.model import Frame
+from failstop.policy.layouts import BOARDS
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
 MS = 1_000_000
@@ -29,9 +32,10 @@ ENVIRON = {"HOME": "/root"}
 class BoardPort:
     """The board's model behind a port of the machine."""
 
-    def __init__(self, machine: Machine, imu_hz: float) -> None:
+    def __init__(self, machine: Machine, imu_hz: float, kind: str) -> None:
         self.machine = machine
-        self.model = BoardModel(machine.now_ns, imu_hz=imu_hz)
+        self.traits = traits_of(kind)
+        self.model = board_model(kind, machine.now_ns, imu_hz=imu_hz)
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self.on_bytes: Callable[[bytes], None] = lambda data: None
@@ -41,6 +45,7 @@ class BoardPort:
 
     def receive(self, data: bytes) -> None:
         """Bytes of the port, now."""
+        self.catch_up()
         self.on_bytes(data)
         self.model.receive(data, self.machine.now_ns)
         self.plan()
@@ -50,15 +55,28 @@ class BoardPort:
         self.model.key(key, CLICKED, self.machine.now_ns)
         self.plan()
 
+    def opened(self) -> None:
+        """Reset it, where opening its port does: a kernel that has opened the port before leaves the line as it is."""
+        if self.traits.resets and isinstance(self.model, LiveModel):
+            self.catch_up()
+            self.model.restart(self.machine.now_ns, self.traits.deaf_ns)
+
     def plan(self) -> None:
         """Have the time pass when something is due: call it after a change of the model."""
         due_ns = self.model.next_ns
         if due_ns < self._due_ns:
             self._due_ns = due_ns
-            self.machine.at(due_ns, self._pass_time)
+            self.machine.at(due_ns, lambda: self._pass_time(due_ns))
 
-    def _pass_time(self) -> None:
+    def _pass_time(self, due_ns: int) -> None:
+        if due_ns != self._due_ns:
+            return  # something was due before this
         self._due_ns = 1 << 62
+        self.catch_up()
+        self.plan()
+
+    def catch_up(self) -> None:
+        """Let everything happen that is due by now: a model of another board passes its time in steps."""
         for data in self.model.advance(self.machine.now_ns):
             if self.port:
                 self.port.send(data)
@@ -67,11 +85,10 @@ class BoardPort:
             for frame in self.model.executed(self._told):
                 self.on_frame(frame)
             self._told = total
-        self.plan()
 
 
 class Robot:
-    """A machine with one board on DEVICE. start() starts the service, program() a client."""
+    """A machine with one board of any kind on DEVICE. start() starts the service, program() a client."""
 
     def __init__(
         self,
@@ -80,15 +97,17 @@ class Robot:
         imu_hz: float = 110.0,
         settings: dict[str, object] | None = None,
         patches: Patches = (),
+        kind: str = BOARDS[0],
     ) -> None:
+        """`kind`: as the setting board.kind. Raises ValueError."""
         Node.count = 0
         self.machine = Machine(seed)
         self.loader = Loader(self.machine, patches)
         self.time: Any = self.loader.system["time"]
-        self.board = BoardPort(self.machine, imu_hz)
+        self.board = BoardPort(self.machine, imu_hz, kind)
         self.stderr = Null()
         self._numbers = 0
-        self._make_files(settings or {})
+        self._make_files({**self.board.traits.settings, **(settings or {})})
         self.plug()
         self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
 
@@ -103,6 +122,7 @@ class Robot:
         port = Port(self.machine, self._numbers)
         self._numbers += 1
         port.board = self.board
+        port.on_first_open = self.board.opened
         self.board.port = port
         self.machine.root.folder("/dev").put("ttyACM0", port)
         return port

@@ -1,4 +1,5 @@
-"""Stand-ins for the few modules of the service that speak with the kernel below Python: futexes, rights, starvation."""
+"""Stand-ins for the few modules of the service that speak with the kernel below Python (futexes, rights, starvation),
+and for the one that loads modules of the user's own."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
+from failstop.board import own
 from failstop.lab.machine.calls import Calls, Module
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.process import Thread
@@ -174,6 +176,18 @@ def make_thread_state(calls: Calls) -> ModuleType:
     return Module("failstop.shm.thread_state", calls, state_of=state_of)
 
 
+def make_own(calls: Calls) -> ModuleType:
+    """failstop.board.own: the folder lies on the real machine, and its modules ask none."""
+    return Module(
+        "failstop.board.own",
+        calls,
+        wire=own.wire,
+        load=own.load,
+        OwnBoardError=own.OwnBoardError,
+        OWN_PACKAGE=own.OWN_PACKAGE,
+    )
+
+
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
     """By the name of the module that each stands in for."""
     return {
@@ -181,4 +195,5 @@ def stand_ins(calls: Calls) -> dict[str, ModuleType]:
         "failstop.procs.rights": make_rights(calls),
         "failstop.procs.starved": make_starved(calls),
         "failstop.shm.thread_state": make_thread_state(calls),
+        "failstop.board.own": make_own(calls),
     }

@@ -19,11 +19,10 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.board.kinds import is_described
-from failstop.lab.boards.live import LiveModel
+from failstop.lab.boards.live import board_model
 from failstop.lab.sim import upward
 from failstop.lab.sim.control import SUFFIX, ControlMessage, ControlServer, Wait
-from failstop.lab.sim.model import BoardModel, Frame
+from failstop.lab.sim.model import Frame
 from failstop.lab.sim.options import Options
 from failstop.lab.sim.pty_port import PtyPort, SimError, check_link
 from failstop.lab.sim.recorder import Recorder
@@ -50,7 +49,14 @@ class Simulator:
         self._on_frame = on_frame
         self._ending = False
         self._told = 0
-        self._model = _model(options, self.start_ns)
+        self._model = board_model(
+            options.board,
+            self.start_ns,
+            imu_hz=options.imu_hz,
+            battery_mv=options.battery_mv,
+            seed=options.seed,
+            first_invalid=options.first_invalid_func,
+        )
         self._requests: dict[str, Callable[[ControlMessage], ControlMessage | Wait]] = {
             "info": self._info,
             "events": self._wait,
@@ -295,18 +301,6 @@ class Simulator:
         else:
             return False
         return True
-
-
-def _model(options: Options, start_ns: int) -> BoardModel:
-    if is_described(options.board):
-        return LiveModel(options.board, start_ns, options.seed)
-    return BoardModel(
-        start_ns,
-        imu_hz=options.imu_hz,
-        battery_mv=options.battery_mv,
-        seed=options.seed,
-        first_invalid=options.first_invalid_func,
-    )
 
 
 def _flag(request: ControlMessage, name: str) -> bool:

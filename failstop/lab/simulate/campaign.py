@@ -25,11 +25,17 @@ from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
+from failstop.policy.layouts import BOARDS
 
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
 SHARES = 2
 """Into so many parts the calls of a scenario are divided: each part runs the scenario twice before its first fault."""
+
+
+def of_board(kind: str) -> str:
+    """The option that names a board, for a command that plays something again; empty for the first board."""
+    return "" if kind == BOARDS[0] else f" --board {kind}"
 
 
 @dataclass
@@ -46,11 +52,13 @@ class JudgedRun:
     causes: list[str] = field(default_factory=list)
     story: list[tuple[int, str]] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
+    board: str = BOARDS[0]
 
     def text(self) -> str:
         """The run as people read it, in ms from its begin."""
         begin_ns = self.story[0][0] if self.story else 0
-        again = f"failstop simulate --scenario {self.scenario} --call {self.call} --fault '{self.fault}'"
+        again = f"failstop simulate{of_board(self.board)} --scenario {self.scenario}"
+        again += f" --call {self.call} --fault '{self.fault}'"
         head = f"{self.scenario}: {self.fault} at call {self.call}: {self.where}" if self.fault else self.scenario
         wrong = (f"  {text}" for text in self.violations)
         steps = (f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in self.story)
@@ -96,6 +104,8 @@ class Plan:
     fault: str = ""
     first: bool = False
     """The campaign ends with the first run that is wrong."""
+    board: str = BOARDS[0]
+    """Its kind, as the setting board.kind."""
 
 
 class Explorer:
@@ -107,17 +117,17 @@ class Explorer:
         self._count = 0
         self._to: int | None = None
         """In a fork: where its run is reported."""
-        self.run = JudgedRun(plan.scenario)
+        self.run = JudgedRun(plan.scenario, board=plan.board)
         self.result = Result()
 
     def explore(self) -> Result:
         """Every fault of the plan. The scenario is run once before, and what it has loaded is loaded before a fork."""
         plan = self._plan
-        before = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        before = self._new_stage()
         found = Places(before)
         before.run()
         self._before = found.before
-        self.stage = Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches)
+        self.stage = self._new_stage()
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
         before.machine.end()
@@ -141,6 +151,10 @@ class Explorer:
         self.result.add(run)
         self.stage.machine.end()
         return self.result
+
+    def _new_stage(self) -> Stage:
+        plan = self._plan
+        return Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches, kind=plan.board)
 
     def _judged(self) -> JudgedRun:
         run, witness = self.run, self.stage.witness
@@ -176,7 +190,7 @@ class Explorer:
                 return
             os.close(writer)
             try:
-                self._collect(child, reader, JudgedRun(plan.scenario, fault, self._count, where))
+                self._collect(child, reader, JudgedRun(plan.scenario, fault, self._count, where, board=plan.board))
             except BaseException:  # Ctrl-C, a test's time limit: it passes through programs that make calls on its way
                 self.stage.machine.at_seam = None
                 raise
@@ -192,7 +206,7 @@ class Explorer:
 
     def _begin(self, fault: str, where: str) -> None:
         self.stage.machine.at_seam = None
-        self.run = JudgedRun(self._plan.scenario, fault, self._count, where)
+        self.run = JudgedRun(self._plan.scenario, fault, self._count, where, board=self._plan.board)
         self.stage.witness.tell(f"FAULT: {fault}, at {where}")
 
     def _collect(self, child: int, reader: int, run: JudgedRun) -> None:
@@ -232,10 +246,10 @@ def one(plan: Plan) -> JudgedRun:
     return explorer.run
 
 
-def plans(names: Iterable[str], most: int, seed: int = 0, patches: Patches = ()) -> list[Plan]:
+def plans(names: Iterable[str], most: int, board: str = BOARDS[0]) -> list[Plan]:
     """Those of whole scenarios, in shares; the longest scenario, which is declared last, begins."""
     shares = [(share, SHARES) for share in range(SHARES)]
-    return [Plan(name, share, most, seed, None, patches) for name in reversed(list(names)) for share in shares]
+    return [Plan(name, share, most, board=board) for name in reversed(list(names)) for share in shares]
 
 
 def results(todo: list[Plan], jobs: int) -> Iterator[tuple[Plan, Result]]:

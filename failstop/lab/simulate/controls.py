@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from failstop.lab.machine.loading import Patches
 from failstop.lab.simulate.campaign import Plan, explore
 from failstop.lab.simulate.seeds import seeds, used_s
+from failstop.policy.layouts import BOARDS
 
 ADMISSION_MODULE = "failstop.procs.port_owner.admission"
 PORT_OWNER_MODULE = "failstop.procs.port_owner.main"
@@ -19,8 +20,12 @@ SUPERVISOR_MODULE = "failstop.supervisor.main"
 STATUS_MODULE = "failstop.supervisor.status"
 HANDOVER_MODULE = "failstop.supervisor.port_handover"
 TABLE_MODULE = "failstop.supervisor.process_table"
+PORT_MODULE = "failstop.procs.port_owner.port"
 PEER_MODULE = "failstop.procs.peer"
 STOP_PORT_MODULE = "failstop.board.stop_port"
+
+CUT_AND_ASKED = "short write, while somebody asks for a stop"
+NOT_REPEATED = ("failstop.board.described", "tuple(row[1:] for row in wire.stop.repeats_ns)", "((), (), ())")
 
 NOT_EXPRESSED = {
     "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
@@ -47,6 +52,8 @@ class Mutant:
     scenario: str
     patches: Patches
     fault: str = ""
+    board: str = BOARDS[0]
+    """The kind of board at which it is tried."""
 
 
 CONTROLS = (
@@ -78,7 +85,7 @@ CONTROLS = (
             (STOP_PORT_MODULE, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
             (STOP_PORT_MODULE, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
         ),
-        "short write, while somebody asks for a stop",
+        CUT_AND_ASKED,
     ),
     Mutant(
         "nobody fences",
@@ -182,6 +189,27 @@ CONTROLS = (
         "machine_sleeps",
         ((PORT_OWNER_MODULE, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
     ),
+    Mutant(
+        "the board's own watchdog is not armed",
+        "drive_and_stop",
+        ((PORT_MODULE, "self._opening = context.board.port.opening", "self._opening = ()"),),
+        board="ugv",
+    ),
+    Mutant(
+        "no CR before the stop",
+        "drive",
+        (("failstop.board.arduino.codec", r'STOP = b"\rm 0 0\r"', r'STOP = b"m 0 0\r"'), NOT_REPEATED),
+        CUT_AND_ASKED,
+        "arduino",
+    ),
+    Mutant(
+        "no line feed before the stop",
+        "drive",
+        (("failstop.board.ugv.codec", r"""STOP = b'\n{"T":1,""", """STOP = b'{"T":1,"""), NOT_REPEATED),
+        CUT_AND_ASKED,
+        "ugv",
+    ),
+    Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
 )
 
 
@@ -196,17 +224,21 @@ class Found:
     story: str = ""
 
 
-def search(seconds: float) -> Iterator[Found]:
-    """Each control, by the single faults of its scenario, and else by seeds of it for so long."""
+def search(seconds: float, board: str = BOARDS[0]) -> Iterator[Found]:
+    """Each control of a kind of board, by the single faults of its scenario, and else by seeds of it for so long."""
     for control in CONTROLS:
+        if control.board != board:
+            continue
         begun_s = used_s()
-        single = explore(Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True))
+        single = explore(
+            Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=board)
+        )
         if single.wrong:
             run = single.wrong[0]
             how = "single faults" if run.fault else "the scenario"
             yield Found(control.row, how, used_s() - begun_s, int(bool(run.fault)), run.text())
             continue
-        drawn = seeds(0, 1, seconds, control.patches, [control.scenario])
+        drawn = seeds(0, 1, seconds, control.patches, [control.scenario], board)
         by = "seeds" if drawn.wrong else "NOTHING"
         story, faults = (drawn.wrong[0].text(), len(drawn.wrong[0].events)) if drawn.wrong else ("", 0)
         yield Found(control.row, by, used_s() - begun_s, faults, story)

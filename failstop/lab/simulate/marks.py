@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from failstop.lab.boards.traits import HAS_KEYS, HAS_PINGS, Traits
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.simulate.witness import Witness
@@ -37,6 +38,8 @@ NOT_TRIED = {
     "state dead beats": "a beat between the end and its notice",
 }
 """Marks that no scenario reaches, and why; the tests with real processes do."""
+OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS}
+"""Marks that a board can reach which has this part alone (lab/boards/traits.py)."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
 
 
@@ -95,8 +98,8 @@ def _watch_states(loader: Loader, marks: Marks) -> None:
     module.Child.on = told
 
 
-def missing(counts: Mapping[str, int]) -> list[str]:
-    """The marks that were not reached."""
+def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
+    """The marks that were not reached, of those that a board can reach."""
     loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
     wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME]
@@ -107,4 +110,5 @@ def missing(counts: Mapping[str, int]) -> list[str]:
         for event, after in zip(module.EVENTS, row, strict=True)
         if after
     ]
-    return [name for name in wanted if not counts.get(name) and name not in NOT_TRIED]
+    beyond = NOT_TRIED.keys() | {name for name, part in OF_PARTS.items() if part not in traits.parts}
+    return [name for name in wanted if not counts.get(name) and name not in beyond]

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.board.framing import MOTOR
-from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.faults import line_of
@@ -18,7 +16,6 @@ from failstop.lab.simulate.stage import Stage
 Where = dict[str, list[int]]
 """The places, each with the numbers of its calls."""
 BEFORE = " before a frame"
-FUNCTION_AT = 2
 
 
 class Places:
@@ -43,9 +40,13 @@ class Places:
         if call == "epoll_wait":
             turn.clear()
         turn.append(self._count)
-        moves = any(self._stage.robot.board.model.wheels)
-        if moves and call == "write" and isinstance(thread.process.files[about[0]].node, Port) and _turns(about[1]):
+        if call == "write" and isinstance(thread.process.files[about[0]].node, Port) and self._keeps_turning(about[1]):
             self.before.update(turn)
+
+    def _keeps_turning(self, data: bytes) -> bool:
+        """Whether wheels turn, and this is a frame that turns them."""
+        board = self._stage.robot.board
+        return any(board.model.wheels) and any(board.traits.language.speeds(data) or ())
 
     def where(self) -> Where:
         """All of them."""
@@ -53,8 +54,3 @@ class Places:
         for number, line in self._lines:
             found.setdefault(line + BEFORE * (number in self.before), []).append(number)
         return found
-
-
-def _turns(data: bytes) -> bool:
-    """Whether this is a frame that turns a wheel."""
-    return data[FUNCTION_AT] == MOTOR and len(data) == len(BOARD.stop) and data != BOARD.stop

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
+from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, Traits
+from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
@@ -14,19 +15,27 @@ JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 SLOW_MPS = 0.01
 LOOKS = 25
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
-KEYS = ("servo", "tuck", "drive")
+JOINT_KEYS = ("servo", "tuck", "drive")
 ARM_SETTINGS: dict[str, object] = {
-    f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(KEYS, row, strict=True)
+    f"joints.{name}.{key}": value for name, row in JOINTS.items() for key, value in zip(JOINT_KEYS, row, strict=True)
 }
 
 
-def scenario(play: Play, name: str = "", told: str = "", settings: dict[str, object] | None = None) -> Play:
-    """Declare one."""
+def scenario(
+    play: Play, name: str = "", told: str = "", settings: dict[str, object] | None = None, needs: tuple[str, ...] = ()
+) -> Play:
+    """Declare one. `needs`: what a board must have for it (lab/boards/traits.py)."""
     SCENARIOS[name or play.__name__] = play
     play.__doc__ = told or play.__doc__
     if settings:
         SETTINGS[play] = settings
+    NEEDS[play] = frozenset(needs)
     return play
+
+
+def scenarios_of(traits: Traits) -> list[str]:
+    """The names of those that a board can have."""
+    return [name for name, play in SCENARIOS.items() if NEEDS[play] <= traits.parts]
 
 
 def driving(stage: Stage, seconds: float = 0.04) -> Any:
@@ -49,6 +58,12 @@ def drive_and_stop(stage: Stage) -> None:
 
 
 FROM_THE_START.add(drive_and_stop)
+
+
+@scenario
+def drive(stage: Stage) -> None:
+    """Drive, and nothing else: what stops it is the fault alone."""
+    driving(stage, 0.2)
 
 
 def _death(name: str) -> Play:
@@ -211,15 +226,21 @@ def two_programs(stage: Stage) -> None:
     robot.wait_for("latched", 1.0)
 
 
+def _key(stage: Stage) -> None:
+    robot = driving(stage)
+    stage.press(1)
+    robot.wait_for("latched", 1.0)
+
+
+scenario(_key, "key", "A key of the board is pressed while it drives.", needs=(HAS_KEYS,))
+
+
 @scenario
-def keys_and_the_pipe(stage: Stage) -> None:
-    """A key of the board, and bytes of somebody in the stop pipe."""
-    robot = stage.connect()
-    for act in (lambda: stage.press(1), lambda: stage.write_to_pipe(b"")), (lambda: stage.write_to_pipe(b"x"),):
-        stage.enable(robot)
-        stage.drive(robot, 0.04)
-        act[0]()
-        robot.wait_for("latched", 1.0)
+def stop_pipe(stage: Stage) -> None:
+    """Somebody's bytes come to the stop pipe."""
+    robot = driving(stage)
+    stage.write_to_pipe(b"x")
+    robot.wait_for("latched", 1.0)
 
 
 def _driver_dies(stage: Stage) -> None:
@@ -290,4 +311,4 @@ def _arm_to_drive_pose(stage: Stage) -> None:
     robot.arm.hold()
 
 
-scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM_SETTINGS)
+scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM_SETTINGS, needs=(HAS_ARM,))

@@ -18,17 +18,20 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.robot import MS
+from failstop.lab.simulate.campaign import of_board
 from failstop.lab.simulate.odd import Event, Odd
 from failstop.lab.simulate.places import Places, Where
-from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Tape
+from failstop.policy.layouts import BOARDS
 
 WARM_NS = 300 * MS
-"""After so long the service is ready, and a scenario begins."""
+"""After so long, and once the board hears, the service is ready, and a scenario begins."""
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
 MOST_SHRUNK = 5
@@ -47,6 +50,8 @@ class Seeded:
     violations: list[str] = field(default_factory=list)
     story: list[tuple[int, str]] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
+    again: str = ""
+    """The command that runs it again, without the seed."""
 
     def text(self) -> str:
         """The run as people read it."""
@@ -55,7 +60,7 @@ class Seeded:
         lines += [f"  {text}" for text in self.violations]
         lines += [f"{number:>4}. {event.fault}, at {event.where}" for number, event in enumerate(self.events, 1)]
         lines += [f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in self.story]
-        return "\n".join((*lines, f"again: failstop simulate --seed {self.seed}"))
+        return "\n".join((*lines, f"again: {self.again} --seed {self.seed}"))
 
 
 @dataclass
@@ -93,11 +98,14 @@ def used_s() -> float:
 
 
 class Nursery:
-    """Runs seeds: of these scenarios, with the code changed so."""
+    """Runs seeds: of these scenarios, or of all that the board can have, with the code changed so."""
 
-    def __init__(self, names: list[str] | None = None, patches: Patches = ()) -> None:
-        self._names = names or list(SCENARIOS)
-        self._patches = patches
+    def __init__(self, names: list[str] | None = None, patches: Patches = (), board: str = BOARDS[0]) -> None:
+        """`board`: its kind, as the setting board.kind."""
+        self._board, traits = board, traits_of(board)
+        self._names = names or scenarios_of(traits)
+        self._again = f"failstop simulate{of_board(board)}{' --scenario ' + ','.join(names) if names else ''}"
+        self._patches, self._warm_ns = patches, WARM_NS + traits.deaf_ns
         self._stages: dict[str, tuple[Stage, int]] = {}
         self._places: dict[tuple[str, bool], Where] = {}
 
@@ -105,16 +113,19 @@ class Nursery:
         """The stage on which the service with this scenario's settings runs, and how many files it had made by then."""
         key = json.dumps(SETTINGS.get(SCENARIOS[name], {}))
         if key not in self._stages:
-            made = Stage(SCENARIOS[name], 0, self._patches, stores=True)
-            made.begin(WARM_NS)
+            made = self._new_stage(name)
+            made.begin(self._warm_ns)
             self._stages[key] = made, Node.count
             gc.collect()
         return self._stages[key]
 
+    def _new_stage(self, name: str) -> Stage:
+        return Stage(SCENARIOS[name], 0, self._patches, stores=True, kind=self._board)
+
     def _stage(self, name: str, *, cold: bool) -> Stage:
         """In a fork: where a scenario is to be run."""
         if cold:
-            return Stage(SCENARIOS[name], 0, self._patches, stores=True)
+            return self._new_stage(name)
         stage, Node.count = self._warm(name)
         stage.take(SCENARIOS[name])
         return stage
@@ -133,7 +144,7 @@ class Nursery:
                 self._warm(name)[0].robot.loader.load(module)
         found = _forked(lambda: self._judged(name, tape, fixed, cold=cold))
         found["events"] = [Event(**event) for event in found["events"]]
-        return Seeded(seed, name, **found)
+        return Seeded(seed, name, again=self._again, **found)
 
     def _found(self, name: str, *, cold: bool) -> tuple[Where, list[str]]:
         stage = self._stage(name, cold=cold)
@@ -164,9 +175,16 @@ class Nursery:
         return run
 
 
-def seeds(first: int, step: int, seconds: float, patches: Patches = (), names: list[str] | None = None) -> Seeds:
+def seeds(
+    first: int,
+    step: int,
+    seconds: float,
+    patches: Patches = (),
+    names: list[str] | None = None,
+    board: str = BOARDS[0],
+) -> Seeds:
     """Run seeds: first, first + step, ... until so much of a processor's time is used."""
-    nursery, found, seed, begun_s = Nursery(names, patches), Seeds(), first, used_s()
+    nursery, found, seed, begun_s = Nursery(names, patches, board), Seeds(), first, used_s()
     while (took_s := used_s() - begun_s) < seconds:
         run = nursery.run(seed)
         found.add(run)
@@ -179,15 +197,18 @@ def seeds(first: int, step: int, seconds: float, patches: Patches = (), names: l
     return found
 
 
-def many(first: int, seconds: float, jobs: int) -> Iterator[Seeds]:
+def many(
+    first: int, seconds: float, jobs: int, names: list[str] | None = None, board: str = BOARDS[0]
+) -> Iterator[Seeds]:
     """As seeds(), in so many processes."""
-    todo = [(first + job, jobs, seconds) for job in range(jobs)]
+    todo = [(first + job, jobs, seconds, names, board) for job in range(jobs)]
     with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=1) as pool:
         yield from pool.imap_unordered(_all, todo)
 
 
-def _all(arguments: tuple[int, int, float]) -> Seeds:
-    return seeds(*arguments)
+def _all(arguments: tuple[int, int, float, list[str] | None, str]) -> Seeds:
+    first, step, seconds, names, board = arguments
+    return seeds(first, step, seconds, names=names, board=board)
 
 
 def _forked(what: Callable[[], Any]) -> Any:

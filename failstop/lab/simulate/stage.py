@@ -1,7 +1,8 @@
 """Stage: a scenario on a simulated robot, with its witness: start, what a program does, a fault on the way, the end.
 
 After the scenario the faults are off: a run of the service is there, a program resets, enables and drives, and the
-wheels turn within LIVE_NS. So a run is judged for what it forbids and for what it must allow.
+wheels turn within LIVE_NS. So a run is judged for what it forbids and for what it must allow. Last the machine freezes,
+and a board that has a watchdog of its own stops the wheels by itself.
 """
 
 from __future__ import annotations
@@ -11,23 +12,30 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop.lab.machine.epoll import Epoll
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
+from failstop.lab.machine.kernel import FOREVER_NS, SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
+from failstop.policy.layouts import BOARDS
 
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 """Of the scenarios that need some."""
+NEEDS: dict[Callable[[Stage], object], frozenset[str]] = {}
+"""Of the scenarios that need a board with certain parts (lab/boards/traits.py)."""
 FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
 SPEED_MPS = 0.1
 RPS_PER_MPS = 3.98
 SCENARIO_NS = 10_000 * MS
 """A scenario that takes longer has hung."""
+OPENINGS = 4
+"""At most so often in a scenario its port is opened: each time the board may be deaf first."""
+READY_NS = 1_000 * MS
 LIVE_NS = 2_000 * MS
-READY_S = 1.0
+WATCHDOG_LATE_NS = 60 * MS
+"""Added to the time of a board's own watchdog: its loops, and the frames that are on the wire at a freeze."""
 ARM_NS = 8_000 * MS
 """An arm has to go to its drive pose before the wheels may turn."""
 RESTART_NS = 100 * MS
@@ -40,11 +48,20 @@ class Stage:
     """`failstop` is the package as the simulated machine has it, `time` its clock."""
 
     def __init__(
-        self, play: Callable[[Stage], object], seed: int = 0, patches: Patches = (), *, stores: bool = False
+        self,
+        play: Callable[[Stage], object],
+        seed: int = 0,
+        patches: Patches = (),
+        *,
+        stores: bool = False,
+        kind: str = BOARDS[0],
     ) -> None:
-        """`stores`: what is stored in shared memory is a place for a fault too."""
-        self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches)
+        """`stores`: what is stored in shared memory is a place for a fault too. `kind`: the board's."""
+        self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches, kind=kind)
         self.machine = self.robot.machine
+        self.traits = self.robot.board.traits
+        self.ready_s = (READY_NS + self.traits.deaf_ns) / 1e9
+        """Within so long a service whose processes all live is ready."""
         self.witness = Witness(self.robot)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
@@ -54,6 +71,8 @@ class Stage:
         self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
         """How much later who waits there hears of the loss of the port."""
         self._begun = False
+        self._granted_ns = FOREVER_NS
+        """When the last program may drive."""
         self._keep = True
         self.player: Process | None = None
         if stores:
@@ -64,6 +83,8 @@ class Stage:
         self._play = play
         told = SETTINGS.get(play, {})
         self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
+        # A port may be opened anew at its end, and once more by who starts then.
+        self.live_ns += 2 * self.traits.deaf_ns
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
 
@@ -87,7 +108,7 @@ class Stage:
         while True:
             try:
                 robot = self.failstop.Robot()
-                robot.wait_for("ready", READY_S)
+                robot.wait_for("ready", self.ready_s)
             except (self.failstop.NoService, self.failstop.TimedOut):
                 self.time.sleep(0.005)
             else:
@@ -96,7 +117,7 @@ class Stage:
 
     def enable(self, robot: Any) -> None:
         """Reset where a stop is latched, and enable."""
-        robot.wait_for("ready", READY_S)
+        robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
         self.witness.asks_for_motion()
@@ -120,7 +141,7 @@ class Stage:
 
     def reset(self, robot: Any) -> None:
         """Clear the latch."""
-        robot.wait_for("ready", READY_S)
+        robot.wait_for("ready", self.ready_s)
         robot.reset()
 
     def disable(self, robot: Any) -> None:
@@ -255,6 +276,8 @@ class Stage:
         """From the start of the service to the proof that it can drive again."""
         self.play()
         self._prove_alive()
+        if self.traits.watchdog_ns and not self.witness.violations:
+            self._prove_watchdog()
 
     def play(self) -> None:
         """From the start of the service, if that was not begun before, to the end of the scenario."""
@@ -262,7 +285,7 @@ class Stage:
             self.begin()
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
-        if not self.machine.run(lambda: player.dead, SCENARIO_NS):
+        if not self.machine.run(lambda: player.dead, SCENARIO_NS + OPENINGS * self.traits.deaf_ns):
             self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
 
@@ -290,7 +313,7 @@ class Stage:
         self.machine.at(self.machine.now_ns + RESTART_NS, look)
 
     def _prove_alive(self) -> None:
-        machine = self.machine
+        machine, self._keep, self.witness.orderly = self.machine, True, False
         machine.at_seam = None
         for process in machine.processes.values():
             if process.held_until_ns:
@@ -304,13 +327,24 @@ class Stage:
             self.robot.board.port.take_again()
             if not self.robot.board.port.drains:
                 self.robot.board.port.drain()
-        began_ns = machine.now_ns
+        self._granted_ns = FOREVER_NS
         last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
-        moved = machine.run(lambda: self.witness.moved_ns > began_ns or last.dead, self.live_ns)
-        if not moved or self.witness.moved_ns <= began_ns:
+        machine.run(lambda: self.witness.moved_ns > self._granted_ns or last.dead, self.live_ns)
+        if self.witness.moved_ns <= self._granted_ns:
             self.witness.wrong(f"after all faults no program can drive within {self.live_ns / 1e9:g} s")
-        if not last.dead:
-            machine.die(last, -9)
+
+    def _prove_watchdog(self) -> None:
+        """While it drives nothing of the machine runs any more, and the board is alone."""
+        board, watchdog_ns, self._keep = self.robot.board, self.traits.watchdog_ns + WATCHDOG_LATE_NS, False
+        self.witness.tell("the machine freezes for good")
+        for process in self.machine.processes.values():
+            self.machine.hold(process, FOREVER_NS)
+        self.machine.run(lambda: False, watchdog_ns)
+        board.catch_up()
+        if any(board.model.wheels):
+            self.witness.wrong(
+                f"the board's own watchdog lets the wheels turn {watchdog_ns / MS:g} ms after the freeze"
+            )
 
     def _drive_again(self, failstop: Any) -> None:
         while True:
@@ -319,6 +353,7 @@ class Stage:
                 if robot.state.cause is not None:
                     robot.reset()  # a process that is down starts again by it
                 self.enable(robot)
+                self._granted_ns = self.machine.now_ns
                 while robot.state.enabled:
                     self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:

@@ -1,5 +1,5 @@
 """Witness: judges a run by what the simulated board executes, against what was done to the machine and asked by
-programs.
+programs. The bars are the first board's; at another one a stop may take Traits.late_ns more, by its own line and loop.
 
 It never asks the service. Something that must stop the wheels has a bar, and once its time is over no frame may turn
 them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins again when
@@ -9,11 +9,11 @@ one does.
 from __future__ import annotations
 
 from failstop.board.framing import MOTOR
-from failstop.board.rrc.board import BOARD
+from failstop.lab.boards.line import ADAPTER_BAR_NS
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
-from failstop.lab.sim.model import BYTE_NS, Frame
+from failstop.lab.sim.model import Frame
 
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
@@ -43,7 +43,11 @@ class Witness:
     """Of one run. `violations` says what was wrong, each once; `story` what happened, with its time."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot, self._machine = robot, robot.machine
+        self._robot, self._machine, self._board = robot, robot.machine, robot.board
+        self._traits, language = robot.board.traits, robot.board.traits.language
+        self._first_stop, self._byte_ns = language.first_stop, language.port.byte_ns
+        self._shortest_ns = len(language.stop) * self._byte_ns
+        """On the wire: no frame of motion is shorter than that of zeros."""
         self.violations: list[str] = []
         self.causes: list[str] = []
         """Those that the supervisor raised the epoch for, in order."""
@@ -68,11 +72,13 @@ class Witness:
         a program asks for motion again."""
         self._late_ns = 0
         """Until then a thread of who writes to the board may pause."""
+        self._fenced_ns = 0
+        """Until then the stop for one that was fenced may be on its way."""
         self._late = False
         """The one frame that may follow a stop which came while the port owner was held up has come."""
         robot.machine.told = self._told
-        robot.board.on_frame = self._frame
-        robot.board.on_bytes = self._written
+        self._board.on_frame = self._frame
+        self._board.on_bytes = self._written
 
     def tell(self, text: str) -> None:
         """One more step of the story."""
@@ -88,6 +94,7 @@ class Witness:
 
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
+        self._board.catch_up()
         self._asked += 1
         self._asking = True
         self._forbidden, self._late = "", False
@@ -96,6 +103,7 @@ class Witness:
 
     def is_granted(self) -> None:
         """enable() has returned: what moves from now on was asked for from now on."""
+        self._board.catch_up()
         self._asking = False
         self._fastest_rps = 0.0
 
@@ -105,16 +113,17 @@ class Witness:
 
     def _written(self, data: bytes) -> None:
         """Bytes for the board, of whoever runs. What is stopped early, beside a port owner that may be about to write,
-        lets one frame through (S2 of docs/dev/model.md); a thread of the port owner's own, none."""
+        lets one frame through (S2 of docs/dev/model.md); a thread of the port owner's own, none. What its loop stops
+        for may be over by itself."""
         begun_ns = max(self._wire_ns, self._machine.now_ns)
-        self._wire_ns = begun_ns + len(data) * BYTE_NS
+        self._wire_ns = begun_ns + len(data) * self._byte_ns
         thread = self._machine.current
-        if thread is None or self._asking or not data.startswith(BOARD.first_stop):
+        if thread is None or self._asking or not data.startswith(self._first_stop):
             return
         own = thread.process.name == "port_owner"
-        if own and data != BOARD.first_stop:
+        if own and thread is thread.process.threads[0]:
             return
-        self._stops.setdefault(own, (begun_ns + len(BOARD.first_stop) * BYTE_NS, 0 if own else 1))
+        self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
 
     def must_stop(self, why: str, within_ns: int) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
@@ -122,40 +131,62 @@ class Witness:
         self.tell(why)
         self._judge_in(within_ns, why, self._asked, reached=True, after_ns=self._wire_ns - self._machine.now_ns)
 
-    def _judge_in(self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0) -> None:
+    def _judge_in(
+        self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0, late: bool = False
+    ) -> None:
+        """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why."""
+
         def due() -> None:
             if self._asked != asked:
                 return
-            if reached and self.reached():
-                self._forbidden = self._forbidden or why
-                if any(self._robot.board.model.wheels):
-                    self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
-            else:
+            self._board.catch_up()
+            turn = any(self._board.model.wheels)
+            if not (reached and self.reached()):
                 after_ns = self._wire_ns - self._machine.now_ns
                 self._judge_in(within_ns, why, asked, reached=self.reached(), after_ns=after_ns)
+            elif turn and own_ns and not late:
+                self._judge_in(within_ns, why, asked, reached=True, late=True)
+            else:
+                self._forbidden = self._forbidden or why
+                if turn:
+                    self.wrong(f"the wheels turn {(within_ns + own_ns) / MS:g} ms after: {why}")
 
-        self._machine.at(self._machine.now_ns + max(0, after_ns) + within_ns, due)
+        own_ns = self._own_ns()
+        self._machine.at(self._machine.now_ns + max(0, after_ns) + (own_ns if late else within_ns), due)
+
+    def _own_ns(self) -> int:
+        """How much later than the first board this one may obey, from now on."""
+        late_ns, port = self._traits.late_ns, self._board.port
+        if not late_ns or port is None or not port.drained_ns:
+            return late_ns
+        return max(late_ns, port.drained_ns + ADAPTER_BAR_NS - self._machine.now_ns)
 
     def reached(self) -> bool:
         """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
         up for less than others need to notice it."""
-        port = self._robot.board.port
-        living = (each for each in self._machine.processes.values() if not each.dead and not each.held_until_ns)
-        if port is None or not port.drains or port.refuses or self._robot.board.model.deaf or self._unnoticed():
+        port = self._board.port
+        living = (each for each in self._living() if not each.held_until_ns)
+        if port is None or not port.drains or port.refuses or self._board.model.deaf or self._unnoticed():
             return False
-        if self._machine.now_ns < max(self.hears_ns, self._late_ns):
+        if self._machine.now_ns < max(self.hears_ns, self._late_ns, self._fenced_ns):
             return False
         return any(_has(each, port) for each in living if each.name in PORT_WRITERS)
 
     def _unnoticed(self) -> bool:
-        held = [each for each in self._machine.processes.values() if each.held_until_ns and not each.dead]
+        held = [each for each in self._living() if each.held_until_ns]
         names = {each.name for each in held}
         if names >= {"supervisor", "port_owner"}:
             # The stopper has an eye on the port owner alone, and that is enough.
             bars = {**HANG_BAR_NS, "port_owner": STOPPER_NS, "supervisor": 0}
         else:
             bars = HANG_BAR_NS
-        return any(self._machine.now_ns < each.held_since_ns + bars.get(each.name, 0) for each in held)
+        # A process that was held up judges nobody by the time before it went on.
+        watching_ns = max((each.resumed_ns for each in self._living() if each.name in PORT_WRITERS), default=0)
+        noticed_ns = [max(each.held_since_ns, watching_ns) + bars.get(each.name, 0) for each in held]
+        return any(self._machine.now_ns < at_ns for at_ns in noticed_ns)
+
+    def _living(self) -> list[Process]:
+        return [each for each in self._machine.processes.values() if not each.dead]
 
     def _frame(self, frame: Frame) -> None:
         if frame.func != MOTOR:
@@ -165,7 +196,8 @@ class Witness:
             if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
             for own, (stop_ns, more) in self._stops.items():
-                if frame.executed_ns > stop_ns:
+                # One that was written behind the stop has all of its bytes behind it.
+                if frame.executed_ns >= stop_ns + self._shortest_ns:
                     self._stops[own] = stop_ns, more - 1
                     if more < 1:
                         self.wrong("a frame turns the wheels behind a stop that was written early")
@@ -188,7 +220,7 @@ class Witness:
     def _resumed(self) -> bool:
         """Whether a port owner was let go on just now."""
         owner = self._robot.named("port_owner")
-        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS
+        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS + self._traits.late_ns
 
     # Events of the machine.
 
@@ -197,6 +229,8 @@ class Witness:
             self.wrong(f"a thread of {process.name} ends with {type(what).__name__}: {what}")
         elif kind == "died":
             self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
+            if process.held_until_ns:
+                self._fenced_ns = self._machine.now_ns + DEATH_NS
             if process.name in SERVICE_PROCESSES and not self.orderly:
                 self.must_stop(f"{process.name} is dead", DEATH_NS)
         elif process.name in SERVICE_PROCESSES:
@@ -204,7 +238,8 @@ class Witness:
 
     def held(self, process: Process, ns: int) -> None:
         """A process is not run for so long. Wheels that stand need no stop for it."""
-        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._robot.board.model.wheels):
+        self._board.catch_up()
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels):
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")

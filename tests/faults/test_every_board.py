@@ -1,0 +1,59 @@
+"""The fault table at every board: its rows, its bars, and a few of them injected; `failstop chaos --board` has all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.lab.boards.traits import HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, traits_of
+from failstop.lab.faults.campaign import inject_one
+from failstop.lab.faults.fault import Fault
+from failstop.lab.faults.report import EVERY, rows_of
+from failstop.lab.faults.scene import Scene
+from failstop.policy.layouts import BOARDS
+from tests.support.amounts import LONG
+from tests.support.boards import EVERY_KIND
+
+FEW = ("kill-port_owner", "kill-gate+telemetry", "usb-drop-mid-frame", "kill-supervisor")
+"""Each writer stops once, and one of them a board that was left in the middle of a frame."""
+
+
+@pytest.mark.slow
+@pytest.mark.starts
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_rows_of_every_board(kind: str) -> None:
+    with Scene(f"board-{os.getpid()}", kind=kind) as scene:
+        rows = rows_of(scene.traits)
+        for name in rows if LONG else FEW:
+            outcome = inject_one(scene, rows[name], seed="every board")
+            assert not outcome.wrong, outcome.story("every board")
+
+
+def faults(kind: str) -> Iterator[tuple[Fault, Fault]]:
+    """The rows of a board, each with the first board's."""
+    for name, row in rows_of(traits_of(kind)).items():
+        first = EVERY[name]
+        if isinstance(row, Fault) and isinstance(first, Fault):
+            yield row, first
+
+
+def test_a_bar_is_the_first_boards_and_the_boards_own_line_and_loop() -> None:
+    assert rows_of(traits_of(BOARDS[0])) == EVERY
+    for kind in EVERY_KIND:
+        own_ms = traits_of(kind).own_ns / 1e6
+        assert own_ms > 0
+        for row, first in faults(kind):
+            assert row.bar_ms == (None if first.bar_ms is None else first.bar_ms + own_ms), row.name
+
+
+def test_a_row_is_absent_where_a_board_has_not_what_it_needs() -> None:
+    for kind in EVERY_KIND:
+        traits = traits_of(kind)
+        absent = EVERY.keys() - rows_of(traits).keys()
+        assert {name for name in EVERY if name.startswith("arm-")} <= absent
+        assert ("board-deaf" in absent) == (HAS_PINGS not in traits.parts)
+        assert {"pad-button", "board-key"} <= absent
+        assert not traits.parts & {HAS_GAMEPAD, HAS_KEYS}
+        assert "kill-port_owner" not in absent

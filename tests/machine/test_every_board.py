@@ -1,0 +1,54 @@
+"""The simulated machine with each board's receiver: faults that are drawn, and one part of its own stop taken out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from failstop.lab.boards.traits import HAS_ARM, HAS_IMU, HAS_KEYS, traits_of
+from failstop.lab.simulate.campaign import Plan, explore
+from failstop.lab.simulate.controls import CONTROLS, Mutant
+from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop.lab.simulate.seeds import Nursery
+from failstop.lab.simulate.stage import Stage
+from failstop.policy.layouts import BOARDS
+from tests.support.amounts import LONG, amount
+from tests.support.boards import EVERY_KIND, own_folder
+
+pytestmark = pytest.mark.slow
+DRAWN = ["port_owner_dies"]
+OF_OTHERS = [each for each in CONTROLS if each.board != BOARDS[0]]
+CHEAP = "a stop is not repeated"
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_no_drawn_fault_turns_a_wheel_of_any_board(kind: str) -> None:
+    """Of one scenario in short; `failstop simulate --board` has all, and every single fault."""
+    nursery = Nursery(None if LONG else DRAWN, board=kind)
+    runs = [nursery.run(seed) for seed in range(amount(6, 1000))]
+    assert [run.text() for run in runs if run.violations] == []
+    assert sum(len(run.events) for run in runs) > len(runs)
+
+
+@pytest.mark.parametrize(
+    "control", [each for each in OF_OTHERS if LONG or each.row == CHEAP], ids=lambda control: control.row
+)
+def test_a_part_of_a_boards_own_stop_that_is_taken_out_is_missed(control: Mutant) -> None:
+    plan = Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=control.board)
+    assert explore(plan).wrong
+
+
+def test_a_board_in_a_folder_of_ones_own_drives_on_it(tmp_path: Path) -> None:
+    stage = Stage(SCENARIOS["replug"], kind=own_folder(tmp_path / "tank"))
+    stage.run()
+    assert stage.witness.violations == []
+    assert stage.witness.causes == ["device lost"]
+
+
+def test_a_scenario_needs_what_a_board_has_by_its_description() -> None:
+    whole, *described = (traits_of(kind) for kind in BOARDS)
+    assert scenarios_of(whole) == list(SCENARIOS)
+    for traits in described:
+        assert not traits.parts & {HAS_ARM, HAS_KEYS, HAS_IMU}
+        assert len(SCENARIOS) - len(scenarios_of(traits)) == 2
