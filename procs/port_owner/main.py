@@ -386,8 +386,7 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         self.repeats.wait(self.wire.free_ns)
-        due = self.repeats.take(now_ns)
-        if due == schedule.REPEAT:
+        if (due := self.repeats.take(now_ns)) == schedule.REPEAT:
             self.wire.burst()
         elif due == schedule.REFRESH:
             self.wire.frame(self.board.refresh)
