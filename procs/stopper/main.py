@@ -23,7 +23,8 @@ from failstop.procs.peer import Parent, Peer
 from failstop.shm import bell
 from failstop.shm.words import Barrier
 
-LONGEST_SLEEP_NS = 50_000_000
+LONGEST_SLEEP_NS = 100_000_000
+"""Less than half of what it may be silent for (policy/processes.py). What it has to notice sooner wakes it."""
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
