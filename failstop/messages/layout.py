@@ -131,6 +131,7 @@ SEGMENTS = (
             *_beat(),
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
+            _word("busy", "supervisor, port_owner"),  # 1 while motion is enabled, a client is there, or there is an arm
             _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
             _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order

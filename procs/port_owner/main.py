@@ -28,6 +28,10 @@ from failstop.shm.words import Barrier
 
 MS = 1_000_000
 TICK_NS = 20 * MS
+AT_REST_NS = 2 * TICK_NS
+"""A tick while nothing moves, and the gate says that there is nobody for whom anything could."""
+PROVED_NS = 3_000 * MS
+"""By so long after a stop all is known of it that there is to know (supervisor/proof.py)."""
 EARLY_NS = 10 * MS
 """A tick that is due so soon is taken at a wake-up that there is anyway."""
 OTHER_BACKLOG = 128
@@ -89,7 +93,8 @@ class PortOwner:
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
-        self._frames = context.segment("gate").ring_reader("frames")
+        gate = context.segment("gate")
+        self._frames, self._busy_word = gate.ring_reader("frames"), gate.word("busy")
         self._causes = context.segment("telemetry").ring_reader("causes")
         self._bells = (context.bell("bell"), context.early.bell)
         self._requests = RequestPipe(context.fd("stop"), self.loop)
@@ -107,7 +112,6 @@ class PortOwner:
         if ready == self.port.bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
             self._serve_port(ready, now_ns)
             return True
-        self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
         bell.clear_rung(self._bells, ready)
         self._hear_causes()
@@ -123,6 +127,9 @@ class PortOwner:
         self.port.follow(now_ns)
         self.pings.follow(now_ns)
         self.port.watch()
+        rests = not (self._busy_word.get() or self.admission.wheels_move)
+        self.port.rests = rests and now_ns - self._written_word.get() >= PROVED_NS
+        self._tick.set(now_ns + (AT_REST_NS if rests else TICK_NS))
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._parent.leave(now_ns)
 
@@ -391,6 +398,6 @@ class PortOwner:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     owner = PortOwner(context)
-    context.run(owner.turn, owner.loop, TICK_NS)
+    context.run(owner.turn, owner.loop, AT_REST_NS)
     owner.wire.close()
     return 0

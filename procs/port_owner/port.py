@@ -33,6 +33,8 @@ class OpenPort:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
         self._watched = (-1, 0)
+        self.rests = False
+        """Nobody waits for what the board says: telemetry, which looks by itself now and then, is not woken for it."""
         self.bytes_alone: dict[int, int] | None = None
         """The news of a wake-up at which the board has sent something, and nothing else has happened."""
         self._hears = loop.timer()
@@ -83,7 +85,8 @@ class OpenPort:
         if found & READ and (data := wire.read()):
             for at in range(0, len(data), RECEIVED_CHUNK):
                 self._received.put(data[at : at + RECEIVED_CHUNK])
-            self._telemetry_bell.ring()
+            if not self.rests:
+                self._telemetry_bell.ring()
         if found & GONE:
             wire.lost = True
 
