@@ -40,7 +40,7 @@ ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
-"""Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
+"""Periods between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
 
 class Gate:
@@ -61,7 +61,7 @@ class Gate:
         self._said = Said(now_ns)
         self._barrier = Barrier()
         self._ticks = self._rings = 0
-        self._busy = False
+        self._busy = self._ticking = False
         self._published: dict[str, object] = {}
         self._published_ns = 0
         self._attach(context)
@@ -206,18 +206,22 @@ class Gate:
 
     def _tick(self, now_ns: int) -> None:
         """The periodic part; a tick that was missed is left out, not made up for."""
+        self._ticking = True  # what is commanded is stepped to at its end, once
         self._hear_clients(now_ns)
-        period_ns = self.period_ns if self._busy else AT_REST * self.period_ns
+        periods = 1 if self._busy else AT_REST
+        period_ns = periods * self.period_ns
         self._next_tick.set(max(self._next_tick.ns + period_ns, now_ns + period_ns // 2))
-        self._ticks += 1
-        if self._ticks % LOOK_AT_ALL_EVERY:
+        self._ticks += periods
+        if self._ticks < LOOK_AT_ALL_EVERY:
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
+            self._ticks = 0
             self._follow_clients(self.clients.look(self.clients.slots), now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
             self._frames.stop(now_ns)
         self._check_supervisor(now_ns)
+        self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
 
@@ -336,7 +340,7 @@ class Gate:
         self._box.command(command)
         if fault := self.core.take(command, now_ns):
             self._stop(fault, now_ns)
-        else:
+        elif not self._ticking:
             self._step(now_ns)
 
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:

@@ -1,13 +1,15 @@
 """Watching a run from outside: what the board sends, when stops were written, and the pings' answers.
 
 While a port owner lives, all of it is read from shared memory (reading only); when the service is gone, the port itself
-is opened and asked. Telemetry's word is not used: it is one of the processes that die here.
+is opened and asked. What telemetry makes of the bytes is not used: it is one of the processes that die here.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+from itertools import chain
+from operator import itemgetter
 from struct import Struct
 
 from failstop.api.client import attach
@@ -50,7 +52,7 @@ class Watch:
     def __init__(self, device: str) -> None:
         self._device = device
         self._hearing = BOARD.hearing()
-        self._received: RingReader | None = None
+        self._received: list[RingReader] = []
         self._frames: RingReader | None = None
         self._pings: list[Word] = []
         self._writers: dict[str, Word] = {}
@@ -75,9 +77,9 @@ class Watch:
     def attach(self, name: str) -> None:
         """Follow the run of this name. Raises FailstopError."""
         self.let_go()
-        views = {which: attach(name, which) for which in (*PORT_WRITERS, layout.GATE)}
+        views = {which: attach(name, which) for which in (*PORT_WRITERS, layout.GATE, layout.TELEMETRY)}
         owner = views[layout.PORT_OWNER]
-        self._received = owner.ring_reader("received")
+        self._received = [view.ring_reader("received") for view in (views[layout.TELEMETRY], owner)]
         self._frames = views[layout.GATE].ring_reader("frames")
         self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._writers = {which: views[which].word("written_ns") for which in PORT_WRITERS}
@@ -94,7 +96,7 @@ class Watch:
             self._tap = Tap(fd, BOARD)
             self._asked = {}
             self._ask_ns = 0
-            self._received = self._frames = None
+            self._received, self._frames = [], None
             self._writers = {}
         return True
 
@@ -121,9 +123,10 @@ class Watch:
                 self.zeros.append(entry[1])
             elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
                 self.moves += moves(entry[1], body[_COMMAND_AT:-1])
-        while self._received and (entry := self._received.next()):
-            for kind, said in self._hearing.feed(entry[2]):
-                self._take(entry[1], kind, said)
+        # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.
+        for _, t_ns, data in sorted(chain(*(iter(ring.next, None) for ring in self._received)), key=itemgetter(1)):
+            for kind, said in self._hearing.feed(data):
+                self._take(t_ns, kind, said)
         if self._tap:
             self._look_at_port(self._tap, now_ns)
 
