@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PUBLISH_NS = 75_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
-AT_REST = 2
-"""Periods of a tick while there is nobody for whom anything could move."""
+PERIODS_AT_REST = 2
+"""Periods from tick to tick while nothing ramps, nor anything else needs each of them."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
@@ -51,7 +51,7 @@ class Gate:
         now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
+        self._next_tick, self._due, self._arm_due, self._beat_due = (self.loop.timer() for _ in range(4))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
         self._board = context.board
@@ -60,8 +60,10 @@ class Gate:
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._said = Said(now_ns)
         self._barrier = Barrier()
-        self._ticks = self._rings = 0
+        self._looked_ns = self._rings = 0
         self._busy = self._ticking = False
+        self._each_tick = bool(settings.servos() or settings.interlocks())
+        """Something needs each of them."""
         self._published: dict[str, object] = {}
         self._published_ns = 0
         self._attach(context)
@@ -135,9 +137,12 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
+        decided = self.requests.reset_decided()
+        if not decided and self._beats_alone(ready, now_ns):
+            return
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
-        if self.requests.reset_decided():
+        if decided:
             self.follow_latch()
             self.requests.answer_reset(now_ns)
         self._follow_clients(self.clients.lives_ended(ready), now_ns)
@@ -162,15 +167,30 @@ class Gate:
         self.requests.write()
         self.heartbeat.beat(now_ns, self.epoch)
 
+    def _beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
+        """True where it has only beaten, for its lease, as nothing has happened and no tick is due."""
+        alone = not ready and now_ns < min(self._next_tick.ns, self._due.ns, self._arm_due.ns)
+        if alone := alone and self._epoch_word.get() == self.epoch:
+            self._beat_due.set(NEVER)
+            self.heartbeat.beat(now_ns, self.epoch)
+        return alone
+
     def _follow_rest(self, now_ns: int) -> None:
-        """While nobody is there to move anything every other tick is enough, of this process and of others, which read
-        the word. Whoever comes is no slower for it: a client rings."""
+        """Others look around less often too while nobody is there to move anything: they read the word."""
         busy = bool(self.arm or self.core.enabled or self.clients.active)
         if busy != self._busy:
             self._busy = busy
             self._busy_word.set(busy)
             self._supervisor_bell.ring()
-            self._next_tick.set(min(self._next_tick.ns, now_ns + self.period_ns))
+        if self._next_tick.ns - self.period_ns > now_ns and not self._rests(now_ns):
+            self._next_tick.set(self._next_tick.ns - self.period_ns)
+        self._beat_due.set(now_ns + self.period_ns if busy else NEVER)
+
+    def _rests(self, now_ns: int) -> bool:
+        """True while every other tick is enough: whoever comes, or wants something else, rings, and a death is told."""
+        if self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns):
+            return False
+        return all(slot.life and slot.life.pid for slot in self.clients.active)
 
     def _turn_arm(self, arm: Arm, now_ns: int) -> None:
         self._stop(arm.hear(self.core.arm_closed(), now_ns), now_ns)
@@ -206,16 +226,12 @@ class Gate:
 
     def _tick(self, now_ns: int) -> None:
         """The periodic part; a tick that was missed is left out, not made up for."""
-        self._ticking = True  # what is commanded is stepped to at its end, once
+        self._ticking = True  # a command is stepped to at its end, once
         self._hear_clients(now_ns)
-        periods = 1 if self._busy else AT_REST
-        period_ns = periods * self.period_ns
-        self._next_tick.set(max(self._next_tick.ns + period_ns, now_ns + period_ns // 2))
-        self._ticks += periods
-        if self._ticks < LOOK_AT_ALL_EVERY:
+        if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
-            self._ticks = 0
+            self._looked_ns = now_ns
             self._follow_clients(self.clients.look(self.clients.slots), now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
@@ -224,6 +240,8 @@ class Gate:
         self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
+        period_ns = self.period_ns * (PERIODS_AT_REST if self._rests(now_ns) else 1)
+        self._next_tick.set(max(self._next_tick.ns + period_ns, now_ns + self.period_ns // 2))
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
@@ -401,5 +419,5 @@ class Gate:
 def run(context: Context) -> int:
     """Run forever: the gate dies with the supervisor."""
     gate = Gate(context)
-    context.run(gate.turn, gate.loop, AT_REST * gate.period_ns)
+    context.run(gate.turn, gate.loop, PERIODS_AT_REST * gate.period_ns)
     return 0

@@ -130,7 +130,7 @@ class Telemetry:
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = 0
         self._heard: list[tuple[int, Value, int]] = []
-        """What the board has said and nobody has acted on: the kind, the value, when it came."""
+        """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._attach(context)
         self._watch_others(context)

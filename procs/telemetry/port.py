@@ -48,7 +48,7 @@ class HeardPort:
         while data := self._read():
             found.append((came_ns, data))
             self._received.put_all(data, came_ns)
-            if len(data) < port.MOST_BYTES:
+            if len(data) < port.READ_BYTES:
                 break
         self._empty_ns = now_ns
         return found

@@ -28,7 +28,7 @@ def test_a_row_says_what_its_process_is_and_how_it_is_woken_and_watched(row: Pro
 
 
 @each
-def test_who_writes_to_the_port_outlives_the_supervisor_to_stop_and_who_reads_it_is_given_it_too(row: Process) -> None:
+def test_who_writes_to_the_port_outlives_the_supervisor_and_who_reads_it_has_it(row: Process) -> None:
     has_it = row.name in STOPPING | {layout.TELEMETRY}
     assert ("port" in row.descriptors) is has_it
     assert ("control" in row.descriptors) is has_it
