@@ -82,6 +82,13 @@ class HeldPort:
         self._word.set(self._number)
         self._loop.watch(self._port.fd, self._wanted)
 
+    def watch(self, wanted: int) -> None:
+        """Watch it for something else from here on."""
+        if wanted != self._wanted:
+            self._wanted = wanted
+            if self._port.fd >= 0:
+                self._loop.watch(self._port.fd, wanted)
+
     def follow(self, ready: dict[int, int]) -> bool:
         """Once a turn. True when it has taken one, a new one or its own again where that was closed."""
         port, taken = self._port, False

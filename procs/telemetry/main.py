@@ -34,9 +34,12 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 LONGEST_IDLE_NS = 50_000_000
+"""At rest the board wakes nobody: what it has said is looked at so often."""
+PROVED_NS = 3_000_000_000
+"""So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are, and whatever else
-can wait with it; while the gate is not busy, half as often."""
+can wait with it."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
 OBEYED_NS = 20_000_000
@@ -161,6 +164,7 @@ class Telemetry:
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
+        self._written_word = context.segment("port_owner").word("written_ns")
         self._gate = GateState(gate.latest_reader("state"))
         self._handlers = {
             interface.HEARD_IMU: self._on_imu,
@@ -197,14 +201,18 @@ class Telemetry:
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         for came_ns, data in self._port.take(now_ns):
-            for kind, said in self._hearing.feed(data):
+            found = self._hearing.feed(data)
+            # Samples that came together are as far apart as they can be.
+            step_ns = self._port.waited_ns // (len(found) or 1)
+            for at, (kind, said) in enumerate(found, 1 - len(found)):
+                t_ns = came_ns
                 if kind == interface.HEARD_IMU:
-                    said = self._publish_imu(said, came_ns)
+                    t_ns += at * step_ns
+                    said = self._publish_imu(said, t_ns)
                 else:
                     whole = True
-                self._heard.append((kind, said, came_ns))
-        odometry_ns = ODOMETRY_NS if self._busy_word.get() else 2 * ODOMETRY_NS
-        if whole or self._port.lost or now_ns - self._odometry_ns >= odometry_ns:
+                self._heard.append((kind, said, t_ns))
+        if whole or self._port.lost or now_ns - self._odometry_ns >= ODOMETRY_NS:
             self._act(ready, now_ns)
 
     def _act(self, ready: dict[int, int], now_ns: int) -> None:
@@ -218,6 +226,7 @@ class Telemetry:
             if handler := self._handlers.get(kind):
                 handler(said, came_ns)
         self._follow_port(ready)
+        self._port.wake(wanted=self._busy_word.get() > 0 or now_ns - self._written_word.get() < PROVED_NS)
         sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
         if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.board import port
 from failstop.procs.handover import Control, HeldPort
-from failstop.procs.loop import EDGE, READ
+from failstop.procs.loop import EDGE, HANGUP, READ
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -23,10 +23,13 @@ class HeardPort:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
         """When nothing waited in it for the last time."""
+        self.waited_ns = 0
+        """The time within which came what was taken last."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
-        self.follow = HeldPort(context, loop, control, self, READ | EDGE).follow
+        self._held = HeldPort(context, loop, control, self, READ | EDGE)
+        self.follow = self._held.follow
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
@@ -41,9 +44,14 @@ class HeardPort:
         """Let it go."""
         self.adopt(-1)
 
+    def wake(self, *, wanted: bool) -> None:
+        """Whether its bytes are to wake telemetry, or only its end."""
+        self._held.watch(READ | EDGE if wanted else HANGUP)
+
     def take(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Once a turn: what has come since the last, and when."""
-        came_ns = now_ns if now_ns - self._empty_ns < LATE_NS else self._empty_ns
+        waited_ns = now_ns - self._empty_ns
+        came_ns, self.waited_ns = (now_ns, waited_ns) if waited_ns < LATE_NS else (self._empty_ns, 0)
         found = []
         while data := self._read():
             found.append((came_ns, data))

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.board import framing
 from failstop.lab.sim import upward
 from failstop.messages import layout, records
-from failstop.procs.telemetry import port
+from failstop.procs.telemetry import main, port
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
@@ -82,23 +83,43 @@ def test_a_port_that_has_gone_is_let_go_and_the_next_one_heard(scene: Scene, sig
     assert answered_ns(scene) == scene.clock()
 
 
-@pytest.mark.parametrize(("busy", "looks"), [(True, 100), (False, 55)])
-def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(busy: bool, looks: int) -> None:
+def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scene: Scene) -> None:
     """Whatever else the board says is acted on at once, and they before it."""
-    scene = Scene()
-    scene.views[layout.GATE].word("busy").set(busy)
-    published, kept, beat = (
-        scene.own.latest_reader("imu"),
-        scene.own.ring_reader("box"),
-        scene.own.word("beat_ns"),
-    )
+    published, kept, beat = scene.own.latest_reader("imu"), scene.own.ring_reader("box"), scene.own.word("beat_ns")
     came_ns, beats = [], set()
     for _ in range(220):
         scene.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, elapsed_ns=2 * S // 220)
         came_ns.append(scene.clock())
         beats.add(beat.get())
         assert published.read()[1] == scene.clock()
-    assert abs(len(beats) - looks) <= 1
+    assert abs(len(beats) - 100) <= 1
     scene.wake(PONG, elapsed_ns=MS)
     assert answered_ns(scene) == beat.get() == scene.clock()
     assert [entry[1] for entry in iter(kept.next, None)] == came_ns
+
+
+def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Scene) -> None:
+    """Once a stop is long proved and nobody is there for whom anything could move."""
+    busy, written = scene.views[layout.GATE].word("busy"), scene.views[layout.PORT_OWNER].word("written_ns")
+    sample, kept = framing.frame(framing.IMU_FUNC, bytes(24)), scene.own.ring_reader("box")
+
+    def wakes() -> bool:
+        scene.wake()
+        scene.wire.port.send(PONG)
+        woken = bool(scene.telemetry.loop.wait(0))
+        scene.wake(elapsed_ns=MS)
+        assert answered_ns(scene) == scene.clock()
+        return woken
+
+    assert wakes()
+    busy.set(0)
+    assert not wakes()
+    written.set(scene.clock())
+    assert wakes(), "the answer to a stop is waited for"
+    scene.clock.now_ns += main.PROVED_NS
+    assert not wakes()
+    list(iter(kept.next, None))
+    scene.wake(4 * sample, elapsed_ns=40 * MS)
+    assert [(scene.clock() - entry[1]) // MS for entry in iter(kept.next, None)] == [30, 20, 10, 0]
+    scene.wire.unplug()
+    assert scene.telemetry.loop.wait(0), "its end does"
