@@ -7,12 +7,11 @@ import select
 import time
 
 from failstop.board.interface import HEARD_PONG, Board
+from failstop.board.port import waiting_bytes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.board.interface import Value
-
-CHUNK = 4096
 
 
 class Tap:
@@ -28,15 +27,12 @@ class Tap:
     def read(self) -> list[tuple[int, int, Value]]:
         """(time of reading, kind, value) of what has been said. Raises OSError when the device has gone."""
         found: list[tuple[int, int, Value]] = []
-        while True:
-            try:
-                data = os.read(self.fd, CHUNK)
-            except BlockingIOError:
-                return found
-            if not data:
-                raise OSError("the device has gone")
+        while data := waiting_bytes(self.fd):
             now_ns = time.monotonic_ns()
             found += [(now_ns, *said) for said in self._hearing.feed(data)]
+        if data is None:
+            raise OSError("the device has gone")
+        return found
 
     def ping(self) -> tuple[int, int]:
         """Ask the board; returns (index of the ping, when it was written). Raises OSError."""
