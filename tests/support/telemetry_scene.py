@@ -24,7 +24,7 @@ class Scene(Stage):
     """Telemetry at work on its stage, in front of a board and a gate that the test plays, with a client."""
 
     def __init__(self, **changed: object) -> None:
-        super().__init__(layout.TELEMETRY, **{"battery.directory": FOLDER, **changed})
+        super().__init__(layout.TELEMETRY, open_port=True, **{"battery.directory": FOLDER, **changed})
         self.machine.unix_ns = NOON_S * S - self.clock()
         self.views[layout.GATE].word("busy").set(1)
         self._gate = self.views[layout.GATE].latest_writer("state")
