@@ -271,6 +271,7 @@ class Supervisor:
         for stop in stops:
             if stop is not self._unanswered:
                 self.monitor.also(stop)
+        self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""

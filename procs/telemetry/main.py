@@ -35,11 +35,8 @@ if TYPE_CHECKING:
 
 LONGEST_IDLE_NS = 50_000_000
 """At rest the board wakes nobody: what it has said is looked at so often."""
-PROVED_NS = 3_000_000_000
-"""So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
 ODOMETRY_NS = 20_000_000
-"""Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are, and whatever else
-can wait with it."""
+"""Odometry goes out at this rate, as the gate decides no more often, and with it whatever else can wait."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
 OBEYED_NS = 20_000_000
@@ -164,7 +161,6 @@ class Telemetry:
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
-        self._written_word = context.segment("port_owner").word("written_ns")
         self._gate = GateState(gate.latest_reader("state"))
         self._handlers = {
             interface.HEARD_IMU: self._on_imu,
@@ -226,7 +222,7 @@ class Telemetry:
             if handler := self._handlers.get(kind):
                 handler(said, came_ns)
         self._follow_port(ready)
-        self._port.wake(wanted=self._busy_word.get() > 0 or now_ns - self._written_word.get() < PROVED_NS)
+        self._port.rest(now_ns, self._epoch_word.get(), busy=self._busy_word.get() > 0)
         sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
         if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
@@ -312,9 +308,8 @@ class Telemetry:
 
     def _publish_imu(self, sample: Value, t_ns: int) -> Value:
         """Returns the raw rates, and what was published."""
-        ax, ay, az, gx, gy, gz = sample
-        raw_radps = imu.radps(gx, gy, gz)
-        found = (*self._accelerometer.mps2(ax, ay, az), *self._gyro.corrected(raw_radps))
+        raw_radps = imu.radps(*sample[3:])
+        found = (*self._accelerometer.mps2(*sample[:3]), *self._gyro.corrected(raw_radps))
         self._latest["imu"].write(records.IMU.pack(*found), t_ns)
         return raw_radps, found
 

@@ -15,6 +15,9 @@ LATE_NS = 100_000_000
 """Bytes that may have waited for as long as this count as older, whatever they are: an old answer is none to a newer
 ping (procs/port_owner/schedule.py), an old stick of the gamepad commands nothing."""
 
+PROVED_NS = 3_000_000_000
+"""So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
+
 
 class HeardPort:
     """Its bytes, each with the time at which it had come."""
@@ -23,7 +26,7 @@ class HeardPort:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
         """When nothing waited in it for the last time."""
-        self.waited_ns = 0
+        self._epoch = self._proved_ns = self.waited_ns = 0
         """The time within which came what was taken last."""
         self.fd = -1
         self.adopt(context.fd("port"))
@@ -44,9 +47,12 @@ class HeardPort:
         """Let it go."""
         self.adopt(-1)
 
-    def wake(self, *, wanted: bool) -> None:
-        """Whether its bytes are to wake telemetry, or only its end."""
-        self._held.watch(READ | EDGE if wanted else HANGUP)
+    def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
+        """Once a turn: have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end
+        alone."""
+        if epoch != self._epoch:
+            self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
+        self._held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def take(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Once a turn: what has come since the last, and when."""

@@ -9,7 +9,7 @@ import pytest
 from failstop.board import framing
 from failstop.lab.sim import upward
 from failstop.messages import layout, records
-from failstop.procs.telemetry import main, port
+from failstop.procs.telemetry import port
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
@@ -100,7 +100,7 @@ def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scen
 
 def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Scene) -> None:
     """Once a stop is long proved and nobody is there for whom anything could move."""
-    busy, written = scene.views[layout.GATE].word("busy"), scene.views[layout.PORT_OWNER].word("written_ns")
+    busy = scene.views[layout.GATE].word("busy")
     sample, kept = framing.frame(framing.IMU_FUNC, bytes(24)), scene.own.ring_reader("box")
 
     def wakes() -> bool:
@@ -112,11 +112,13 @@ def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Sc
         return woken
 
     assert wakes()
+    scene.turn(elapsed_ns=port.PROVED_NS)
+    assert wakes()
     busy.set(0)
     assert not wakes()
-    written.set(scene.clock())
+    scene.raise_epoch(2)
     assert wakes(), "the answer to a stop is waited for"
-    scene.clock.now_ns += main.PROVED_NS
+    scene.clock.now_ns += port.PROVED_NS
     assert not wakes()
     list(iter(kept.next, None))
     scene.wake(4 * sample, elapsed_ns=40 * MS)
