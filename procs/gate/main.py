@@ -17,6 +17,7 @@ from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
+from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
 from failstop.procs.loop import MS, NEVER, READ, Loop
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 PUBLISH_NS = 75_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
-PERIODS_AT_REST = 2
-"""Periods from tick to tick while nothing ramps, nor anything else needs each of them."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
@@ -51,19 +50,18 @@ class Gate:
         now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._next_tick, self._due, self._arm_due, self._beat_due = (self.loop.timer() for _ in range(4))
+        self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
+        self._rest = Rest(context, self.loop, self._next_tick, (self._due, self._arm_due), self.period_ns)
         self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._said = Said(now_ns)
         self._barrier = Barrier()
-        self._looked_ns = self._rings = 0
-        self._busy = self._ticking = False
+        self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._each_tick = bool(settings.servos() or settings.interlocks())
-        """Something needs each of them."""
         self._published: dict[str, object] = {}
         self._published_ns = 0
         self._attach(context)
@@ -107,8 +105,6 @@ class Gate:
         self._said_record = own.latest_writer("said")
         self._box = GateBox(own.ring_writer("box"))
         self._limit_word = own.word("limit")
-        self._busy_word = own.word("busy")
-        self._busy_word.set(0)
         self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
@@ -137,8 +133,9 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        decided = self.requests.reset_decided()
-        if not decided and self._beats_alone(ready, now_ns):
+        decided, still = self.requests.reset_decided(), self._epoch_word.get() == self.epoch
+        if still and not decided and self._rest.beats_alone(ready, now_ns):
+            self.heartbeat.beat(now_ns, self.epoch)
             return
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
@@ -162,35 +159,16 @@ class Gate:
         if self.arm:
             self._turn_arm(self.arm, now_ns)
         self._tell()
-        self._follow_rest(now_ns)
+        busy = bool(self.arm or self.core.enabled or self.clients.active)
+        self._rest.follow(now_ns, busy=busy, rests=self._rests(now_ns))
         self._publish(now_ns)
         self.requests.write()
         self.heartbeat.beat(now_ns, self.epoch)
 
-    def _beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True where it has only beaten, for its lease, as nothing has happened and no tick is due."""
-        alone = not ready and now_ns < min(self._next_tick.ns, self._due.ns, self._arm_due.ns)
-        if alone := alone and self._epoch_word.get() == self.epoch:
-            self._beat_due.set(NEVER)
-            self.heartbeat.beat(now_ns, self.epoch)
-        return alone
-
-    def _follow_rest(self, now_ns: int) -> None:
-        """Others look around less often too while nobody is there to move anything: they read the word."""
-        busy = bool(self.arm or self.core.enabled or self.clients.active)
-        if busy != self._busy:
-            self._busy = busy
-            self._busy_word.set(busy)
-            self._supervisor_bell.ring()
-        if self._next_tick.ns - self.period_ns > now_ns and not self._rests(now_ns):
-            self._next_tick.set(self._next_tick.ns - self.period_ns)
-        self._beat_due.set(now_ns + self.period_ns if busy else NEVER)
-
     def _rests(self, now_ns: int) -> bool:
         """True while every other tick is enough: whoever comes, or wants something else, rings, and a death is told."""
-        if self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns):
-            return False
-        return all(slot.life and slot.life.pid for slot in self.clients.active)
+        needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
+        return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
     def _turn_arm(self, arm: Arm, now_ns: int) -> None:
         self._stop(arm.hear(self.core.arm_closed(), now_ns), now_ns)
@@ -225,7 +203,7 @@ class Gate:
         self._rings = 0
 
     def _tick(self, now_ns: int) -> None:
-        """The periodic part; a tick that was missed is left out, not made up for."""
+        """The periodic part."""
         self._ticking = True  # a command is stepped to at its end, once
         self._hear_clients(now_ns)
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
@@ -240,8 +218,7 @@ class Gate:
         self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
-        period_ns = self.period_ns * (PERIODS_AT_REST if self._rests(now_ns) else 1)
-        self._next_tick.set(max(self._next_tick.ns + period_ns, now_ns + self.period_ns // 2))
+        self._rest.ticked(now_ns, rests=self._rests(now_ns))
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
