@@ -4,9 +4,19 @@ from __future__ import annotations
 
 # The C module under `socket`: the Python one costs 3 ms more to import and 0.6 MB more to tear down at a death.
 import _socket
+import os
 import struct
 
+from failstop.messages import layout, records
 from failstop.messages.records import PATH_BYTES, cut
+from failstop.procs.loop import GONE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.stop_port import StopPort
+    from failstop.procs.context import Context
+    from failstop.procs.loop import Loop
+    from failstop.procs.telemetry.port import HeardPort
 
 _FD = struct.Struct("i")
 _NUMBER = struct.Struct("<Q")
@@ -42,8 +52,62 @@ class Control:
                 return _FD.unpack_from(packed)[0], number, data[_NUMBER.size :].decode("utf-8", "replace")
         return None
 
+    def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
+        """As receive(), of what this wake-up brings. One with a number below `least` is known, and was sent twice."""
+        while self.fd in ready and (sent := self.receive()):
+            if sent[1] >= least:
+                return sent
+            os.close(sent[0])
+        return None
+
     def close(self) -> None:
         self._socket.close()
+
+
+class HeldPort:
+    """The port of a process that does not own it, taken as the supervisor hands it down, let go at once when it has
+    gone: a descriptor kept open over a USB drop renumbers the device. A word tells which port it is."""
+
+    def __init__(self, context: Context, loop: Loop, control: Control, port: StopPort | HeardPort, wanted: int) -> None:
+        """`wanted`: what the loop watches it for."""
+        self._loop, self._control, self._port, self._wanted = loop, control, port, wanted
+        self._record = context.segment(layout.PORT_OWNER).latest_reader("port")
+        self._word = context.own.word("port_number")
+        self._number = context.port_number
+        self._word.set(0)
+        if port.fd >= 0:
+            self._hold()
+
+    def _hold(self) -> None:
+        self._word.set(self._number)
+        self._loop.watch(self._port.fd, self._wanted)
+
+    def watch(self, wanted: int) -> None:
+        """Watch it for something else from here on."""
+        if wanted != self._wanted:
+            self._wanted = wanted
+            if self._port.fd >= 0:
+                self._loop.watch(self._port.fd, wanted)
+
+    def follow(self, ready: dict[int, int]) -> bool:
+        """Once a turn. True when it has taken one, a new one or its own again where that was closed."""
+        port, taken = self._port, False
+        given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
+        if ready.get(port.fd, 0) & GONE or port.lost or given_up:
+            self.let_go()
+        while sent := self._control.newer(ready, self._number + (port.fd >= 0)):
+            self.let_go()
+            fd, self._number, _ = sent
+            port.adopt(fd)
+            self._hold()
+            taken = True
+        return taken
+
+    def let_go(self) -> None:
+        if self._port.fd >= 0:
+            self._loop.forget(self._port.fd)
+            self._port.close()
+            self._word.set(0)
 
 
 def pair() -> tuple[int, int]:

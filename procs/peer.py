@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout, records
 from failstop.policy import causes
@@ -50,15 +48,6 @@ class Parent:
         """True when it is time to exit."""
         return self._leave.due(now_ns)
 
-    def new_port(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """A port that it has opened and stopped on: (descriptor, number, path). One with a number below `least` is
-        known, and was sent twice; None: no more wait."""
-        while self.control.fd in ready and (sent := self.control.receive()):
-            if sent[1] >= least:
-                return sent
-            os.close(sent[0])
-        return None
-
 
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
@@ -104,6 +93,10 @@ class Peer:
         for so long must not cut into the motion that came after."""
         if self.named() == pid:
             self._stop()
+
+    def runs(self) -> bool:
+        """True from when it has said that it runs until its death is answered."""
+        return self.life is not None and self.life.armed
 
     def died(self, ready: dict[int, int]) -> int:
         """Its pid when this wake-up, or the early news before it, says that it has died, else 0."""

@@ -203,6 +203,11 @@ class RingWriter(_Writer):
 
     __slots__ = ()
 
+    def put_all(self, data: bytes, t_ns: int | None = None) -> None:
+        """Publish bytes of any length, in entries that hold them."""
+        for at in range(0, len(data), self._capacity):
+            self.put(data[at : at + self._capacity], t_ns)
+
 
 class RingReader(_Cells):
     """One reader's place in a ring. `lost` counts the entries that were overwritten before it came to them.

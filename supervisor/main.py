@@ -35,6 +35,8 @@ from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
 """A third of the lease that motion has of its beats."""
+AT_REST_NS = 2 * TICK_NS
+"""A tick while the gate says that there is nobody for whom anything could move: then nobody judges the lease."""
 BEATS_ALONE = 2
 """Ticks in which it shows that it lives and looks at nothing, if nothing has happened: what happens rings."""
 STOP_ANSWER_NS = 5_000_000
@@ -79,6 +81,7 @@ class Supervisor:
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
         self._gate_record = run.views[layout.GATE].latest_reader("state")
         self._moving_word = run.views[layout.PORT_OWNER].word("moving")
+        self._busy_word = run.views[layout.GATE].word("busy")
         self._barrier = Barrier()
         self._written_word = run.own.word("written_ns")
         self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
@@ -139,14 +142,17 @@ class Supervisor:
     def rest(self) -> dict[int, int]:
         """Sleep until something has happened, or it is time to look whether something has; returns what is ready."""
         for _ in range(BEATS_ALONE):
-            ready = self.loop.wait(TICK_NS)
+            ready = self.loop.wait(self._tick_ns())
             now_ns = monotonic_ns()
             late = now_ns - self._turned_ns >= EXCUSE_NS
             if ready or late or self._unanswered or now_ns >= self.loop.due_ns():
                 return ready
             self._watched_ns, self._turned_ns = self._turned_ns, now_ns
             self.heartbeat.beat(now_ns, self.epoch)
-        return self.loop.wait(TICK_NS)
+        return self.loop.wait(self._tick_ns())
+
+    def _tick_ns(self) -> int:
+        return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
@@ -265,6 +271,7 @@ class Supervisor:
         for stop in stops:
             if stop is not self._unanswered:
                 self.monitor.also(stop)
+        self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""

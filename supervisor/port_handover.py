@@ -1,7 +1,7 @@
 """The port in the supervisor: its own descriptor, for the first stop of a run and for the stop when the port owner
-can't; the thread that opens a lost port again; and the handover to port owner and stopper.
+can't; the thread that opens a lost port again; and the handover to port owner, stopper and telemetry.
 
-The descriptors of the three are one port or none. The supervisor alone opens a port and numbers it; the others inherit
+The descriptors of the four are one port or none. The supervisor alone opens a port and numbers it; the others inherit
 it, or are sent it. All let it go at once when it has gone.
 """
 
@@ -164,9 +164,9 @@ class PortHandover:
         self._loop = run.loop
         self._processes = processes
         self._events = run.events
-        self._bell = run.bells[layout.STOPPER]
+        self._bells = run.bells[layout.STOPPER], run.bells[layout.TELEMETRY]
         self._record = run.views[layout.PORT_OWNER].latest_reader("port")
-        self._stopper_port = run.views[layout.STOPPER].word("port_number")
+        self._numbers = {name: run.views[name].word("port_number") for name in (layout.STOPPER, layout.TELEMETRY)}
         self._shared_ns = self._lost_ns = 0
         self.controls = {process: Control(fds[0]) for process, fds in run.controls.items()}
         run.loop.watch(port.fd, HANGUP)
@@ -178,7 +178,8 @@ class PortHandover:
             return False
         self._loop.forget(self._port.fd)
         self._port.close()
-        self._bell.ring()  # the stopper has the same to let go
+        for each in self._bells:
+            each.ring()  # they have the same to let go
         path = self.opener.finder.at
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
         self._events.tell("device_lost", text, {"path": path})
@@ -220,11 +221,11 @@ class PortHandover:
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:
-        """True when port owner or stopper has the port that is open here."""
+        """True when port owner, stopper or telemetry has the port that is open here."""
         if name == layout.PORT_OWNER:
             return self._port_owner_s() == records.PORT_OPEN
-        return self._stopper_port.get() == self._port.number
+        return self._numbers[name].get() == self._port.number
 
     def complete(self) -> bool:
-        """True when all three have the port: without the other two there would be no second channel."""
+        """True when all four have the port: without them there would be no second channel, or no proof."""
         return self._port.fd >= 0 and all(map(self.has, self.controls))

@@ -107,7 +107,7 @@ class Run:
         """A descriptor of whatever others find by its name."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
-        self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
+        self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
     def _tell_settings(self) -> None:
         """For clients: what they need of the settings, and where this process's pid is its own; all settings."""

@@ -40,7 +40,7 @@ KNOWN = {
     "procs/gate/arm": {"interface", "servos"},
     "procs/port_owner": {"port", "stop_port", "interface", "servos"},
     "procs/stopper": {"stop_port", "interface"},
-    "procs/telemetry": {"interface"},
+    "procs/telemetry": {"interface", "port"},
 }
 
 

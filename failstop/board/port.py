@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _INT = struct.Struct("i")
 _ZERO = _INT.pack(0)
 
+READ_BYTES = 4096
 CLOSE_S = 0.02
 """How long a close may wait for bytes to drain."""
 
@@ -98,6 +99,16 @@ def open_if_there(path: str, line: Port = ROSORIN_PORT) -> int:
         return open_port(path, exclusive=True, line=line)
     except PortError:
         return -1
+
+
+def waiting_bytes(descriptor: int) -> bytes | None:
+    """Bytes that the board has sent, up to READ_BYTES; empty when none wait, None when the device has gone."""
+    try:
+        return os.read(descriptor, READ_BYTES) or None
+    except BlockingIOError:
+        return b""
+    except OSError:
+        return None
 
 
 def unsent_bytes(descriptor: int) -> int:

@@ -7,14 +7,13 @@ import select
 import time
 
 from failstop.board.interface import HEARD_OBEYED, HEARD_PONG, Board
+from failstop.board.port import waiting_bytes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from failstop.board.interface import Value
-
-CHUNK = 4096
 
 
 class Tap:
@@ -36,19 +35,16 @@ class Tap:
     def read(self) -> list[tuple[int, int, Value]]:
         """(time of reading, kind, value) of what has been said. Raises OSError when the device has gone."""
         found: list[tuple[int, int, Value]] = []
-        while True:
-            try:
-                data = os.read(self.fd, CHUNK)
-            except BlockingIOError:
-                return found
-            if not data:
-                raise OSError("the device has gone")
+        while data := waiting_bytes(self.fd):
             now_ns = time.monotonic_ns()
             said = self._hearing.feed(data)
             self.size += len(data)
             self.reports |= {kind for kind, _ in said} - {HEARD_PONG}
             self._flow |= {value[0] for kind, value in said if kind == HEARD_PONG and value[0] >= self._pings}
             found += [(now_ns, *each) for each in said]
+        if data is None:
+            raise OSError("the device has gone")
+        return found
 
     def _heard(self, timeout_s: float) -> Iterator[tuple[int, int, Value]]:
         """(time of reading, kind, value) of all that is said until then. Raises OSError."""

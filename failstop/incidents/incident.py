@@ -127,8 +127,9 @@ class Incident:
         """Volts, at each of its readings."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
         """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
-        self.received = self._entries(layout.PORT_OWNER, "received", bytes)
-        """Bytes from the board, of the last seconds."""
+        heard = [self._entries(process, "received", bytes) for process in (layout.TELEMETRY, layout.PORT_OWNER)]
+        self.received = sorted(heard[0] + heard[1], key=lambda entry: entry[0])
+        """Bytes from the board, of the last seconds; the port owner's are of while no telemetry ran."""
         noticed = [
             (cause_ns, segment, causes.read(cause))
             for segment in (layout.PORT_OWNER, layout.GATE)

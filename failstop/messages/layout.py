@@ -119,7 +119,7 @@ SEGMENTS = (
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
             _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
-            _ring("received", 512, 512, "telemetry"),  # bytes from the board, in order; about 4 s of them
+            _ring("received", 512, 512, "everyone"),  # bytes from the board while no telemetry runs, in order
             _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
         ),
     ),
@@ -131,6 +131,7 @@ SEGMENTS = (
             *_beat(),
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
+            _word("busy", "supervisor, telemetry"),  # 1 while motion is enabled, a client is there, or there is an arm
             _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
             _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
@@ -148,6 +149,7 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
+            _word("port_number", "supervisor"),  # of the port that it reads; 0: it has none
             _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
             _word("obeyed_ns", "supervisor"),  # when the board last said that it obeys a command of zeros; 0: never
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
@@ -163,6 +165,7 @@ SEGMENTS = (
             _ring("servos", records.SERVO, 64, "gate"),  # answers of the arm's servos, in order
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
+            _ring("received", 512, 512, "everyone"),  # bytes from the board, in order; about 4 s of them
             _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # the reports that it decoded (box.py)
         ),

@@ -33,7 +33,7 @@ PROCESSES = (
         priority=33,
         deadline_ns=100 * MS,
         outlives_supervisor=True,
-        descriptors=("port", "control", "stop", "bell", "supervisor_bell", "telemetry_bell"),
+        descriptors=("port", "control", "stop", "bell", "supervisor_bell"),
     ),
     Process(
         "stopper",
@@ -57,7 +57,7 @@ PROCESSES = (
         priority=20,
         deadline_ns=500 * MS,
         outlives_supervisor=False,
-        descriptors=("bell", "port_owner_bell", "gate_bell", "supervisor_bell"),
+        descriptors=("port", "control", "bell", "port_owner_bell", "gate_bell", "supervisor_bell"),
     ),
 )
 

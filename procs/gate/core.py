@@ -69,6 +69,11 @@ class GateCore:
         waits, or has fallen silent, since whatever starts it again would drive on."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
+        self._ramps_on = False
+
+    def rests(self, until_ns: int) -> bool:
+        """True while the velocity stays as it is, and no frame is to be sent before that time."""
+        return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
         """Why the wheels may not turn; an empty text when they may."""
@@ -221,12 +226,14 @@ class GateCore:
         if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
             self.notes += self._left_off.silent(silent, now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
+        before = self.velocity
         if reason or driving is None:
             self.velocity = REST
         else:
             self.velocity = self._ramped(driving.velocity, elapsed_s, REST if fell_back else self.velocity)
             if self._kinematics.steers:
                 self.velocity = self._kinematics.reach(self.velocity)
+        self._ramps_on = self.velocity != before
         speeds = self._kinematics.wheels_rps(*self.velocity)
         if speeds == self.speeds and now_ns - self._sent_ns < self._refresh_ns:
             return None

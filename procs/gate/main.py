@@ -17,6 +17,7 @@ from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Request, Requests
+from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
 from failstop.procs.loop import MS, NEVER, READ, Loop
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from failstop.procs.gate.clients import News
 
-PUBLISH_NS = 80_000_000
+PUBLISH_NS = 75_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
@@ -38,7 +39,7 @@ ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
-"""Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
+"""Periods between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
 
 class Gate:
@@ -52,13 +53,15 @@ class Gate:
         self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
+        self._rest = Rest(context, self.loop, self._next_tick, (self._due, self._arm_due), self.period_ns)
         self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._said = Said(now_ns)
         self._barrier = Barrier()
-        self._ticks = self._rings = 0
+        self._looked_ns, self._rings, self._ticking = 0, 0, False
+        self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0
         self._attach(context)
@@ -130,9 +133,13 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
+        decided, still = self.requests.reset_decided(), self._epoch_word.get() == self.epoch
+        if still and not decided and self._rest.beats_alone(ready, now_ns):
+            self.heartbeat.beat(now_ns, self.epoch)
+            return
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
-        if self.requests.reset_decided():
+        if decided:
             self.follow_latch()
             self.requests.answer_reset(now_ns)
         self._follow_clients(self.clients.lives_ended(ready), now_ns)
@@ -152,9 +159,16 @@ class Gate:
         if self.arm:
             self._turn_arm(self.arm, now_ns)
         self._tell()
+        busy = bool(self.arm or self.core.enabled or self.clients.active)
+        self._rest.follow(now_ns, busy=busy, rests=self._rests(now_ns))
         self._publish(now_ns)
         self.requests.write()
         self.heartbeat.beat(now_ns, self.epoch)
+
+    def _rests(self, now_ns: int) -> bool:
+        """True while every other tick is enough: whoever comes, or wants something else, rings, and a death is told."""
+        needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
+        return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
     def _turn_arm(self, arm: Arm, now_ns: int) -> None:
         self._stop(arm.hear(self.core.arm_closed(), now_ns), now_ns)
@@ -189,20 +203,22 @@ class Gate:
         self._rings = 0
 
     def _tick(self, now_ns: int) -> None:
-        """The periodic part; a tick that was missed is left out, not made up for."""
+        """The periodic part."""
+        self._ticking = True  # a command is stepped to at its end, once
         self._hear_clients(now_ns)
-        self._next_tick.set(max(self._next_tick.ns + self.period_ns, now_ns + self.period_ns // 2))
-        self._ticks += 1
-        if self._ticks % LOOK_AT_ALL_EVERY:
+        if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
+            self._looked_ns = now_ns
             self._follow_clients(self.clients.look(self.clients.slots), now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
             self._frames.stop(now_ns)
         self._check_supervisor(now_ns)
+        self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
+        self._rest.ticked(now_ns, rests=self._rests(now_ns))
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
@@ -321,7 +337,7 @@ class Gate:
         self._box.command(command)
         if fault := self.core.take(command, now_ns):
             self._stop(fault, now_ns)
-        else:
+        elif not self._ticking:
             self._step(now_ns)
 
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
@@ -382,5 +398,5 @@ class Gate:
 def run(context: Context) -> int:
     """Run forever: the gate dies with the supervisor."""
     gate = Gate(context)
-    context.run(gate.turn, gate.loop, gate.period_ns)
+    context.run(gate.turn, gate.loop, PERIODS_AT_REST * gate.period_ns)
     return 0

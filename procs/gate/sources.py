@@ -38,6 +38,9 @@ class Sources:
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._driver = ""
+        self._asked_ns = -1
+        self._found: Command | None = None
+        """The command that drives, as of `_asked_ns`: in each turn it is asked for many times."""
 
     def allows(self, command: Command) -> bool:
         """True for a client as a source of the settings, and for the pad as itself."""
@@ -61,18 +64,24 @@ class Sources:
         """The source's new command; a stamp from the future counts as now."""
         command.t_ns = min(command.t_ns, now_ns)
         self._commands[command.source] = command
+        self._asked_ns = -1
 
     def drop(self, session: int) -> None:
         """Forget every command of a session."""
         self._commands = {source: kept for source, kept in self._commands.items() if kept.session != session}
+        self._asked_ns = -1
 
     def clear(self) -> None:
         self._commands.clear()
         self._driver = ""
+        self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
         """The command of the highest source that is fresh."""
-        return next(filter(None, (self.fresh(source, now_ns) for source in self._rank)), None)
+        if now_ns != self._asked_ns:
+            self._asked_ns = now_ns
+            self._found = next(filter(None, (self.fresh(source, now_ns) for source in self._rank)), None)
+        return self._found
 
     def last_driver(self) -> Command | None:
         """The last command of the source that drove last, however old it is."""

@@ -27,9 +27,8 @@ from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
 MS = 1_000_000
-TICK_NS = 20 * MS
-EARLY_NS = 10 * MS
-"""A tick that is due so soon is taken at a wake-up that there is anyway."""
+TICK_NS = 33 * MS
+"""A third of what it may be silent for (policy/processes.py). What it has to notice sooner rings, or is a timer."""
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
 
@@ -56,8 +55,6 @@ class PortOwner:
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next frame may be written, that has to wait."""
-        self._tick = self.loop.timer()
-        """When it looks at everything, if nothing happens before."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -96,18 +93,13 @@ class PortOwner:
         self._parent = Parent(context, self.loop, 0, self.wire)
         names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
         self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
-        self._gate = self._peers[0]
+        self._gate, self._telemetry = self._peers[:2]
         for each in self._bells:
             self.loop.watch(each.fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
-        """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
-        most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
+        """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        if ready == self.port.bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
-            self._serve_port(ready, now_ns)
-            return True
-        self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
         bell.clear_rung(self._bells, ready)
         self._hear_causes()
@@ -122,7 +114,7 @@ class PortOwner:
         self._repeat(now_ns)
         self.port.follow(now_ns)
         self.pings.follow(now_ns)
-        self.port.watch()
+        self.port.watch(heard=self._telemetry.runs())
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._parent.leave(now_ns)
 
@@ -371,7 +363,7 @@ class PortOwner:
     def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
         here by now or not."""
-        while sent := self._parent.new_port(ready, self.port.number + 1):
+        while sent := self._parent.control.newer(ready, self.port.number + 1):
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)
             self.port.adopt(sent, now_ns)

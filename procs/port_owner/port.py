@@ -1,5 +1,5 @@
-"""The open port, beside what is written to it on the way of a stop: what the board sends, its loss, the next one, and
-what a board that has just been opened is told.
+"""The open port, beside what is written to it on the way of a stop: its loss, the next one, what a board that has just
+been opened is told, and what the board sends while no telemetry runs, which reads it else.
 
 A board that opening resets is deaf for some time. The port counts as open when it hears, and what it is to be told then
 is written: nobody may enable motion before.
@@ -7,8 +7,9 @@ is written: nobody may enable motion before.
 
 from __future__ import annotations
 
+from failstop.board.port import waiting_bytes
 from failstop.messages import records
-from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from failstop.procs.loop import Loop
     from failstop.procs.port_owner.port_writer import PortWriter
 
-RECEIVED_CHUNK = 512
 AGAIN_NS = 20_000_000
 """After so long it is told again what the kernel did not take whole."""
 
@@ -33,10 +33,7 @@ class OpenPort:
         self._record = own.latest_writer("port")
         self._received = own.ring_writer("received")
         self._supervisor_bell = context.bell("supervisor_bell")
-        self._telemetry_bell = context.bell("telemetry_bell")
         self._watched = (-1, 0)
-        self.bytes_alone: dict[int, int] | None = None
-        """The news of a wake-up at which the board has sent something, and nothing else has happened."""
         self._hears = loop.timer()
         told = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if told == records.PORT_OPEN else now_ns + self._deaf_ns
@@ -88,36 +85,33 @@ class OpenPort:
         self.hears_ns = now_ns + self._deaf_ns
 
     def serve(self, ready: dict[int, int]) -> None:
-        """Pass on what the board sent, finish what the kernel did not take, notice that it is gone."""
+        """Keep what the board sent, finish what the kernel did not take, notice that it is gone."""
         wire = self._wire
         found = ready.get(wire.fd, 0)
         if found & WRITE:
             wire.flush()
-        if found & READ and (data := wire.read()):
-            for at in range(0, len(data), RECEIVED_CHUNK):
-                self._received.put(data[at : at + RECEIVED_CHUNK])
-            self._telemetry_bell.ring()
-        if found & GONE:
-            wire.lost = True
+        data = waiting_bytes(wire.fd) if found & READ else b""
+        self._received.put_all(data or b"")
+        wire.lost |= bool(found & GONE) or data is None
 
-    def watch(self) -> None:
-        """Watch for what the board sends, and for room while the kernel has not taken everything.
+    def watch(self, *, heard: bool) -> None:
+        """Watch for the end, for room while the kernel has not taken everything, and for what the board sends unless
+        telemetry has `heard` it.
 
         Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
         process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
         board, on a busy machine for as long as others run, deaf to stops.
         """
-        fd = self._wire.fd
-        wanted = (fd, READ | WRITE if self._wire.unsent else READ | EDGE)
+        fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
+        wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)
         if fd >= 0 and wanted != self._watched:
             self._loop.watch(*wanted)
-            self.bytes_alone = None if self._wire.unsent else {fd: READ}
         self._watched = wanted
 
     def lose(self) -> None:
         """Let it go."""
         if self._watched[0] == self._wire.fd:
             self._loop.forget(self._wire.fd)
-        self._watched, self.bytes_alone = (-1, 0), None
+        self._watched = (-1, 0)
         self._hears.set(NEVER)
         self._wire.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 
 from failstop.board.port import unsent_bytes
@@ -112,18 +111,6 @@ class PortWriter(StopPort):
 
     def _has_room(self) -> bool:
         return bool(select.select((), (self.fd,), (), 0)[1])
-
-    def read(self) -> bytes:
-        """Bytes that the board sent; empty when none wait."""
-        try:
-            data = os.read(self.fd, 4096)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self.lost = True
-        return data
 
     def adopt(self, fd: int) -> None:
         """Of a newly opened port the first bytes are a burst."""

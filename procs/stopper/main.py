@@ -15,15 +15,17 @@ from time import monotonic_ns
 
 from failstop.board.interface import STOPPER_ROW
 from failstop.board.stop_port import StopPort
-from failstop.messages import layout, records
+from failstop.messages import layout
 from failstop.procs import starved
 from failstop.procs.context import Context
-from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
+from failstop.procs.handover import HeldPort
+from failstop.procs.loop import HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.shm import bell
 from failstop.shm.words import Barrier
 
-LONGEST_SLEEP_NS = 50_000_000
+LONGEST_SLEEP_NS = 100_000_000
+"""Less than half of what it may be silent for (policy/processes.py). What it has to notice sooner wakes it."""
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
@@ -49,21 +51,16 @@ class Stopper:
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()
         self._port_owner_bell = context.bell("port_owner_bell")
-        self._port_record = port_owner.latest_reader("port")
         self._written_word = context.own.word("written_ns")
         self._bells = (context.bell("bell"), context.early.bell)
-        self._number = context.port_number
-        self._number_word = context.own.word("port_number")
-        self._number_word.set(self._number if self._port.fd >= 0 else 0)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._parent = Parent(context, self.loop, 1)
+        self.held = HeldPort(context, self.loop, self._parent.control, self._port, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
         for each in self._bells:
             self.loop.watch(each.fd, READ)
-        if self._port.fd >= 0:
-            self.loop.watch(self._port.fd, HANGUP)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
@@ -74,9 +71,7 @@ class Stopper:
         bell.clear_rung(self._bells, ready)
         self._answer_deaths(ready, now_ns)
         self._write_due(now_ns)
-        if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
-            self.close_port()
-        self._adopt_port(ready)
+        self.held.follow(ready)
         if not self._parent.orphaned_ns:
             self._follow_port_owner(now_ns)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
@@ -169,30 +164,10 @@ class Stopper:
             self._stopped_for = life.pid
             life.kill()
 
-    def _is_given_up(self) -> bool:
-        """True when the port owner has found this port gone."""
-        return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
-
-    def _adopt_port(self, ready: dict[int, int]) -> None:
-        """Take a port that the supervisor has opened, or its own again where that is closed."""
-        while sent := self._parent.new_port(ready, self._number + (self._port.fd >= 0)):
-            self.close_port()
-            fd, self._number, _ = sent
-            self._port.adopt(fd)
-            self._number_word.set(self._number)
-            self.loop.watch(fd, HANGUP)
-
-    def close_port(self) -> None:
-        """At a hang-up everyone closes at once: a descriptor kept open over a USB drop renumbers the device."""
-        if self._port.fd >= 0:
-            self.loop.forget(self._port.fd)
-            self._port.close()
-            self._number_word.set(0)
-
 
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     stopper = Stopper(context)
     context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)
-    stopper.close_port()  # an exit would wait for a port that does not drain
+    stopper.held.let_go()  # an exit would wait for a port that does not drain
     return 0

@@ -1,5 +1,5 @@
-"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become causes for the port
-owner, the pad's sticks and its reset become requests for the gate."""
+"""Telemetry's loop: bytes from the port, decoded, published; buttons and keys become causes for the port owner, the
+pad's sticks and its reset become requests for the gate."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
+from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
@@ -33,8 +34,9 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 LONGEST_IDLE_NS = 50_000_000
+"""At rest the board wakes nobody: what it has said is looked at so often."""
 ODOMETRY_NS = 20_000_000
-"""Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
+"""Odometry goes out at this rate, as the gate decides no more often, and with it whatever else can wait."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
 OBEYED_NS = 20_000_000
@@ -126,7 +128,9 @@ class Telemetry:
         self._read_back = ReadBack()
         self._obeys_zeros, self._obeyed_ns = False, 0
         self._barrier = Barrier()
-        self._port_seq = self._epoch_followed = self._odometry_ns = self._bias_ns = 0
+        self._epoch_followed = self._odometry_ns = self._bias_ns = 0
+        self._heard: list[tuple[int, Value, int]] = []
+        """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._attach(context)
         self._watch_others(context)
@@ -154,11 +158,10 @@ class Telemetry:
 
     def _watch_others(self, context: Context) -> None:
         """Make the readers of others' records and the table of what the board says, and watch what wakes it."""
-        port_owner = context.segment("port_owner")
+        gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
-        self._received = port_owner.ring_reader("received")
-        self._port_record = port_owner.latest_reader("port")
-        self._gate = GateState(context.segment("gate").latest_reader("state"))
+        self._busy_word = gate.word("busy")
+        self._gate = GateState(gate.latest_reader("state"))
         self._handlers = {
             interface.HEARD_IMU: self._on_imu,
             interface.HEARD_BATTERY: self._on_battery,
@@ -172,6 +175,7 @@ class Telemetry:
             self._handlers[interface.HEARD_SERVO] = self._on_servo
         self._bell = context.bell("bell")
         self.loop.watch(self._bell.fd, READ)
+        self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
         """A successor goes on with the bias and the pose of the one before it."""
@@ -189,17 +193,36 @@ class Telemetry:
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up."""
-        if ready:
-            self._bell.clear()
+        """Handle one wake-up. One for samples of the IMU alone, of which there are the most, only publishes them."""
         now_ns = monotonic_ns()
+        whole = len(ready) != 1 or self._port.fd not in ready
+        for came_ns, data in self._port.take(now_ns):
+            found = self._hearing.feed(data)
+            # Samples that came together are as far apart as they can be.
+            step_ns = self._port.waited_ns // (len(found) or 1)
+            for at, (kind, said) in enumerate(found, 1 - len(found)):
+                t_ns = came_ns
+                if kind == interface.HEARD_IMU:
+                    t_ns += at * step_ns
+                    said = self._publish_imu(said, t_ns)
+                else:
+                    whole = True
+                self._heard.append((kind, said, t_ns))
+        if whole or self._port.lost or now_ns - self._odometry_ns >= ODOMETRY_NS:
+            self._act(ready, now_ns)
+
+    def _act(self, ready: dict[int, int], now_ns: int) -> None:
+        """Everything else of a turn."""
+        if self._bell.fd in ready:
+            self._bell.clear()
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
-        while entry := self._received.next():
-            self._follow_port(entry[1])
-            for kind, said in self._hearing.feed(entry[2]):
-                if handler := self._handlers.get(kind):
-                    handler(said, entry[1])
+        heard, self._heard = self._heard, []
+        for kind, said, came_ns in heard:
+            if handler := self._handlers.get(kind):
+                handler(said, came_ns)
+        self._follow_port(ready)
+        self._port.rest(now_ns, self._epoch_word.get(), busy=self._busy_word.get() > 0)
         sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
         if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
@@ -220,12 +243,11 @@ class Telemetry:
             self._pad.stopped(now_ns)
         self._pad.follow(gate.latched, now_ns)
 
-    def _follow_port(self, received_ns: int) -> None:
-        """Half a frame from before the port was lost has no other half. Asked for what was received, just before it is
-        decoded: the port owner tells of a new port before it passes on what came from it."""
-        news = self._port_record.read()
-        if news and news[0] != self._port_seq and received_ns >= news[1]:
-            self._port_seq = news[0]
+    def _follow_port(self, ready: dict[int, int]) -> None:
+        """The port owner, which does not read, is told of a loss; half a frame from before it has no other half."""
+        if self._port.lost:
+            self._port_owner_bell.ring()
+        if self._port.follow(ready):
             self._hearing.reset()
 
     def _publish_still(self, judge: StillJudge | ReadBack) -> None:
@@ -284,14 +306,17 @@ class Telemetry:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
+    def _publish_imu(self, sample: Value, t_ns: int) -> Value:
+        """Returns the raw rates, and what was published."""
+        raw_radps = imu.radps(*sample[3:])
+        found = (*self._accelerometer.mps2(*sample[:3]), *self._gyro.corrected(raw_radps))
+        self._latest["imu"].write(records.IMU.pack(*found), t_ns)
+        return raw_radps, found
+
     def _on_imu(self, sample: Value, t_ns: int) -> None:
-        ax, ay, az, gx, gy, gz = sample
-        raw_radps = imu.radps(gx, gy, gz)
+        raw_radps, found = sample
         note = self._gyro.take(raw_radps, t_ns)
-        acceleration = self._accelerometer.mps2(ax, ay, az)
-        rate_radps = self._gyro.corrected(raw_radps)
-        self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
-        self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, (*acceleration, *rate_radps))), t_ns)
+        self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, found)), t_ns)
         if not self._read_back.judged_ns:
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)

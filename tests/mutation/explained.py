@@ -58,12 +58,6 @@ PROCS: tuple[Reason, ...] = (
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._arm_moved = True$", "the first burst clears it, before anybody looks"
     ),
-    Reason(
-        "procs/port_owner/main.py",
-        r"\+.*_bytes_alone = None if \(self\.wire\.unsent\) and False",
-        "the rest of a write goes out at WRITE, with a whole turn; all else is looked at at the tick",
-        same=False,
-    ),
     Reason("procs/port_owner/*.py", r"\+.*causes\.(HANGS|MUTE)\(.*\) / MS\)", "a cause makes it whole"),
     Reason("procs/port_owner/admission.py", r"\+\s+self\._(free|rest)_ns = 1$", "the first nanosecond of the machine"),
     Reason("procs/port_owner/port_writer.py", r"\+\s+self\._refused = True$", "the burst that follows sets it"),
@@ -74,7 +68,7 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("procs/port_owner/port_writer.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
-    Reason("procs/port_owner/port_writer.py", r"\+.*os\.read\(self\.fd, 4097\)", "one byte more at a time", same=False),
+    Reason("failstop/board/port.py", r"\+READ_BYTES = 4097$", "one byte more at a time", same=False),
     Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
     Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),

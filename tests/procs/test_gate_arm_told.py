@@ -132,13 +132,13 @@ def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
 
 
 def test_hold_ends_a_release(scene: Scene) -> None:
-    scene.travel({1: 0.1})
+    scene.travel({1: 0.1, 2: 0.1})
     scene.finish()
-    scene.ask_for(records.ARM_RELEASE)
-    scene.wake()
-    scene.ask_for(records.ARM_HOLD)
+    assert scene.ask(records.ARM_RELEASE)[0] == records.DONE
+    scene.run(0.006)
+    assert scene.ask(records.ARM_HOLD)[0] == records.DONE
     scene.run(0.5)
-    assert not scene.servos.by_id[1].limp()
+    assert [scene.servos.by_id[servo].limp() for servo in (1, 2)] == [True, False]
 
 
 def test_newer_way_preempts_the_older(scene: Scene) -> None:

@@ -11,6 +11,7 @@ from failstop.lab import encoders
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.procs.port_owner import main
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
@@ -301,7 +302,7 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     scene.drive()
     scene.turn(300 * MS)
     now_ns = scene.clock()
-    assert scene.next_ns() == now_ns + TICK
+    assert scene.next_ns() == now_ns + main.TICK_NS
     scene.ask_to_stop(b"x")
     scene.turn()
     scene.turn(15 * MS)

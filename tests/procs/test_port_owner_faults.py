@@ -8,7 +8,7 @@ from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
 from failstop.procs.loop import READ
-from failstop.procs.port_owner import main, port
+from failstop.shm import heartbeat
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
@@ -210,7 +210,7 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
     scene.turn()
     assert scene.causes() == [(1, 0, "device lost")]
     assert scene.port_state() == records.PORT_LOST
-    assert scene.next_ns() == scene.clock() + TICK
+    assert scene.next_ns() == scene.clock() + TICK, "its first repeat"
     assert scene.owner.wire.fd == -1, "let go at once, or the device comes back under another name"
     assert scene.owner.loop.wait(0) == {}, "though others still hold it"
     assert scene.port()[0] == 1
@@ -290,43 +290,28 @@ def test_of_several_ports_that_wait_the_newest_counts(scene: Scene) -> None:
     assert scene.open_fds() == before
 
 
-def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
-    scene.turn()
+def test_bytes_from_the_board_go_into_the_ring_in_order_while_no_telemetry_runs(scene: Scene) -> None:
+    """It reads them else, and wakes nobody."""
     received = scene.segment(layout.PORT_OWNER).ring_reader("received", from_oldest=True)
+
+    def kept(sent: bytes) -> bytes:
+        scene.wire.port.send(sent)
+        scene.turn()
+        found = [entry[2] for entry in iter(received.next, None)]
+        return b"".join(found)
+
+    scene.turn()
     sent = bytes(range(256)) * 5
-    scene.wire.port.send(sent)
+    assert kept(sent) == sent
+    telemetry = scene.start(layout.TELEMETRY, heartbeat.BEAT_STARTING)
+    assert kept(b"it starts") == b"it starts"
+    scene.runs(layout.TELEMETRY)
+    assert kept(b"") == b""
+    scene.wire.port.send(b"it reads")
+    assert scene.owner.loop.wait(0) == {}
+    telemetry.kill()
     scene.turn()
-    found = [entry[2] for entry in iter(received.next, None)]
-    assert b"".join(found) == sent
-    assert max(map(len, found)) == port.RECEIVED_CHUNK
-
-
-def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: Scene) -> None:
-    scene.turn()
-    received = scene.segment(layout.PORT_OWNER).ring_reader("received")
-    beat = scene.segment(layout.PORT_OWNER).word("beat_ns")
-    before_ns, tick_ns = beat.get(), scene.next_ns()
-    scene.raise_epoch(2)  # its bell is lost
-    for _ in range(3):
-        scene.wire.port.send(b"imu")
-        assert scene.turn(MS) == b""
-        assert received.next()
-        assert scene.stays
-        assert beat.get() == before_ns, "not a whole turn"
-        assert scene.next_ns() == tick_ns, "and none that puts the next one off"
-    scene.wire.port.send(b"imu")
-    scene.clock.now_ns = tick_ns
-    assert scene.turn() == BURST
-    assert beat.get() == tick_ns
-
-
-@pytest.mark.parametrize(("early_ns", "whole"), [(main.EARLY_NS + 1, False), (main.EARLY_NS, True)])
-def test_a_tick_that_is_due_soon_is_taken_with_the_board_s_bytes(scene: Scene, early_ns: int, whole: bool) -> None:
-    scene.turn()
-    scene.wire.port.send(b"imu")
-    scene.clock.now_ns = scene.next_ns() - early_ns
-    scene.turn()
-    assert (scene.word("beat_ns") == scene.clock()) is whole
+    assert kept(b", or not") == b"it reads, or not"
 
 
 def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:
@@ -334,15 +319,3 @@ def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:
     scene.wire.port.send(b"imu")
     scene.ask_to_stop(b"hand near wheel")
     assert scene.turn().startswith(BURST)
-
-
-def test_bytes_alone_are_no_news_of_a_descriptor_with_a_lost_port_s_number(scene: Scene) -> None:
-    scene.turn()
-    number = scene.owner.wire.fd
-    scene.wire.unplug()
-    scene.turn()
-    assert scene.owner.wire.lost
-    scene.causes()
-    scene.raise_epoch(2)
-    scene.owner.turn({number: READ})
-    assert scene.word("stopped_epoch") == 2, "a whole turn"

@@ -182,7 +182,7 @@ def test_no_port_no_harm() -> None:
 
 def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Wire) -> None:
     """The first one is lost: the message arrives without it."""
-    scene.stopper.close_port()
+    scene.stopper.held.let_go()
     scene.os.write(scene.control.fd, bytes(8))
     scene.turn()
     assert scene.own.word("port_number").get() == 0
@@ -271,7 +271,7 @@ def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> 
 
 def test_without_a_port_it_judges_as_with_one(scene: Scene) -> None:
     """Nobody but the supervisor opens a port: what is silent hangs."""
-    scene.stopper.close_port()
+    scene.stopper.held.let_go()
     assert scene.written(HANG_NS // MS - 1, alive=False) == []
     assert scene.port_owner.lives()
     scene.turn(MS, alive=False)

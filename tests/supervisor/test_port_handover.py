@@ -1,4 +1,4 @@
-"""One port for all three, or none: what the supervisor does when it is lost, back, or missing somewhere."""
+"""One port for all of them, or none: what the supervisor does when it is lost, back, or missing somewhere."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from failstop.supervisor.port_handover import LOOK_NS, SHARE_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import DEVICE, Scene
 
-OTHERS = (layout.PORT_OWNER, layout.STOPPER)
+OTHERS = (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)
 
 
 @pytest.fixture
 def scene() -> Scene:
-    """Port owner and stopper run and have the port; the opener's thread waits for a loss."""
+    """Port owner, stopper and telemetry run and have the port; the opener's thread waits for a loss."""
     made = Scene(*OTHERS)
     made.supervisor.handover.opener.begin()
     made.has_port(layout.STOPPER)
@@ -26,7 +26,7 @@ def scene() -> Scene:
 
 
 def turn(scene: Scene, elapsed_ns: int = 0) -> bytes:
-    """Time passes, both beat, and the supervisor wakes up; returns what it wrote."""
+    """Time passes, they beat, and the supervisor wakes up; returns what it wrote."""
     scene.now_ns += elapsed_ns
     scene.beat(*OTHERS)
     return scene.pass_time()
@@ -45,7 +45,8 @@ def received(scene: Scene, name: str) -> list[tuple[int, str]]:
 def lose(scene: Scene) -> None:
     """The port owner finds it gone, and the supervisor sees that."""
     scene.has_port(layout.PORT_OWNER, 1, records.PORT_LOST)
-    scene.has_port(layout.STOPPER, 0)
+    for name in (layout.STOPPER, layout.TELEMETRY):
+        scene.has_port(name, 0)
     turn(scene)
     assert scene.port.fd < 0
     scene.wire.unplug()
@@ -92,18 +93,19 @@ def test_a_port_that_is_back_is_stopped_before_the_supervisor_turns(scene: Scene
 def test_the_supervisor_sends_the_port_to_each_until_it_has_it(scene: Scene, name: str) -> None:
     lose(scene)
     come_back(scene)
-    (other,) = set(OTHERS) - {name}
+    others = set(OTHERS) - {name}
     turn(scene)
-    scene.has_port(other, 2)
     assert received(scene, name) == [(2, DEVICE)], "it did not arrive: no number was free, say"
-    assert received(scene, other) == [(2, DEVICE)]
+    for other in others:
+        scene.has_port(other, 2)
+        assert received(scene, other) == [(2, DEVICE)]
     turn(scene, SHARE_NS - 1)
     assert received(scene, name) == []
     turn(scene, 1)
     assert len(received(scene, name)) == 1
     scene.has_port(name, 2)
     turn(scene, SHARE_NS)
-    assert (received(scene, name), received(scene, other)) == ([], [])
+    assert [received(scene, each) for each in OTHERS] == [[], [], []]
     assert scene.supervisor.handover.complete()
 
 
@@ -160,9 +162,10 @@ def test_the_loss_of_another_port_is_no_loss_of_this_one(scene: Scene, number: i
 
 
 @pytest.mark.parametrize("sign", ["record", "hang-up"])
-def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(scene: Scene, sign: str) -> None:
+def test_a_port_that_has_gone_is_let_go_and_who_else_holds_it_told(scene: Scene, sign: str) -> None:
     fd = scene.port.fd
-    scene.rung(layout.STOPPER)
+    for name in (layout.STOPPER, layout.TELEMETRY):
+        scene.rung(name)
     if sign == "record":
         scene.has_port(layout.PORT_OWNER, 1, records.PORT_LOST)
     else:
@@ -170,7 +173,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(scene: Scene, sign:
     turn(scene)
     assert fd not in scene.fds()
     assert scene.port.fd == -1
-    assert scene.rung(layout.STOPPER)
+    assert [scene.rung(name) for name in (layout.STOPPER, layout.TELEMETRY)] == [True, True]
 
 
 def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene: Scene) -> None:

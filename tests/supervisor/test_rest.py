@@ -6,7 +6,7 @@ import pytest
 
 from failstop.messages import layout
 from failstop.procs.loop import READ
-from failstop.supervisor.main import BEATS_ALONE, EXCUSE_NS
+from failstop.supervisor.main import AT_REST_NS, BEATS_ALONE, EXCUSE_NS, TICK_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 
@@ -30,6 +30,17 @@ def rest(scene: Scene) -> tuple[int, dict[int, int]]:
 
 def test_the_supervisor_rests_while_nothing_has_happened(scene: Scene) -> None:
     assert rest(scene) == (BEATS_ALONE, {})
+
+
+@pytest.mark.parametrize(("who", "word"), [("gate", ""), ("gate", "busy"), ("port_owner", "moving")])
+def test_its_ticks_are_twice_as_long_while_nobody_could_move_anything(scene: Scene, who: str, word: str) -> None:
+    scene.keep_beating()
+    if word:
+        scene.own[who].word(word).set(1)
+    begun_ns = scene.now_ns
+    rest(scene)
+    rested_ns = scene.now_ns - begun_ns
+    assert rested_ns == (BEATS_ALONE + 1) * TICK_NS if word else rested_ns > BEATS_ALONE * AT_REST_NS
 
 
 def test_a_bell_ends_the_rest_at_once(scene: Scene) -> None:

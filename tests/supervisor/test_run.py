@@ -152,7 +152,7 @@ def test_no_descriptor_is_inherited_unless_it_is_passed_on(tmp_path: Path) -> No
 
 def test_both_ends_of_the_sockets_stay_with_the_supervisor(scene: Scene) -> None:
     """A successor inherits the same end, with what was sent to its predecessor."""
-    assert set(scene.run.controls) == {layout.PORT_OWNER, layout.STOPPER}
+    assert set(scene.run.controls) == {layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY}
     for process, (_, theirs) in scene.run.controls.items():
         assert scene.run.descriptors(process, -1)["control"] == theirs
 

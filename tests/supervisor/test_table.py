@@ -28,11 +28,11 @@ def test_a_row_says_what_its_process_is_and_how_it_is_woken_and_watched(row: Pro
 
 
 @each
-def test_who_may_write_to_the_port_is_given_it_and_outlives_the_supervisor_to_stop(row: Process) -> None:
-    writes = row.name in STOPPING
-    assert ("port" in row.descriptors) is writes
-    assert ("control" in row.descriptors) is writes
-    assert row.outlives_supervisor is writes
+def test_who_writes_to_the_port_outlives_the_supervisor_and_who_reads_it_has_it(row: Process) -> None:
+    has_it = row.name in STOPPING | {layout.TELEMETRY}
+    assert ("port" in row.descriptors) is has_it
+    assert ("control" in row.descriptors) is has_it
+    assert row.outlives_supervisor is (row.name in STOPPING)
 
 
 def test_on_the_stop_path_comes_before_what_is_not() -> None:

@@ -73,6 +73,7 @@ class Scene(PortMachine):
         for name in running:
             self.employ(name)
         self.has_port(layout.PORT_OWNER)
+        self.has_port(layout.TELEMETRY)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def wait(self, process: Process, argv: list[str]) -> int:
@@ -176,9 +177,9 @@ class Scene(PortMachine):
         self.machine.at(self.now_ns + MS, self.keep_beating)
 
     def has_port(self, name: str, number: int = 1, state: int = records.PORT_OPEN) -> None:
-        """Port owner or stopper says of a port that it has it, or `state`."""
-        if name == layout.STOPPER:
-            self.stopper.word("port_number").set(number)
+        """A process says of a port that it has it, or `state`."""
+        if name != layout.PORT_OWNER:
+            self.own[name].word("port_number").set(number)
         else:
             packed = records.PORT.pack(number, self.now_ns, state, DEVICE)
             self.port_owner.latest_writer("port").write(packed)

@@ -10,6 +10,7 @@ import msgpack
 from failstop.board import framing
 from failstop.messages import layout, records
 from failstop.messages.packing import Note
+from failstop.procs.telemetry import main
 from tests.support.stage import MS, Stage
 
 S = 1_000 * MS
@@ -20,12 +21,12 @@ FOLDER = "/state"
 
 
 class Scene(Stage):
-    """Telemetry at work on its stage, in front of a board, a port owner and a gate that the test plays."""
+    """Telemetry at work on its stage, in front of a board and a gate that the test plays, with a client."""
 
     def __init__(self, **changed: object) -> None:
-        super().__init__(layout.TELEMETRY, open_port=False, **{"battery.directory": FOLDER, **changed})
+        super().__init__(layout.TELEMETRY, open_port=True, **{"battery.directory": FOLDER, **changed})
         self.machine.unix_ns = NOON_S * S - self.clock()
-        self._received = self.views[layout.PORT_OWNER].ring_writer("received")
+        self.views[layout.GATE].word("busy").set(1)
         self._gate = self.views[layout.GATE].latest_writer("state")
         self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
         self._readers = {name: self.own.ring_reader(name) for name in ("causes", "pad_requests", "notes", "buttons")}
@@ -37,17 +38,18 @@ class Scene(Stage):
 
     def turn(self, *frames: tuple[int, bytes], elapsed_ns: int = 0, gate: bool = True) -> None:
         """Time passes, the board sends frames, telemetry wakes up; `gate`: the gate publishes its state before."""
+        while elapsed_ns > main.LONGEST_IDLE_NS:
+            elapsed_ns -= main.LONGEST_IDLE_NS
+            self.wake(elapsed_ns=main.LONGEST_IDLE_NS, gate=gate)
+        self.wake(b"".join(framing.frame(func, data) for func, data in frames), elapsed_ns=elapsed_ns, gate=gate)
+
+    def wake(self, data: bytes = b"", *, elapsed_ns: int = 0, gate: bool = True) -> None:
+        """As turn(), with bytes of the board, and with no wake-up before."""
         self.clock.now_ns += elapsed_ns
         if gate:
             self._gate.write(msgpack.packb(self.gate), self.clock())
-        if frames:
-            self.receive(b"".join(framing.frame(func, data) for func, data in frames))
-            self.bell("bell").ring()
+        self.wire.port.send(data)
         self.telemetry.turn(self.telemetry.loop.wait(0))
-
-    def receive(self, data: bytes, t_ns: int = 0) -> None:
-        """The port owner has read this from the board, at that time or now."""
-        self._received.put(data, t_ns or self.clock())
 
     def imu(self, *raw: float, elapsed_ns: int = 9 * MS) -> None:
         """One sample: g on x, y, z and deg/s on x, y, z."""

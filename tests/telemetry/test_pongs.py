@@ -11,7 +11,7 @@ from failstop.lab.sim import upward
 from failstop.lab.sim.model import BoardModel
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout, records
-from tests.support.stage import MS
+from tests.support.stage import MS, Wire
 from tests.support.telemetry_scene import S, Scene
 
 STOP_DATA = BOARD.stop[4:-1]
@@ -81,7 +81,7 @@ def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None
     assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 
-# Telemetry: the port owner's ring is fed by the test.
+# Telemetry.
 
 
 def told(scene: Scene) -> tuple[int, int]:
@@ -101,45 +101,36 @@ def test_an_answer_is_published_with_the_time_it_was_read_and_rings_the_supervis
     assert told(scene) == (scene.clock() - MS, 0), "nothing else counts as an answer"
     assert not scene.rung("supervisor_bell")
     frame = upward.pwm_servo_position(2, 1500)
-    for piece, read_ns in ((frame[:5], scene.clock() - 30 * MS), (frame[5:], scene.clock() - 20 * MS)):
-        scene.receive(piece, read_ns)
-        scene.turn()
-    assert told(scene) == (scene.clock() - 20 * MS, 1), "an answer in pieces has the time of its last"
+    for piece in (frame[:5], frame[5:]):
+        scene.wake(piece, elapsed_ns=10 * MS)
+    assert told(scene) == (scene.clock(), 1), "an answer in pieces has the time of its last"
 
 
 # A port that was opened again.
 
 
-def reopen(scene: Scene, generation: int) -> None:
-    port = scene.views[layout.PORT_OWNER].latest_writer("port")
-    port.write(records.PORT.pack(generation, scene.clock(), records.PORT_OPEN, "/dev/board"), scene.clock())
-
-
 @pytest.mark.parametrize("reopened", [True, False])
 def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(scene: Scene, reopened: bool) -> None:
     """Control: without a reopening the halves are one frame. So the frame is not made twice by luck."""
-    reopen(scene, 1)
     frame = upward.pwm_servo_position(2, 1500)
-    scene.receive(frame[:5], scene.clock())
-    scene.turn()
-    scene.turn(elapsed_ns=3 * S)
+    scene.wake(frame[:5])
     if reopened:
-        reopen(scene, 2)
-    scene.receive(frame[5:], scene.clock())
-    scene.turn()
+        scene.replug(2)
+        scene.turn(elapsed_ns=3 * S)
+    scene.wake(frame[5:])
     assert told(scene) == ((0, 0) if reopened else (scene.clock(), 1))
 
 
 def test_bytes_of_the_lost_port_still_belong_together(scene: Scene) -> None:
-    """News of the port and what came before and after it, all found in one turn."""
-    reopen(scene, 1)
+    """The last of them, and the next port, are found in one turn."""
     whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)
-    before_ns = scene.clock()
-    scene.clock.now_ns += 3 * S
-    reopen(scene, 2)
-    for piece, read_ns in ((whole[:5], before_ns), (whole[5:] + torn[:5], before_ns + MS), (torn[5:], scene.clock())):
-        scene.receive(piece, read_ns)
-    scene.turn()
-    assert told(scene) == (before_ns + MS, 1)
+    scene.wake(whole[:5])
+    following = Wire(scene.machine, 1)
+    scene.send_port(following, 2)
+    scene.wake(whole[5:] + torn[:5])
+    assert told(scene) == (scene.clock(), 1)
+    scene.wire = following
+    scene.wake(torn[5:], elapsed_ns=MS)
+    assert told(scene) == (scene.clock() - MS, 1)
     scene.turn(answer(3))
     assert told(scene) == (scene.clock(), 3)

@@ -1,14 +1,16 @@
 """Watching a run from outside: what the board sends, when stops were written, and the pings' answers.
 
 While a port owner lives, all of it is read from shared memory (reading only); when the service is gone, the port itself
-is opened and asked; while all of it is frozen, the port owner's own descriptor is read (borrowed.py). Telemetry's word
-is not used: it is one of the processes that die here.
+is opened and asked; while all of it is frozen, the port owner's own descriptor is read (borrowed.py). What telemetry
+makes of the bytes is not used: it is one of the processes that die here.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+from itertools import chain
+from operator import itemgetter
 from struct import Struct
 
 from failstop.api.client import attach
@@ -61,7 +63,7 @@ class Watch:
         self._device = device
         self._board = board
         self._hearing = board.hearing()
-        self._received: RingReader | None = None
+        self._received: list[RingReader] = []
         self._frames: RingReader | None = None
         self._pings: list[Word] = []
         self._writers: dict[str, Word] = {}
@@ -91,9 +93,9 @@ class Watch:
     def attach(self, name: str) -> None:
         """Follow the run of this name. Raises FailstopError."""
         self.let_go()
-        views = {which: attach(name, which) for which in (*PORT_WRITERS, layout.GATE)}
+        views = {which: attach(name, which) for which in (*PORT_WRITERS, layout.GATE, layout.TELEMETRY)}
         owner = views[layout.PORT_OWNER]
-        self._received = owner.ring_reader("received")
+        self._received = [view.ring_reader("received") for view in (views[layout.TELEMETRY], owner)]
         self._frames = views[layout.GATE].ring_reader("frames")
         self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._writers = {which: views[which].word("written_ns") for which in PORT_WRITERS}
@@ -108,7 +110,7 @@ class Watch:
             except PortError:
                 return False
             self._tap_into(fd, asks=bool(self._board.pings))
-            self._received = self._frames = None
+            self._received, self._frames = [], None
             self._writers = {}
         return True
 
@@ -152,9 +154,10 @@ class Watch:
                 self.zeros.append(entry[1])
             elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
                 self.moves += moves(entry[1], body[_COMMAND_AT:-1])
-        while self._received and (entry := self._received.next()):
-            for kind, said in self._hearing.feed(entry[2]):
-                self._take(entry[1], kind, said)
+        # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.
+        for _, t_ns, data in sorted(chain(*(iter(ring.next, None) for ring in self._received)), key=itemgetter(1)):
+            for kind, said in self._hearing.feed(data):
+                self._take(t_ns, kind, said)
         if self._tap:
             self._look_at_port(self._tap, now_ns)
 
