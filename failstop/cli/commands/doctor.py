@@ -16,7 +16,7 @@ from failstop.doctor.machine import facts
 from failstop.files.instance import check_name
 
 EXAMPLES = """\
-failstop doctor                         # everything; takes 5 s, and as long again where no board answers
+failstop doctor             # everything: 5 s; 10 s where no board answers
 failstop doctor --quick
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 """

@@ -28,7 +28,7 @@ failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
-failstop chaos --board hoverboard       # another board's receiver; or a folder of your own
+failstop chaos --board hoverboard       # another, or a folder of your own
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --whole         # every call
-failstop simulate --board ugv     # another board's receiver; or a folder of your own
+failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # faults and orders by chance, a minute long
 failstop simulate --seed 537      # one of them again

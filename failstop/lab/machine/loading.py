@@ -34,7 +34,8 @@ SHARED_MODULES = frozenset(
     f"failstop.{name}"
     for name in (
         *("data", "version", "messages.box", "messages.records"),
-        *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "processes", "proofs")),
+        *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "layouts")),
+        *(f"policy.{each}" for each in ("processes", "proofs", "robots")),
         *("policy.setting", "policy.settings"),
         *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos", "wire")),
     )
