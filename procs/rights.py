@@ -25,8 +25,8 @@ SUPERVISOR_LOOP_US = 500_000
 kernel counts whole ticks, those of a core that a virtual machine's host withholds too. It is less than the time after
 which the kernel pauses all real-time processes of a core (sched_rt_runtime_us)."""
 
-DESCRIPTORS = 64
-"""Descriptors that the supervisor has open at most: 49 with every process, segment and bell, 5 of a dead run's, 2 for
+DESCRIPTORS = 68
+"""Descriptors that the supervisor has open at most: 52 with every process, segment and bell, 5 of a dead run's, 2 for
 each of 4 savers, and those that a look at a file takes."""
 STACK_BYTES = 256 * 1024
 """Room for the stack of each process: four times that with which all of them ran."""

@@ -287,10 +287,8 @@ class Gate:
     def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
         if self.requests.is_answered(slot, number):
             return
-        request = Request(verb, asked_ns, number, slot.session, slot)
-        enabled = self.core.enabled
-        reply = self.requests.refusal(request, self._raised_ns, self._last)
-        if reply is None:
+        request, enabled = Request(verb, asked_ns, number, slot.session, slot), self.core.enabled
+        if (reply := self.requests.refusal(request, self._raised_ns, self._last)) is None:
             reply = self._do[verb](request, now_ns) if verb in self._do else refused(f"unknown request {verb}")
         if reply:
             self.requests.settle(request, reply, now_ns, enabled=enabled)

