@@ -24,6 +24,7 @@ from failstop.board.port import open_port
 from failstop.files import instance, root
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial
+from failstop.procs.rights import DESCRIPTORS
 from tests.support.children import needs_root
 from tests.support.commands import FAILSTOP
 from tests.support.shared_trial import IMU_HZ, goes_on
@@ -32,9 +33,9 @@ LIMITS = {
     "no file may grow": (resource.RLIMIT_FSIZE, 0),
     "no file may grow to a segment": (resource.RLIMIT_FSIZE, 65536),
     "as many descriptors as Python needs": (resource.RLIMIT_NOFILE, 6),
-    **{f"{files} descriptors": (resource.RLIMIT_NOFILE, files) for files in (8, 40, 63)},
+    **{f"{files} descriptors": (resource.RLIMIT_NOFILE, files) for files in (8, 40, DESCRIPTORS - 1)},
 }
-LACKING = "failstop: RLIMIT_NOFILE is {}, and 64 open files are needed: raise it"
+LACKING = f"failstop: RLIMIT_NOFILE is {{}}, and {DESCRIPTORS} open files are needed: raise it"
 FULL = {
     "/run without a directory more": ("/run", "nr_inodes=1", "", "No space left"),
     "/run with room for the lock alone": ("/run", "nr_inodes=4", "", "No space left"),
