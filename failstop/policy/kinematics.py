@@ -72,12 +72,12 @@ class Chassis:
 class Steered(Chassis):
     """Two driven wheels at the rear, and a steered axle in front (Ackermann): it turns only while it drives."""
 
-    __slots__ = ("_rear", "_turns_most", "_wheelbase_m")
+    __slots__ = ("_most_rad", "_rear", "_turns_most", "_wheelbase_m")
     steers = True
 
     def __init__(self, rear: Chassis, wheelbase_m: float, most_rad: float) -> None:
         """`rear`: the driven wheels; `most_rad`: the largest angle of the steered ones."""
-        self._rear, self._wheelbase_m = rear, wheelbase_m
+        self._rear, self._wheelbase_m, self._most_rad = rear, wheelbase_m, most_rad
         self._turns_most = tan(most_rad) / wheelbase_m
         self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
 
@@ -91,8 +91,9 @@ class Steered(Chassis):
         """Revolutions per second by wire id, and then the angle of the steered wheels; 0 at rest, where it says nothing
         of where they stand."""
         vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
-        angle = atan2(copysign(self._wheelbase_m * wz, vx * wz), abs(vx)) if vx and wz else 0.0
-        return *self._rear.wheels_rps(vx, vy, wz), angle
+        angle = atan2(self._wheelbase_m * abs(wz), abs(vx)) if vx and wz else 0.0
+        # The quotient of the smallest numbers there are is rounded to more than the curve that was reached.
+        return *self._rear.wheels_rps(vx, vy, wz), copysign(min(angle, self._most_rad), vx * wz) if angle else 0.0
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
         """The fastest wheel: the outer one of the narrowest curve."""
