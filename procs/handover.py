@@ -13,10 +13,24 @@ from failstop.procs.loop import GONE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.board.stop_port import StopPort
+    from typing import Protocol
+
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
-    from failstop.procs.telemetry.port import HeardPort
+
+    class PortDescriptor(Protocol):
+        """A descriptor of the port, whatever it is held for."""
+
+        fd: int
+        """-1: none."""
+        lost: bool
+
+        def adopt(self, fd: int) -> None:
+            """Take another."""
+
+        def close(self) -> None:
+            """Let it go."""
+
 
 _FD = struct.Struct("i")
 _NUMBER = struct.Struct("<Q")
@@ -68,7 +82,7 @@ class HeldPort:
     """The port of a process that does not own it, taken as the supervisor hands it down, let go at once when it has
     gone: a descriptor kept open over a USB drop renumbers the device. A word tells which port it is."""
 
-    def __init__(self, context: Context, loop: Loop, control: Control, port: StopPort | HeardPort, wanted: int) -> None:
+    def __init__(self, context: Context, loop: Loop, control: Control, port: PortDescriptor, wanted: int) -> None:
         """`wanted`: what the loop watches it for."""
         self._loop, self._control, self._port, self._wanted = loop, control, port, wanted
         self._record = context.segment(layout.PORT_OWNER).latest_reader("port")

@@ -36,7 +36,7 @@ Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "st
 stop is latched), enabled, disabled, latched (a stop is), clear (none is), moving and standing (what the gate commands),
 still (the IMU has seen the wheels still since the last stop)."""
 
-ANSWER_S = 1.0
+ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
 """How long a request may take; the gate answers within a tick."""
 POLL_S = 0.0003
 

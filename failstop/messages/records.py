@@ -278,6 +278,8 @@ def goodbye(session: int, before: bytes) -> bytes:
     return LEFT.pack(session, *earlier[:-1])
 
 
+ANSWER_WITHIN_NS = 1_000_000_000
+"""How long a client waits for the answer to a request, unless it asks for more patience (Robot, `answer_s`)."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")

@@ -50,8 +50,8 @@ class Slot:
         self._greeted: int | None = None
         """The hello that was read last, and whose it is."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
-        self._seen = {name: newest_number(self._readers[name]) for name in ONCE if name != "request"}
-        self._seen["request"] = 0  # the gate's own record tells which request has its answer (requests.py)
+        # The gate's own record tells which request has its answer (requests.py).
+        self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
         """The session that held the slot before: what it left there is over."""

@@ -24,8 +24,6 @@ ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
 """Requests after which something may move, and the later ones that each of them gives way to; and all to a stop."""
-GIVEN_UP_NS = 1_000_000_000
-"""A client waits for an answer for so long, unless it asks for more patience (Robot, `answer_s`)."""
 
 
 class Request(Data):
@@ -61,7 +59,7 @@ class Requests:
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
         """The session and the number of the last request that was answered there, by a gate before this one too."""
-        self._oldest_ns = now_ns - GIVEN_UP_NS
+        self._oldest_ns = now_ns - records.ANSWER_WITHIN_NS
         self._answers: list[tuple[int, bytes]] = []
         """Answers that are not written yet, each with its slot."""
         self._resets: list[Request] = []

@@ -7,7 +7,6 @@ import pytest
 from failstop.messages import records
 from failstop.procs.gate.main import MOST_RINGS, NO_ARM
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE
-from failstop.procs.gate.requests import GIVEN_UP_NS
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
@@ -187,7 +186,7 @@ def test_a_request_that_nobody_waits_for_any_more_is_not_done(scene: Scene) -> N
     scene.stop("gate died")
     scene.clock.now_ns += MS
     scene.ask_for(records.RESET)
-    scene.clock.now_ns += GIVEN_UP_NS + MS
+    scene.clock.now_ns += records.ANSWER_WITHIN_NS + MS
     scene.start_gate()
     scene.turn()
     assert scene.answered() == (records.REFUSED, "the gate has started since: ask again")

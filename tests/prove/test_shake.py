@@ -6,6 +6,7 @@ import pytest
 
 from failstop.lab.prove import shake
 from failstop.lab.prove.shake import Verdict
+from failstop.procs.telemetry.still import StillJudge
 from tests.prove.noise import DRIVE, RATE_HZ, STILL, TURN, S, gyro, level
 
 STILL_NOISE = shake.noise(gyro((6.0, STILL), seed=77))
@@ -64,13 +65,13 @@ def test_wheels_that_turn_to_the_end_have_no_moment_of_rest() -> None:
 
 def test_the_running_verdict() -> None:
     samples = gyro((1.0, DRIVE), (1.5, STILL))
-    verdict = Verdict(0.0035)
+    verdict = Verdict(StillJudge(0.0035))
     assert not verdict.still(samples[:110])
     assert not verdict.still(samples[:150]), "rest has only begun"
     assert verdict.still(samples)
-    assert not Verdict(0.0035).still(gyro((1.0, STILL), (1.0, DRIVE))), "the last word counts"
-    assert Verdict(0.0035, begin_ns=S).still(samples)
-    assert not Verdict(0.0035, begin_ns=2 * S).still(samples), "too little after the beginning"
+    assert not Verdict(StillJudge(0.0035)).still(gyro((1.0, STILL), (1.0, DRIVE))), "the last word counts"
+    assert Verdict(StillJudge(0.0035), begin_ns=S).still(samples)
+    assert not Verdict(StillJudge(0.0035), begin_ns=2 * S).still(samples), "too little after the beginning"
 
 
 def test_turning_all_the_while() -> None:

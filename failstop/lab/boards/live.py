@@ -76,7 +76,7 @@ class LiveModel(BoardModel):
         self._board = model_of(self._kind).live()
         self._hears_ns = self._start_ns = self._passed_ns = t_ns + deaf_ns
         self._commands = self._said = 0
-        self.wheels = (0.0, 0.0, 0.0, 0.0)
+        self.wheels = (0.0,) * len(self.wheels)
 
     @property
     def next_ns(self) -> int:

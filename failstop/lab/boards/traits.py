@@ -66,8 +66,7 @@ def traits_of(kind: str) -> Traits:
     parts = frozenset(part for part, there in has.items() if there)
     port, own_ns, late_ns, watchdog_ns = language.port, 0, 0, 0
     if is_described(kind):
-        own_ns, late_ns, watchdog = BAR_NS, CROWD_BAR_NS, wire_of(kind).watchdog
-        watchdog_ns = watchdog.set_ns or watchdog.after_ns
+        own_ns, late_ns, watchdog_ns = BAR_NS, CROWD_BAR_NS, wire_of(kind).watchdog.acts_ns
     resets = port.dtr and port.deaf_ns > 0
     return Traits(kind, language, parts, own_ns, late_ns, port.deaf_ns, resets, watchdog_ns)
 

@@ -13,6 +13,7 @@ from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.sight import ByImu, ByWheels, SeenSample, Sight, Unseen, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import Turning
+from failstop.procs.telemetry.still import StillJudge
 
 STILL_S = 3.0
 SPIN_S = 2.0
@@ -55,7 +56,7 @@ def _by_imu(stand: Stand, stood: list[SeenSample], velocities: Iterable[Turning]
                 f"(from {spinning[velocity.name].least:.4f} rad/s): {SIMULATED if stand.board else MOUNTED}"
             )
         stand.watch.forget()
-        _come_to_rest(stand, velocity, shake.Verdict(limit))
+        _come_to_rest(stand, velocity, shake.Verdict(StillJudge(limit)))
     limit = shake.limit(still, list(spinning.values()), configured)
     assert limit is not None
     return ByImu(still, spinning, limit, configured)

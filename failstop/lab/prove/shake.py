@@ -11,8 +11,10 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
+from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.still import StillJudge
 
 GyroSample = tuple[int, float, float]
@@ -102,18 +104,18 @@ def _favour(value: float, rest: float, turning: float) -> float:
 
 
 class Verdict:
-    """The running judgement over a list of samples that grows, from `begin_ns` on."""
+    """Telemetry's running judgement over a list of samples that grows, from `begin_ns` on."""
 
-    def __init__(self, std_radps: float, begin_ns: int = 0) -> None:
-        self._judge = StillJudge(std_radps)
+    def __init__(self, judge: StillJudge | ReadBack, begin_ns: int = 0) -> None:
+        self._judge = judge
         self._begin_ns = begin_ns
         self._taken = 0
 
-    def still(self, samples: Sequence[GyroSample]) -> bool:
+    def still(self, samples: Sequence[tuple[int, Any, Any]]) -> bool:
         """Whether its last word is that the wheels stand still."""
-        for t_ns, x, y in samples[self._taken :]:
+        for t_ns, one, other in samples[self._taken :]:
             if t_ns >= self._begin_ns:
-                self._judge.take(x, y, t_ns)
+                self._judge.take(one, other, t_ns)
         self._taken = len(samples)
         return self._judge.still_ns > 0
 

@@ -15,6 +15,7 @@ from failstop.lab.prove import shake
 from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.table import REST_RESOLUTION_S, Path, Turning
 from failstop.procs.telemetry.readback import ReadBack
+from failstop.procs.telemetry.still import StillJudge
 
 SeenSample = tuple[int, Any, Any]
 """When it was read (ns), and the gyro's x and y (rad/s), or the wheels' speeds and positions as the board reports."""
@@ -82,7 +83,7 @@ class ByImu(Sight):
     source = "IMU"
 
     def verdict(self, begin_ns: int = 0) -> shake.Verdict:
-        return shake.Verdict(self.limit_radps, begin_ns)
+        return shake.Verdict(StillJudge(self.limit_radps), begin_ns)
 
     def turning(self, samples: Sequence[SeenSample]) -> bool:
         return shake.turning(samples, self.limit_radps)
@@ -112,23 +113,6 @@ def _noise(noise: Noise) -> str:
     )
 
 
-class WheelsVerdict:
-    """The judgement of telemetry (procs/telemetry/readback.py) over a list that grows."""
-
-    def __init__(self, begin_ns: int = 0) -> None:
-        self._judge = ReadBack()
-        self._begin_ns = begin_ns
-        self._taken = 0
-
-    def still(self, samples: Sequence[SeenSample]) -> bool:
-        """Whether its last word is that the wheels stand still."""
-        for t_ns, speeds, positions in samples[self._taken :]:
-            if t_ns >= self._begin_ns:
-                self._judge.take(speeds, positions, t_ns)
-        self._taken = len(samples)
-        return self._judge.still_ns > 0
-
-
 @dataclasses.dataclass(frozen=True)
 class ByWheels(Sight):
     """A board that reports its wheels."""
@@ -141,8 +125,8 @@ class ByWheels(Sight):
     by = "wheels"
     source = "board's report of its wheels"
 
-    def verdict(self, begin_ns: int = 0) -> WheelsVerdict:
-        return WheelsVerdict(begin_ns)
+    def verdict(self, begin_ns: int = 0) -> shake.Verdict:
+        return shake.Verdict(ReadBack(), begin_ns)
 
     def turning(self, samples: Sequence[SeenSample]) -> bool:
         judged = rests(samples)
