@@ -28,6 +28,7 @@ def test_every_board_says_what_can_prove_its_stop() -> None:
         assert board.acknowledged_by in ACKNOWLEDGED_BY
 
 
+@pytest.mark.claim("PROOF-1")
 @pytest.mark.starts
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
@@ -49,6 +50,7 @@ def test_why_names_what_has_proved_the_stop(kind: str) -> None:
         assert "wheels still after" in told
 
 
+@pytest.mark.claim("WATCHDOG-1")
 @pytest.mark.starts
 @pytest.mark.slow
 def test_status_tells_of_the_boards_own_watchdog(capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,6 +61,7 @@ def test_status_tells_of_the_boards_own_watchdog(capsys: pytest.CaptureFixture[s
         assert trial.robot.state.device.watchdog_s == WATCHDOG_NS / 1e9
 
 
+@pytest.mark.claim("WATCHDOG-1")
 @pytest.mark.starts
 @pytest.mark.slow
 def test_the_boards_own_watchdog_stops_the_wheels_when_everything_is_frozen() -> None:

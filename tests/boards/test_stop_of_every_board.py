@@ -114,6 +114,7 @@ def random_trial(trial: Trial, rng: random.Random, cuts: list[bytes], writers: S
     return trial.stopped_ns(receiver, rng.choice(cuts), list(zip(writers, begins, strict=True)), late, tick)
 
 
+@pytest.mark.claim("BOARD-2")
 @every_board
 def test_one_writer_stops_the_wheels_after_every_cut(kind: str) -> None:
     trial = Trial(kind)
@@ -124,6 +125,7 @@ def test_one_writer_stops_the_wheels_after_every_cut(kind: str) -> None:
         assert 0 <= stopped_ns <= BAR_NS, (before, writer)
 
 
+@pytest.mark.claim("BOARD-2")
 @every_board
 def test_one_writer_stops_the_wheels_in_every_state_of_the_receiver(kind: str) -> None:
     """Short: some of the states, each with the next cut; long: each state with a dozen of them."""
@@ -139,6 +141,7 @@ def test_one_writer_stops_the_wheels_in_every_state_of_the_receiver(kind: str) -
         assert 0 <= trial.stopped_ns(receiver, before, [(0, BEGIN_NS)]) <= BAR_NS, before
 
 
+@pytest.mark.claim("BOARD-2")
 @every_board
 @pytest.mark.parametrize("adapter", [False, True], ids=["wire", "adapter"])
 def test_writers_that_do_not_see_each_other_stop_the_wheels(kind: str, adapter: bool) -> None:

@@ -151,6 +151,7 @@ def goes_on(simulated: Simulated) -> Any:
     return again
 
 
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
 @pytest.mark.parametrize("words", [(), ("with",), ("enables",), ("with", "enables")], ids=" ".join)
 @pytest.mark.parametrize("way", SIMULATED_WAYS)
 def test_however_a_driver_dies_nothing_drives_before_an_enable(

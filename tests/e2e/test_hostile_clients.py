@@ -92,6 +92,7 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
 # Wrong values.
 
 
+@pytest.mark.claim("LIMIT-1")
 @pytest.mark.parametrize("value", [1.7e308, -1e9])
 def test_what_is_out_of_range_is_clamped(simulated: Simulated, value: float) -> None:
     simulated.enable()
@@ -141,6 +142,7 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
 # Scribbling, truncating, removing.
 
 
+@pytest.mark.claim("MEMORY-1")
 def test_scribbling_over_slots(two_sources: Trial) -> None:
     """Over the velocities of the client that drives, over a slot of its own, over everyone's: nothing moves that should
     not, and nobody of the service dies."""

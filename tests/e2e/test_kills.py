@@ -9,6 +9,7 @@ from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from tests.support.simulated import MS, Simulated
 
 
+@pytest.mark.claim("DEATH-1")
 @pytest.mark.parametrize("process", layout.PROCESS_NAMES)
 def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
     simulated = Simulated({"restart.deaths": 100_000, "restart.backoff_s": 0.001})

@@ -8,6 +8,8 @@ import resource
 import signal
 import time
 
+import pytest
+
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 from tests.support.boards import every_board
@@ -54,6 +56,7 @@ def test_while_the_port_owner_waits_for_its_restart() -> None:
     assert simulated.robot.state.last_stop.written_s is not None
 
 
+@pytest.mark.claim("PORT-1")
 @every_board
 def test_while_the_port_owner_hangs(simulated: Simulated) -> None:
     """The port owner is not needed for the stop."""

@@ -24,6 +24,7 @@ from .returns import drives_only_when_enabled, lose_while_driving, stop_at_retur
 TIOCGEXCL = 0x80045440
 
 
+@pytest.mark.claim("START-1")
 def test_first_bytes_are_the_burst_and_no_process_outlives_a_killed_supervisor(fresh: Trial) -> None:
     motor = [event for event in fresh.board.events() if event.is_motor]
     assert motor[0].is_stop
@@ -112,6 +113,7 @@ def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
     assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 1}
 
 
+@pytest.mark.claim("MOVE-1")
 def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
     fd = os.open(trial.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:

@@ -142,6 +142,7 @@ def test_a_full_file_system(name: str, board: SimBoard, full: str) -> None:
     assert {os.path.basename(path) for path in rest} <= {"lock"}, rest
 
 
+@pytest.mark.claim("START-1")
 @pytest.mark.parametrize(
     ("text", "told"),
     [

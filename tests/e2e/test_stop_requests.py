@@ -25,6 +25,7 @@ def _stop_pipe(trial: Trial) -> str:
     return instance.stop_path(instance.find(trial.name))
 
 
+@pytest.mark.claim("ASK-1")
 def test_by_an_unprivileged_user(trial: Trial) -> None:
     set_off(trial)
     asked_ns = time.monotonic_ns()
@@ -93,6 +94,7 @@ def write(simulated: Simulated, data: bytes) -> int:
     return found
 
 
+@pytest.mark.claim("ASK-1")
 def test_any_bytes_are_a_stop(simulated: Simulated) -> None:
     for message in (b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"):
         simulated.set_off()
@@ -107,6 +109,7 @@ def test_any_bytes_are_a_stop(simulated: Simulated) -> None:
         assert simulated.robot.state.estop.isprintable()
 
 
+@pytest.mark.claim("CAUSE-1")
 def test_while_disabled_it_latches_and_the_first_reason_is_kept(simulated: Simulated) -> None:
     simulated.robot.estop("one")
     simulated.robot.wait_for("latched", 1.0)

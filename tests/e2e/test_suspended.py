@@ -6,6 +6,8 @@ import os
 import signal
 import time
 
+import pytest
+
 from failstop.lab.trial import Trial, wait_for
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
@@ -17,6 +19,7 @@ def shown(trial: Trial) -> str:
     return trial.robot.state.processes[SUPERVISOR].state
 
 
+@pytest.mark.claim("TIME-1")
 def test_a_suspended_service_stops_and_tells_what_has_happened(fresh: Trial) -> None:
     pid = fresh.service.pids()[SUPERVISOR]
     wait_for("an answer", lambda: fresh.robot.state.device.link == "alive")

@@ -127,6 +127,7 @@ def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
 # Epoch.
 
 
+@pytest.mark.claim("MOVE-1")
 @given(st.lists(epochs), epochs, epochs)
 @example([], 0, 0)
 @example([], 1, 2)

@@ -60,6 +60,7 @@ def test_a_damaged_hello_ends_the_session(service: Service) -> None:
     assert service.look() == [("command", 12, 0.1)]
 
 
+@pytest.mark.claim("MEMORY-1")
 @pytest.mark.parametrize("record", ["hello", "command", "request"])
 @pytest.mark.parametrize("payload", [b"", b"\0", bytes(7), b"\xff" * 60], ids=["empty", "1", "7", "60"])
 def test_whole_records_of_any_content_raise_nothing(service: Service, record: str, payload: bytes) -> None:

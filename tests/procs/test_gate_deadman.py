@@ -54,6 +54,7 @@ def test_the_deadman_s_time_is_the_setting_s() -> None:
     assert gate.core.blocked(gate.now + 500 * MS + 1) == "cmd timeout"
 
 
+@pytest.mark.claim("CLIENT-1")
 @pytest.mark.parametrize("value", [0, -1, 0.049, 2.01, inf, nan, "off", "", False, None])
 def test_the_deadman_cannot_be_switched_off(value: object) -> None:
     """No value means never: from 0.05 to 2 s are allowed, and of each source's own timeout too."""

@@ -15,6 +15,7 @@ from tests.support.stage import MS
 from tests.support.why import why
 
 
+@pytest.mark.claim("CAUSE-1")
 def test_the_first_cause_since_the_reset_is_latched(scene: Scene) -> None:
     assert scene.tick() is None
     assert scene.stop_and_tick("key1") == "key1"
@@ -59,6 +60,7 @@ def test_a_stop_counts_as_newer_before_the_gate_itself_has_followed_it(scene: Sc
     assert scene.tick() == "key1"
 
 
+@pytest.mark.claim("MOVE-2")
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 2)), max_size=12))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_reset_clears_a_stop_that_its_person_had_not_seen(scene: Scene, steps: list[tuple[bool, int, int]]) -> None:

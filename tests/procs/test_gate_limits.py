@@ -11,6 +11,7 @@ from tests.support.why import told
 from .gate_bench import MS, ROBOT, Gate, Velocity, stands
 
 
+@pytest.mark.claim("LIMIT-1")
 @pytest.mark.parametrize(("axis", "limit", "step"), [(0, 0.2, 0.01), (1, 0.2, 0.01), (2, 1.0, 0.04)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_axis_ramps_a_tick_at_a_time_to_its_limit(

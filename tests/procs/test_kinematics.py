@@ -86,6 +86,7 @@ def body(robot: Chassis, rps: tuple[float, ...]) -> Velocity:
     return (a + b + c + d) / 4, sideways * (b - a + c - d) / 4, (c + d - a - b) / 2 / lever
 
 
+@pytest.mark.claim("LIMIT-1")
 @given(speed, speed, speed, st.floats(0, 1))
 @pytest.mark.parametrize("robot", [ROBOT, TWO_SIDED, TWO_SPEEDS, LEKIWI])
 def test_wheels_move_the_base_as_asked_and_a_limit_scales_all_alike(

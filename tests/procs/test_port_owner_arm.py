@@ -63,6 +63,7 @@ def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> N
     assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP
 
 
+@pytest.mark.claim("ARM-1")
 @pytest.mark.parametrize("cause", ["pipe", "epoch", "gate", "supervisor"])
 def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
     settle(scene)

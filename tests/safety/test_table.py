@@ -36,6 +36,7 @@ def trial(running: Trial) -> Trial:
     return running
 
 
+@pytest.mark.claim("ACCESS-1", "ASK-1")
 @needs_root
 @pytest.mark.parametrize("user", USERS)
 @pytest.mark.parametrize("row", [row for row in TABLE if row.attempt in ATTEMPTS], ids=lambda row: row.attempt)

@@ -45,6 +45,7 @@ def end(scene: Scene) -> tuple[bool, list[tuple[str, str]]]:
     return well, [(event["kind"], event["text"]) for event in scene.events() if event["kind"] != "link"]
 
 
+@pytest.mark.claim("END-1")
 def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_stop(scene: Scene) -> None:
     scene.rung(layout.SUPERVISOR)
     answer(scene, scene.now_ns)

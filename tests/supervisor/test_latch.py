@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -56,6 +57,7 @@ def test_what_everybody_reads() -> None:
     assert records.LATCH.unpack(latch.as_record()) == (0, 150, 160, causes.DIED("gate").pack()), "the last stop"
 
 
+@pytest.mark.claim("CAUSE-1")
 @given(st.lists(st.tuples(st.booleans(), st.lists(st.integers(0, 1000), min_size=1, max_size=4)), max_size=20))
 @example([(False, [300, 100, 200]), (False, [50]), (True, [7]), (False, [6])])
 @example([(True, [1]), (True, [2])])

@@ -41,6 +41,7 @@ def test_written() -> None:
     assert proof(0).as_record()["written_us"] is None
 
 
+@pytest.mark.claim("PROOF-1")
 def test_a_ping_from_before_the_stop_proves_nothing() -> None:
     last = proof()
     assert not last.ponged(T0 + MS // 2 - 1, T0 + 2 * MS)
@@ -49,6 +50,7 @@ def test_a_ping_from_before_the_stop_proves_nothing() -> None:
     assert not last.ponged(T0 + 5 * MS, T0 + 6 * MS), "the first answer counts"
 
 
+@pytest.mark.claim("PROOF-1")
 def test_what_was_not_written_is_not_acknowledged() -> None:
     assert not proof(0).ponged(T0 + 100 * MS, T0 + 101 * MS)
 
@@ -89,6 +91,7 @@ def test_a_verdict_that_only_began_anew_is_no_shaking() -> None:
     assert last.observed_ns == 0
 
 
+@pytest.mark.claim("BOARD-1")
 def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
     last = proof()
     found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
@@ -226,6 +229,7 @@ def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
     assert link.state == LINK_UNASKED
 
 
+@pytest.mark.claim("BOARD-1")
 @pytest.mark.parametrize(
     ("link_of", "pings_ms", "deaf_ms"),
     [

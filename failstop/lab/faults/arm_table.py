@@ -24,6 +24,8 @@ KILL, HANG, CLIENT_KILL, CLIENT_HANG, STOP_REQUEST, UNPLUG, SECOND, POSING, SERV
     "servo",
 )
 """The injection."""
+CLAIMS = ("ARM-1",)
+"""The claims (lab/case/claims.py) that every row carries."""
 BY_ITSELF_MS = float(LONGEST_MOVE_MS)
 """The time that a servo goes on for when nobody sends it anything any more."""
 STOP_MS = 5.0

@@ -47,6 +47,22 @@ FAULT_CLASSES = (
     TIME,
 )
 
+CLAIMS_OF: dict[str, tuple[str, ...]] = {
+    PROCESS_DIES: ("DEATH-1", "MOVE-2", "CAUSE-1"),
+    PROCESS_HANGS: ("HANG-1", "MOVE-2", "CAUSE-1"),
+    SEVERAL: ("SEVERAL-1", "MOVE-2"),
+    SERVICE_STOPPED: ("END-1",),
+    CLIENT_FAILS: ("CLIENT-1", "MOVE-2"),
+    ASKED_TO_STOP: ("ASK-1", "CAUSE-1"),
+    SENSOR: ("SENSOR-1",),
+    USB: ("PORT-1",),
+    BOARD_FAILS: ("BOARD-1",),
+    MACHINE: ("ASK-2",),
+    MEMORY: ("MEMORY-1",),
+    TIME: ("TIME-1",),
+}
+"""The claims (lab/case/claims.py) that the rows of each class carry; the first is the one whose time they bound."""
+
 LATE_MS = 100.0
 """Added to one and a half bars for the limit that a test asserts: machines that tests run on are shared and busy."""
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from failstop.cli.commands import config
-from failstop.lab.pages import catalog, causes, commands, fleet, reference, rooms, ros2, settings
+from failstop.lab.pages import case, catalog, causes, commands, fleet, reference, rooms, ros2, settings
 from failstop.lab.pages.marked import renewed
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -25,6 +25,10 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/causes.md": lambda _: causes.page(),
     "docs/python-reference.md": lambda _: reference.page(),
     "docs/commands.md": lambda _: commands.page(),
+    "docs/hazards.md": lambda _: case.hazards_page(),
+    "docs/safety.md": lambda text: renewed(text, "claims", case.claims_table()),
+    "docs/dev/evidence.md": lambda _: case.evidence_page(ROOT),
+    "docs/dev/assumptions.md": lambda _: case.assumptions_page(),
     "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
     "docs/fleet.md": _fleet,

@@ -15,6 +15,14 @@ from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.sim.model import Frame
 
+CLAIMS = {
+    "a stop comes in its time": ("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "PORT-1", "TIME-1"),
+    "no frame behind a stop but the one past its last look": ("MOVE-1",),
+    "no motion before a program asks for it": ("MOVE-2", "START-1", "END-1"),
+    "never faster than a program asks for": ("LIMIT-1",),
+    "motion comes back within 2 s once nothing fails": ("RETURN-1",),
+}
+"""The claims (lab/case/claims.py) that each rule of the witness carries."""
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS

@@ -1,0 +1,185 @@
+"""Claims: what failstop says of itself, each with a name, a bound and what would show that it is wrong.
+
+A test cites a claim by the mark `claim`, a class of faults, a property of the model, a litmus test, a rule of the
+simulation and a row of the bench by a table beside them (cited.py gathers all). CI fails for a claim that nothing
+cites, for a name that no claim has, and for a claim whose bound is not that of the rows which cite it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """One sentence that a user may rely on."""
+
+    name: str
+    """As it is cited, for example `DEATH-1`."""
+    says: str
+    bound_ms: float | None
+    """The longest time to the first stop frame at the first board (p99 of a campaign), in ms; None: it has no time."""
+    counted: str
+    """The moment that the time counts from, or the events that a claim without a time counts."""
+    assumes: tuple[str, ...]
+    """Names of assumptions (assumptions.py)."""
+    falsified: str
+    """An observation that would show it to be wrong."""
+
+
+CLAIMS = (
+    Claim(
+        "START-1",
+        "The first bytes that a run of the service sends to the board are a stop.",
+        150.0, "from the start of `failstop run`", ("PTY", "RECEIVER"),
+        "a byte at the board before the burst of a run",
+    ),
+    Claim(
+        "DEATH-1",
+        "The death of any one process of the service, in whatever step it is, stops the wheels.",
+        5.0, "from the death", ("LIFELINE", "WRITE", "RECEIVER", "RIGHTS"),
+        "a kill after which the board executes no stop frame in its time",
+    ),
+    Claim(
+        "HANG-1",
+        "A process of the service that hangs or spins stops the wheels; each has a deadline of its own.",
+        505.0, "from the hang; 65 where the gate or the supervisor hangs, 105 the port owner, 255 the stopper",
+        ("CLOCK", "RIGHTS", "SYSTEMD"),
+        "a process that is halted for longer than its deadline, and wheels that turn on",
+    ),
+    Claim(
+        "SEVERAL-1",
+        "Two to five processes that die or hang at once stop the wheels; where none is left that can write, the stop"
+        " tool"
+        " of systemd does.",
+        255.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
+        "any set of deaths and hangs after which no stop frame is executed",
+    ),
+    Claim(
+        "ASK-1",
+        "Every local user may stop the robot, with any bytes in the stop pipe, and by a button or key of the board.",
+        5.0, "from the request", ("RIGHTS",),
+        "a request that stops nothing, or a user whose request is refused",
+    ),
+    Claim(
+        "ASK-2",
+        "A stop request is answered while the machine has no processor, memory, descriptor or disk to spare.",
+        1020.0, "from the request or the fault; 20 but where names of shared memory are taken away", ("RIGHTS",),
+        "a shortage under which a request stops nothing",
+    ),
+    Claim(
+        "CLIENT-1",
+        "A driver that dies disables motion; one that falls silent stops the wheels by its command timeout; a"
+        " command that is"
+        " no number, or a second publisher of one source, latches a stop.",
+        320.0, "from its last command; 5 from its death, 20 for an exception", ("LIFELINE", "CLOCK"),
+        "a driver that has gone, and wheels that turn on its last command",
+    ),
+    Claim(
+        "MEMORY-1",
+        "A client that damages the memory that it shares with the service moves nothing by it, and loses only itself.",
+        50.0, "from its last command", ("CRC",),
+        "a damage that turns a wheel, keeps a stop away or ends the service",
+    ),
+    Claim(
+        "SENSOR-1",
+        "An obstacle sensor or an interlock that falls silent stops what programs drive.",
+        525.0, "from the last delivery or assertion", ("CLOCK",),
+        "a program that drives on without a valid scan or interlock",
+    ),
+    Claim(
+        "PORT-1",
+        "A board that was unplugged is told to stop when it is back, before anything else is written to it.",
+        1200.0, "from its return; 20 unless the supervisor hangs meanwhile", ("PTY", "SYSTEMD"),
+        "a board that is back, and turns its wheels without an enable",
+    ),
+    Claim(
+        "BOARD-1",
+        "A board that takes no bytes, hears nothing or does not obey is told of as such, and is told to stop again"
+        " and again.",
+        250.0, "from when it takes or hears bytes again", ("PING", "IMU"),
+        "a board that hears again and is not stopped, or a stop that is told as obeyed and is not",
+    ),
+    Claim(
+        "TIME-1",
+        "A machine that froze or slept has stopped the wheels as soon as it is back; steps of the wall clock stop"
+        " nothing.",
+        65.0, "from the thaw or waking", ("CLOCK",),
+        "motion that goes on behind a sleep",
+    ),
+    Claim(
+        "END-1",
+        "A service that is ended in order leaves the wheels stopped.",
+        20.0, "from SIGTERM", ("WRITE",),
+        "an end after which the board has another last speed than zero",
+    ),
+    Claim(
+        "ARM-1",
+        "What stops the wheels stops the arm, with its torque on.",
+        565.0, "from the fault to the last joint at rest; 65 for deaths", ("SERVO",),
+        "a joint that turns later than its row, or lets go",
+    ),
+    Claim(
+        "MOVE-1",
+        "One process writes motion, and looks at the epoch again just before each frame: behind a stop that another"
+        " process"
+        " wrote comes at most the one frame that was past this look, behind its own none.",
+        None, "motion frames after a stop: 0, or that one", ("MODEL", "WRITE", "PAIRS", "BARRIER"),
+        "a second frame of motion behind a stop",
+    ),
+    Claim(
+        "MOVE-2",
+        "Behind a latched stop nothing moves until somebody resets and enables; behind a start, a disable, a lost"
+        " interlock or"
+        " a driver's death nothing moves until somebody enables. No process does either by itself.",
+        None, "motion frames before the enable: 0", ("MODEL", "PAIRS", "SIMULATED"),
+        "a motion frame without an enable that a client asked for after the stop",
+    ),
+    Claim(
+        "LIMIT-1",
+        "Nothing drives faster, or changes speed faster, than the settings allow, whoever commands.",
+        None, "frames past a limit or a ramp: 0", ("ENCODER",),
+        "a frame whose wheel speeds stand for more than a limit",
+    ),
+    Claim(
+        "CAUSE-1",
+        "The first cause of a stop is kept until the reset, and told in words with what to do.",
+        None, "stops with another cause than the first: 0", ("PAIRS",),
+        "a latched stop that names a later cause, or none",
+    ),
+    Claim(
+        "PROOF-1",
+        "What is proved of a stop is told apart: written, acknowledged, observed. Nothing is told that was not seen.",
+        None, "proofs told and not seen: 0", ("PING", "IMU"),
+        "a screen that shows a proof which the board has not given",
+    ),
+    Claim(
+        "ACCESS-1",
+        "Only members of the group `failstop` may drive, reset and enable; memory and folders of anybody else are"
+        " refused.",
+        None, "ways in for others: 0", ("USERS",),
+        "a user outside of the group who moves a wheel, or takes a stop away",
+    ),
+    Claim(
+        "BOARD-2",
+        "Each board's stop is executed from every state of its receiver, also behind cut frames and beside another"
+        " writer.",
+        None, "stops lost: 0; 40 ms later than at the first board by its own line and loop", ("RECEIVER", "WRITE"),
+        "a state of the board's own firmware from which a burst does not stop the wheels",
+    ),
+    Claim(
+        "WATCHDOG-1",
+        "Where a board has a watchdog of its own it is armed, fed while the service lives, and proved by silence.",
+        None, "boards that stand by themselves within what was set", ("RECEIVER",),
+        "a board whose `status` says armed, and that drives on when everything is frozen",
+    ),
+    Claim(
+        "RETURN-1",
+        "Once nothing fails any more, a reset and an enable are granted, and the wheels turn.",
+        None, "2 s of simulated time; every run of the model ends", ("SIMULATED", "MODEL"),
+        "a service that is whole and never grants motion again",
+    ),
+)  # fmt: skip
+"""Every claim, in the order of docs/safety.md."""
+
+BY_NAME = {claim.name: claim for claim in CLAIMS}

@@ -1,0 +1,53 @@
+"""Gaps of the safety case: what a claim, a hazard or a citation lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from failstop.lab.case.assumptions import Assumption
+from failstop.lab.case.cited import Citation
+from failstop.lab.case.claims import Claim
+from failstop.lab.case.hazards import NOTHING_HELPS, Hazard
+from failstop.lab.faults.arm_table import ArmFault
+from failstop.lab.faults.fault import CLAIMS_OF, Fault
+
+TIMED_WORDS = ("in its time", "soon", "within", "deadline", "the moment")
+"""Words of a sentence that has to have a number."""
+
+
+def gaps(
+    claims: Iterable[Claim], hazards: Iterable[Hazard], assumptions: Iterable[Assumption], cited: Iterable[Citation]
+) -> Iterator[str]:
+    """Each gap in words: what to name, or to take away."""
+    claims, cited = tuple(claims), tuple(cited)
+    known = {claim.name for claim in claims}
+    taken = {row.name for row in assumptions}
+    named = {name for citation in cited for name in citation.claims}
+    for claim in claims:
+        if claim.name not in named:
+            yield f"the claim {claim.name} has no proof: cite it in what proves it"
+        if claim.bound_ms is None and any(word in claim.says for word in TIMED_WORDS):
+            yield f"the claim {claim.name} speaks of a time and has no number: give it a bound"
+        yield from (
+            f"{claim.name} assumes {name}, which is no assumption" for name in claim.assumes if name not in taken
+        )
+    for citation in cited:
+        for name in citation.claims:
+            if name not in known:
+                yield f"{citation.kind}, {citation.what}: cites {name}, which is no claim"
+    for hazard in hazards:
+        if not hazard.claims and not hazard.does.startswith(NOTHING_HELPS):
+            yield f"the hazard {hazard.name} has no claim: name one, or say that nothing helps"
+        yield from (f"{hazard.name} names {name}, which is no claim" for name in hazard.claims if name not in known)
+
+
+def other_bounds(claims: Iterable[Claim], faults: Iterable[Fault], arm: Iterable[ArmFault]) -> Iterator[str]:
+    """Claims whose bound is not the latest bar of the rows of faults that bound it."""
+    latest: dict[str, float] = {}
+    for fault in faults:
+        name = CLAIMS_OF[fault.event][0]
+        latest[name] = max(latest.get(name, 0.0), fault.bar_ms or 0.0)
+    latest["ARM-1"] = max((row.bar_ms or 0.0 for row in arm), default=0.0)
+    for claim in claims:
+        if claim.name in latest and claim.bound_ms != latest[claim.name]:
+            yield f"{claim.name} says {claim.bound_ms} ms, its rows of faults {latest[claim.name]} ms"

@@ -1,0 +1,99 @@
+"""The pages of the safety case: hazards, claims with what carries them, assumptions."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+from failstop.lab.case import assumptions, cited, claims, hazards
+from failstop.lab.case.cited import Citation
+from failstop.lab.case.claims import Claim
+
+HAZARDS_HEAD = """\
+# Hazards
+
+Generated from `failstop/lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it comes
+about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
+tool. The claims stand in [safety.md](safety.md), what carries each of them in [evidence.md](dev/evidence.md). Whoever
+builds or uses a robot has hazards of its own: this list is where to begin, not where to end.
+"""
+EVIDENCE_HEAD = """\
+# Evidence
+
+Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
+faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules of the [simulation](simulation.md)
+and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a citation of no claim, for a
+time without a number, and for a bound that is not the latest bar of its rows in [faults.md](faults.md).
+
+What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
+which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A p99 above
+its bar (more than 1.00 of it) comes of a campaign on a machine that withheld its processors; no such run missed a
+stop.
+"""
+ASSUMPTIONS_HEAD = """\
+# Assumptions
+
+Generated from `failstop/lab/case/assumptions.py` (`make docs`): what model, litmus tests, simulation, simulated
+boards and prover take for granted, what happens where it is wrong, and what checks it.
+"""
+
+
+def hazards_page() -> str:
+    """docs/hazards.md."""
+    lines = [HAZARDS_HEAD]
+    for kind in hazards.HAZARD_CLASSES:
+        lines += [f"## {kind[0].upper()}{kind[1:]}", ""]
+        lines += [
+            "| hazard | how it comes about | failstop | how soon | what remains | what helps | claims |",
+            "|" + "---|" * 7,
+        ]
+        for row in hazards.HAZARDS:
+            if row.kind == kind:
+                soon = ", ".join(dict.fromkeys(_bound(claims.BY_NAME[name]) for name in row.claims)) or "-"
+                cells = (f"**{row.what}** ({row.name})", row.how, row.does, soon, row.remains, row.helps)
+                lines.append(f"| {' | '.join(cells)} | {' '.join(row.claims) or '-'} |")
+        lines.append("")
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def _bound(claim: Claim) -> str:
+    return "at once" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
+
+
+def claims_table() -> str:
+    """The table of docs/safety.md."""
+    lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
+    for claim in claims.CLAIMS:
+        bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
+        lines.append(f"| {claim.name} | {claim.says} | {bound} | {claim.counted} |")
+    return "\n".join(lines)
+
+
+def evidence_page(root: Path) -> str:
+    """docs/dev/evidence.md of a checkout."""
+    by_claim: dict[str, list[Citation]] = defaultdict(list)
+    for citation in cited.citations(root):
+        for name in citation.claims:
+            by_claim[name].append(citation)
+    lines = [EVIDENCE_HEAD]
+    for claim in claims.CLAIMS:
+        assumed = ", ".join(claim.assumes)
+        lines += [f"## {claim.name}", "", claim.says, ""]
+        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed} ([assumptions.md](assumptions.md)).", ""]
+        lines += ["| carried by | | found last |", "|---|---|---|"]
+        lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in by_claim[claim.name]]
+        lines.append("")
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def _code(row: Citation) -> str:
+    return f"`{row.what}`" if row.kind in (cited.TEST, cited.LITMUS) else row.what
+
+
+def assumptions_page() -> str:
+    """docs/dev/assumptions.md."""
+    lines = [ASSUMPTIONS_HEAD, "| | what is assumed | by | if it is wrong | checked by | when |", "|" + "---|" * 6]
+    for row in assumptions.ASSUMPTIONS:
+        checked = f"`{row.checked}`" if row.checked.startswith("tests/") and " " not in row.checked else row.checked
+        lines.append(f"| {row.name} | {row.says} | {row.by} | {row.wrong} | {checked} | {row.when} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,84 @@
+"""The safety case has no gap: each claim is carried, each citation names one, each hazard has claims or says so."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.lab.case.assumptions import ASSUMPTIONS
+from failstop.lab.case.cited import CARRIERS, TEST, Citation, citations, of_tests
+from failstop.lab.case.claims import CLAIMS
+from failstop.lab.case.gaps import gaps, other_bounds
+from failstop.lab.case.hazards import HAZARDS
+from failstop.lab.faults import arm_table, table
+from failstop.lab.pages.case import claims_table
+from failstop.lab.pages.made import ROOT
+
+SAFETY = ROOT / "docs/safety.md"
+MOST_WORDS = 2000
+
+
+@pytest.fixture(scope="module")
+def cited() -> list[Citation]:
+    return citations(ROOT)
+
+
+def test_nothing_is_missing(cited: list[Citation]) -> None:
+    assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, cited)) == []
+    assert list(other_bounds(CLAIMS, table.TABLE, arm_table.ROWS)) == []
+    assert {citation.kind for citation in cited} == set(CARRIERS)
+
+
+def test_a_claim_that_nothing_cites_is_a_gap(cited: list[Citation]) -> None:
+    more = dataclasses.replace(CLAIMS[0], name="NEW-1")
+    assert list(gaps((*CLAIMS, more), HAZARDS, ASSUMPTIONS, cited)) == [
+        "the claim NEW-1 has no proof: cite it in what proves it"
+    ]
+
+
+def test_a_citation_of_no_claim_is_a_gap(cited: list[Citation], tmp_path: Path) -> None:
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests/test_new.py").write_text('@pytest.mark.claim("DEATH-1", "DEAD-1")\ndef test_new(): ...\n')
+    found = list(of_tests(tmp_path))
+    assert found == [Citation(TEST, "tests/test_new.py::test_new", ("DEATH-1", "DEAD-1"), "")]
+    assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, [*cited, *found])) == [
+        "tests, tests/test_new.py::test_new: cites DEAD-1, which is no claim"
+    ]
+
+
+def test_a_hazard_without_a_claim_says_that_nothing_helps(cited: list[Citation]) -> None:
+    bare = dataclasses.replace(HAZARDS[0], claims=())
+    assert list(gaps(CLAIMS, (bare, *HAZARDS[1:]), ASSUMPTIONS, cited)) == [
+        f"the hazard {bare.name} has no claim: name one, or say that nothing helps"
+    ]
+
+
+def test_a_time_without_a_number_is_a_gap(cited: list[Citation]) -> None:
+    timeless = dataclasses.replace(CLAIMS[0], says="The stop is written within its time.", bound_ms=None)
+    (found,) = gaps((timeless, *CLAIMS[1:]), HAZARDS, ASSUMPTIONS, cited)
+    assert found == f"the claim {timeless.name} speaks of a time and has no number: give it a bound"
+
+
+def test_a_bound_is_the_latest_bar_of_the_rows_that_carry_it() -> None:
+    early = [dataclasses.replace(claim, bound_ms=1.0) if claim.name == "DEATH-1" else claim for claim in CLAIMS]
+    assert list(other_bounds(early, table.TABLE, arm_table.ROWS)) == ["DEATH-1 says 1.0 ms, its rows of faults 5.0 ms"]
+
+
+def test_an_assumption_is_checked_by_what_is_there() -> None:
+    paths = [row.checked.split()[0] for row in ASSUMPTIONS if row.checked.startswith("tests/")]
+    assert len(paths) > 10
+    assert [path for path in paths if not (ROOT / path).is_file()] == []
+
+
+def of_the_page() -> Iterator[str]:
+    """The sentences of the page that claim something."""
+    part = SAFETY.read_text("utf-8").partition("## What is claimed")[2].partition("\n## ")[0]
+    yield from (line for line in part.splitlines() if line.startswith(("- ", "|")))
+
+
+def test_the_page_claims_nothing_else_and_is_read_in_ten_minutes() -> None:
+    assert list(of_the_page()) == claims_table().splitlines()
+    assert len([word for word in SAFETY.read_text("utf-8").split() if word.strip("|-")]) < MOST_WORDS
