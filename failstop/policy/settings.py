@@ -47,6 +47,7 @@ DECLARED = (
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
+    Setting("limits.braking_mps2", 1.0, "m/s2", 0.05, 20.0, "how the base slows down when it is told zero; measure it"),
     *layouts.OF_THE_BASE,
     _word("scan.gate", "on", "software commands move nothing while the sensor is silent", SWITCH),
     Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),

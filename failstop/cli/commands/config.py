@@ -9,8 +9,9 @@ from argparse import ArgumentParser, Namespace
 from textwrap import indent
 
 from failstop import config
+from failstop.api import distance
 from failstop.cli import style
-from failstop.policy.setting import Setting
+from failstop.policy.setting import Setting, SettingError
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
 from failstop.supervisor.fit import checked_board
 
@@ -19,6 +20,7 @@ failstop config                         # every value, unit and origin
 failstop config --config robot.toml
 failstop config --check robot.toml
 failstop config --example > robot.toml
+failstop config --within 0.1            # how fast, to stand within 0.1 m
 """
 
 GROUPS = {
@@ -73,6 +75,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop config`."""
     parser.add_argument("--config", metavar="FILE", help="the TOML file to read over the defaults")
     parser.add_argument("--json", action="store_true", help="the same for programs")
+    parser.add_argument("--within", metavar="M", type=float, help="only the speed at which the robot stands within M")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
     other.add_argument(
@@ -91,13 +94,29 @@ def main(arguments: Namespace) -> int:
         checked_board(config.checked(read, arguments.check), arguments.check)
         count = sum(value != {} for value in read.values())
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
+    elif arguments.within is not None:
+        print(_fastest(config.load(arguments.config), arguments.within))
     else:
         found = rows(arguments.config)
         if arguments.json:
             print(json.dumps(found, indent=2, ensure_ascii=False))
         else:
             style.show(table(found))
+            ways = distance.told(config.load(arguments.config))
+            style.show([[], *([(way, style.PLAIN)] for way in ways)])
     return 0
+
+
+def _fastest(settings: Settings, metres: float) -> str:
+    """The speed limit for a stopping distance, in words."""
+    if not metres > 0:
+        raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
+    _, latest = distance.furthest(settings)
+    fastest = distance.speed_mps(metres, latest.seconds, settings[distance.BRAKING])
+    return (
+        f"To stand within {metres:g} m of whatever fails ({latest.what}: {latest.seconds:.2f} s), braking with "
+        f"{settings[distance.BRAKING]:g} m/s2: at most {fastest:.3f} m/s."
+    )
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import random
 import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
+from typing import Any
 
 from failstop import config
 from failstop.api.errors import FailstopError, Refused
@@ -15,7 +17,7 @@ from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.files.root import state_directory
-from failstop.lab.prove import report, table
+from failstop.lab.prove import pack, report, table
 from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
@@ -29,6 +31,7 @@ EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
 failstop prove --sim --board hoverboard # another kind of board
 sudo systemctl stop failstop && sudo failstop prove
+failstop prove --sim --quick --pack evidence.html && failstop prove --check evidence.html
 failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
 """
 
@@ -65,12 +68,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add("--out", metavar="DIR", help="where evidence is kept (default: prove/ in the state directory; --sim: nowhere)")
+    add("--pack", metavar="FILE", help="write the evidence as one page (FILE.html) that opens without a network")
+    add("--key", metavar="FILE", help="with --pack: sign it with this OpenSSH key")
+    add("--check", metavar="FILE", help="only say whether an evidence pack is whole, and whose signature it has")
     add("--json", action="store_true", help="print the result for programs instead")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
+    if arguments.check:
+        print(pack.check(arguments.check))
+        return 0
+    if arguments.pack and not arguments.pack.endswith(".html"):
+        raise FailstopError(f"--pack {arguments.pack}: name it FILE.html")
     only, at = _words(arguments)
     if arguments.board and not arguments.sim:
         raise FailstopError("--board is for --sim: a real board is the one that the settings name, by board.kind")
@@ -153,8 +164,26 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
         verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
         print("\n" + "\n".join(lines))
+    if arguments.pack:
+        for path in pack.save(_record(evidence), arguments.pack, arguments.key):
+            print(f"evidence: {path}", file=sys.stderr)
     if evidence.simulated and not arguments.out:
         return
     folder = arguments.out or os.path.join(state_directory(arguments.name, os.environ), PROVE_FOLDER)
     for path in report.save(evidence, folder):
         print(f"evidence: {path}", file=sys.stderr)
+
+
+def _record(evidence: Evidence) -> dict[str, Any]:
+    """All that a pack holds; `samples` stay in the dated folder."""
+    assert evidence.user is not None  # that of a stand
+    settings = evidence.user.flat()
+    return {
+        **evidence.as_dict(),
+        "rows": [{**row, "samples": []} for row in evidence.as_dict()["rows"]],
+        "board": settings["board.kind"],
+        "settings": settings,
+        "settings_sha256": hashlib.sha256(evidence.user.lines().encode()).hexdigest(),
+        "code_sha256": pack.code_digest(),
+        "can_not": report.CAN_NOT,
+    }

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from failstop.api import distance
 from failstop.cli import style
 from failstop.doctor.machine import facts
 from failstop.lab.prove.held import repeat
@@ -18,6 +19,7 @@ from failstop.lab.prove.means import Means
 from failstop.lab.prove.run import Result
 from failstop.lab.prove.sight import ByImu, Sight
 from failstop.lab.prove.table import FROZEN
+from failstop.policy.settings import Settings
 from failstop.supervisor.status import cost
 
 CAN_NOT = (
@@ -50,6 +52,8 @@ class Evidence:
     """The command."""
     means: Means | None = None
     """Of the board; None: nothing is said of them."""
+    user: Settings | None = None
+    """The robot's own; None: nothing is said of distances."""
 
     @property
     def blind(self) -> bool:
@@ -93,9 +97,24 @@ class Evidence:
             "passed": self.passed,
             "ended": self.ended,
             "character": self.character.as_dict() if self.character else None,
+            "distances": ways(self),
             "unproved": self.means.unproved(blind=self.blind) if self.means else [],
             "rows": [_record(result) for result in self.results],
         }
+
+
+def ways(evidence: Evidence) -> list[str]:
+    """The stopping distances, in words: by the settings, and by what was written last here."""
+    if evidence.user is None:
+        return []
+    lines = distance.told(evidence.user)
+    written = [result for result in evidence.results if result.written_ms is not None and result.path.kind != FROZEN]
+    if written:
+        slowest = max(written, key=lambda result: result.written_ms or 0.0)
+        seconds = (slowest.written_ms or 0.0) / 1000
+        way = distance.distance_m(distance.fastest_mps(evidence.user), seconds, evidence.user[distance.BRAKING])
+        lines.append(f"By these runs {way:.2f} m: the latest stop, of {slowest.path.name}, came after {seconds:.2f} s.")
+    return lines
 
 
 def print_now(text: str) -> None:
@@ -200,7 +219,7 @@ def last_lines(evidence: Evidence) -> list[str]:
     lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped{invalid}"]
     if evidence.ended:
         lines.append(f"ENDED EARLY: {evidence.ended}")
-    return [*lines, evidence.verdict, CAN_NOT]
+    return [*lines, evidence.verdict, CAN_NOT, *ways(evidence)]
 
 
 def text(evidence: Evidence) -> str:

@@ -61,7 +61,7 @@ def session(
     one who watches the wheels; `tool`: which command this is; `keep_all`: the samples of the runs that passed, too;
     `width`: of the paths' names."""
     begun = stand.held.mark()
-    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool, means=stand.means)
+    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool, means=stand.means, user=stand.user)
     try:
         with stand:
             with Robot(stand.name) as robot:

@@ -82,6 +82,7 @@ class Stand:
         self.device = device
         self.board = board
         values = settings_for(user)
+        self.user: Settings = config.checked(dict(user))
         self.settings: Settings = config.checked(dict(values))
         self.language = board_of(*self.settings.board())
         self.means: Means = means_of(self.settings.text("board.kind"), self.language)

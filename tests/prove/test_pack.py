@@ -1,0 +1,94 @@
+"""An evidence pack opens alone, is the same for the same record, and a change of it is noticed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop.api.errors import FailstopError
+from failstop.cli.main import main
+from failstop.lab.prove import pack
+from tests.support.commands import failstop
+
+LIMIT_S = 240
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pack of a run on a simulated board."""
+    path = tmp_path_factory.mktemp("pack") / "evidence.html"
+    words = ("--sim", "--only", "stop-request", "--at", "0.2", "--pack", str(path))
+    done = failstop("prove", *words, timeout=LIMIT_S)
+    assert f"evidence: {path}\n" in done.stderr
+    return path
+
+
+@pytest.fixture
+def record(made: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(made.with_suffix(".json").read_text())
+    return found
+
+
+def test_it_is_the_page_of_its_record_and_asks_for_nothing_else(made: Path, record: dict[str, Any]) -> None:
+    text = made.read_text()
+    assert text == pack.page(record)
+    assert re.findall(r"(?:src|href|url)\s*[=(]|https?:", text) == []
+    for value in (record["code_sha256"], record["settings_sha256"], "stop-request", *record["distances"]):
+        assert value in text.replace("&#x27;", "'")
+
+
+def test_what_is_in_it(record: dict[str, Any]) -> None:
+    assert {"version", "machine", "board", "rows", "distances", "settings", "unproved"} <= record.keys()
+    assert record["code_sha256"] == pack.code_digest()
+    assert [row["path"] for row in record["rows"]] == ["stop-request"]
+
+
+def test_a_text_of_the_record_ends_no_script(record: dict[str, Any], tmp_path: Path) -> None:
+    (path, *_) = pack.save({**record, "device": "</script><script>alert(1)</script>"}, str(tmp_path / "e.html"))
+    assert Path(path).read_text().count("<script") == 1
+    assert "whole" in pack.check(path)
+
+
+def test_it_is_checked_by_a_command(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["prove", "--check", str(made)]) == 0
+    assert "whole\nno signature" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        ("stop-request</td>", "stop-asked</td>", "was changed"),
+        ('"verdict":"', '"verdict":"NOT ', "was changed"),
+        ('id="record">{', 'id="record">', "can't be read"),
+        ('id="record"', 'id="other"', "is no evidence pack"),
+    ],
+)
+def test_a_change_is_noticed(made: Path, tmp_path: Path, before: str, after: str, told: str) -> None:
+    text = made.read_text()
+    assert before in text
+    changed = tmp_path / "changed.html"
+    changed.write_text(text.replace(before, after))
+    with pytest.raises(FailstopError, match=told):
+        pack.check(str(changed))
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen here (openssh-client)")
+def test_a_signature_is_of_this_page(record: dict[str, Any], tmp_path: Path) -> None:
+    key, path = tmp_path / "key", str(tmp_path / "e.html")
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
+    assert pack.save(record, path, str(key))[2] == f"{path}.sig"
+    assert 'Good "failstop" signature' in pack.check(path)
+    pack.save({**record, "verdict": "FAIL"}, path)
+    with pytest.raises(FailstopError, match=r"\.sig is not of this file"):
+        pack.check(path)
+
+
+def test_a_key_that_is_none_is_told(record: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(FailstopError, match="can't be signed with"):
+        pack.save(record, str(tmp_path / "e.html"), str(tmp_path / "no-key"))
