@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Iterator
 
 import pytest
 
@@ -25,10 +24,10 @@ def told(listener: Listener) -> list[str]:
 
 
 @pytest.fixture
-def ending(enrol: Enrol, listener: Listener) -> Iterator[Robot]:
+def ending(enrol: Enrol, listener: Listener) -> Robot:
     publisher = enrol()
     pump("ONLINE", lambda: told(listener) == ["ONLINE"], publisher, listener)
-    yield publisher
+    return publisher
 
 
 def ended_before_a_slow_broker(broker: Mosquitto, end: threading.Thread) -> None:
@@ -44,7 +43,7 @@ def ended_before_a_slow_broker(broker: Mosquitto, end: threading.Thread) -> None
 def test_a_robot_that_ended_in_order_is_offline_and_stays_it(
     coming: str, ending: Robot, listener: Listener, broker: Mosquitto, request: pytest.FixtureRequest
 ) -> None:
-    """Whatever else the broker has for a robot that ends: bytes for a connection that is closed already make it lost."""
+    """Whatever else the broker has for it: bytes for a connection that is closed already would make it lost."""
     broker.signal(signal.SIGSTOP)
     if coming == "stops":
         for _ in range(2):
