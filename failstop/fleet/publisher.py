@@ -46,6 +46,9 @@ BUSY_LOOK_S = 0.02
 """While a stop is to be confirmed."""
 LAST_LOOK_S = 0.1
 """While the wheels of one that is confirmed are watched: that takes most of a second, and holds up nobody."""
+BUSY_STATE_S = 1.0
+"""Between two states while a stop is carried out: its answers go first. A thousand robots that told both at once would
+confirm later."""
 FIRST_LOOK_S = 0.003
 """By then the service has written it: its first answer says so at once."""
 CHANGES_S = 1.0
@@ -152,7 +155,7 @@ class Publisher:
         for answer in self.obedience.look(state, now_s):
             self._answer(answer)
         self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
-        if busy and now_s - self._built_s < LOOK_S:
+        if busy and now_s - self._built_s < BUSY_STATE_S:
             return
         self._built_s = now_s
         self._publish(state, note, now_s)
@@ -241,6 +244,8 @@ class Publisher:
         order, answer = self.obedience.hear(payload, now_s, unix_s)
         if order:
             state, _ = self._robot.read()
+            if not self.busy(now_s):
+                self._built_s = now_s
             if problem := self._robot.stop(order.reason, order.by):
                 answer = self.obedience.failed(order, problem)
             else:
