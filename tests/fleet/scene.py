@@ -120,6 +120,10 @@ class Robot(Publisher):
         super()._hear(topic, payload, retained)
         self.heard += 1
 
+    def hears(self, payload: bytes) -> None:
+        """Take it as a message that has come now."""
+        self._hear("", payload, False)
+
 
 class Listener:
     """Everything that is published, by topic."""
