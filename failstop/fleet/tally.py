@@ -8,7 +8,7 @@ from failstop.fleet import levels, vda5050
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Set
 
     from failstop.fleet.levels import StopAnswer
 
@@ -69,8 +69,8 @@ class Tally:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""
         return sorted({*self._known(), *self._answers})
 
-    def _known(self) -> Collection[str]:
-        return self._connections if self._listed is None else self._listed
+    def _known(self) -> Set[str]:
+        return self._connections.keys() if self._listed is None else self._listed
 
     def reached(self, level: str) -> list[str]:
         """The robots that told of this level."""
@@ -89,8 +89,7 @@ class Tally:
 
     def all_confirmed(self) -> bool:
         """Every robot has confirmed the stop; False while none is known."""
-        known = self._known()
-        return bool(known or self._answers) and self._confirmed.issuperset((*self._answers, *known))
+        return bool(self._confirmed) and self._confirmed >= self._known() and self._confirmed >= self._answers.keys()
 
     def confirmed_by(self) -> dict[str, str]:
         """The robots that have confirmed the stop, each with the level that confirms it there."""
