@@ -35,6 +35,9 @@ BACKLOG = 200
 """Messages of ours that may wait for the broker; of a state the newest counts."""
 MOST_READS = 16
 """Reads of up to client.READ_BYTES in one turn, so that a flood leaves time for the rest."""
+CLOSE_S = 1.0
+"""How long the broker may take to end a connection that is to be closed."""
+READ_BYTES = 1 << 16
 HEAR_S = 0.02
 """How long the messages of one turn are heard where the newest comes first: those that are left are dropped."""
 ONCE = 1
@@ -184,10 +187,33 @@ class Broker:
         except (OSError, ValueError) as error:
             self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
 
+    def confirmed(self, wait_s: float) -> bool:
+        """Wait at most so long until the broker is connected and has acknowledged every message that went out ONCE."""
+        until_s = time.monotonic() + wait_s
+        self._try_at_s = 0.0
+        while self.problem or self.client.waits():
+            if (left_s := until_s - time.monotonic()) <= 0.0:
+                return False
+            self.turn(min(left_s, FIRST_WAIT_S / 10))
+        return True
+
     def close(self) -> None:
-        """In order: the last will is not said."""
-        with contextlib.suppress(OSError, ValueError):
+        """In order: the last will is not said. The connection stays open until the broker has ended it, or for CLOSE_S:
+        bytes that come to a closed one reset it, and a broker that meets the reset before it has read the
+        end takes the client for lost."""
+        if (fd := self.fileno()) < 0:
+            return
+        until_s = time.monotonic() + CLOSE_S
+        with contextlib.suppress(OSError, ValueError), socket.socket(fileno=os.dup(fd)) as kept:
             self.client.disconnect()
+            while (left_s := until_s - time.monotonic()) > 0.0:
+                kept.settimeout(left_s)
+                if not kept.recv(READ_BYTES):
+                    break
+
+    def drop(self) -> None:
+        """End the connection without a word: the broker says the last will."""
+        self.client.drop()
 
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
         """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""

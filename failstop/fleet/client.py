@@ -31,3 +31,11 @@ class Client(client.Client):
         """True while there are bytes that no poll tells of: sorted out, or read by TLS."""
         found = self.socket()
         return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)
+
+    def waits(self) -> bool:
+        """True while the broker has not acknowledged a message that asks for it."""
+        return bool(self._out_messages)
+
+    def drop(self) -> None:
+        """Close the connection without MQTT's own end."""
+        self._sock_close()

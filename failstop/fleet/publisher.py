@@ -46,6 +46,9 @@ BUSY_LOOK_S = 0.02
 """While a stop is to be confirmed."""
 LAST_LOOK_S = 0.1
 """While the wheels of one that is confirmed are watched: that takes most of a second, and holds up nobody."""
+BUSY_STATE_S = 1.0
+"""Between two states while a stop is carried out: its answers go first. A thousand robots that told both at once would
+confirm later."""
 FIRST_LOOK_S = 0.003
 """By then the service has written it: its first answer says so at once."""
 CHANGES_S = 1.0
@@ -54,6 +57,8 @@ MOST_EVENTS = 20
 """At one look: the newest. The journal has all of them."""
 FORGED_S = 60.0
 """How long a message that was not the fleet's is told of."""
+CLOSE_S = 1.5
+"""How long the broker may take to confirm the end of this robot's publisher."""
 SEEN = "fleet-stops.json"
 NOT_LISTENING = "the broker has not answered the subscription yet"
 
@@ -120,6 +125,8 @@ class Publisher:
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
+        self._word = vda5050.ONLINE
+        """The robot's connection, as the broker is told at each new one."""
         name = f"failstop-{robot_id}"
         self.broker = Broker(settings, name, self._stop_topics(), self._hear, self._up, newest_first=True)
         self._will()
@@ -148,7 +155,7 @@ class Publisher:
         for answer in self.obedience.look(state, now_s):
             self._answer(answer)
         self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
-        if busy and now_s - self._built_s < LOOK_S:
+        if busy and now_s - self._built_s < BUSY_STATE_S:
             return
         self._built_s = now_s
         self._publish(state, note, now_s)
@@ -175,10 +182,17 @@ class Publisher:
         return BUSY_LOOK_S if self.obedience.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
-        """In order: the robot is OFFLINE, which is not lost."""
-        self._connection(vda5050.OFFLINE)
-        self.broker.turn(0.0)
-        self.broker.close()
+        """In order: the broker confirms that the robot is OFFLINE, which is not lost. One that does not within CLOSE_S
+        has the last will to say."""
+        self._word = vda5050.OFFLINE
+        self._connection()
+        if self.broker.confirmed(CLOSE_S):
+            self.broker.close()
+        else:
+            standard.say(f"the broker at {self.broker.where} has not confirmed the end: it shows this robot as lost")
+            self.broker.drop()
+        if self.unsaved:
+            self._remember()
 
     def _will(self) -> None:
         body = vda5050.connection(vda5050.BROKEN)
@@ -186,13 +200,13 @@ class Publisher:
         self.broker.will(topic, self._header.message(topics.CONNECTION, body, time.time()))
 
     def _up(self) -> None:
-        self._connection(vda5050.ONLINE)
+        self._connection()
         self._will()  # dated anew, for the next connection
         self._shown = (None, None)
         self._look_at_s = 0.0
 
-    def _connection(self, word: str) -> None:
-        payload = self._header.message(topics.CONNECTION, vda5050.connection(word), time.time())
+    def _connection(self) -> None:
+        payload = self._header.message(topics.CONNECTION, vda5050.connection(self._word), time.time())
         self.broker.say(self._header.topic(topics.CONNECTION), payload, retain=True)
 
     def _publish(self, state: State | None, note: str, now_s: float) -> None:
@@ -230,6 +244,8 @@ class Publisher:
         order, answer = self.obedience.hear(payload, now_s, unix_s)
         if order:
             state, _ = self._robot.read()
+            if not self.busy(now_s):
+                self._built_s = now_s
             if problem := self._robot.stop(order.reason, order.by):
                 answer = self.obedience.failed(order, problem)
             else:

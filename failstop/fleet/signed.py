@@ -6,7 +6,6 @@ to agree on how JSON is spelled, and of what it is for, so that an answer is nev
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import json
 import os
@@ -60,7 +59,7 @@ def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
 
 
 def _mac(key: bytes, purpose: str, text: str) -> str:
-    return hmac.new(key, f"{purpose}\n{text}".encode(), hashlib.sha256).hexdigest()
+    return hmac.digest(key, f"{purpose}\n{text}".encode(), "sha256").hex()
 
 
 def make_key(path: str) -> None:

@@ -8,6 +8,8 @@ from failstop.fleet import levels, vda5050
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Set
+
     from failstop.fleet.levels import StopAnswer
 
 UNCONFIRMED = {
@@ -65,8 +67,10 @@ class Tally:
 
     def robots(self) -> list[str]:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""
-        listed = self._connections if self._listed is None else self._listed
-        return sorted({*listed, *self._answers})
+        return sorted({*self._known(), *self._answers})
+
+    def _known(self) -> Set[str]:
+        return self._connections.keys() if self._listed is None else self._listed
 
     def reached(self, level: str) -> list[str]:
         """The robots that told of this level."""
@@ -85,9 +89,7 @@ class Tally:
 
     def all_confirmed(self) -> bool:
         """Every robot has confirmed the stop; False while none is known."""
-        if len(self._confirmed) < max(1, len(self._answers)):
-            return False  # the quick way: this is asked after each answer
-        return not self.missing()
+        return bool(self._confirmed) and self._confirmed >= self._known() and self._confirmed >= self._answers.keys()
 
     def confirmed_by(self) -> dict[str, str]:
         """The robots that have confirmed the stop, each with the level that confirms it there."""

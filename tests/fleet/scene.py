@@ -63,6 +63,11 @@ class Mosquitto:
             self._process.wait()
             self._process = None
 
+    def signal(self, number: int) -> None:
+        """To its process, as SIGSTOP."""
+        assert self._process is not None
+        self._process.send_signal(number)
+
     def settings(self, **changed: object) -> FleetSettings:
         """Settings to get there; `changed`: with `__` for the dot."""
         given = {key.replace("__", "."): value for key, value in changed.items()}
@@ -114,6 +119,10 @@ class Robot(Publisher):
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
         super()._hear(topic, payload, retained)
         self.heard += 1
+
+    def hears(self, payload: bytes) -> None:
+        """Take it as a message that has come now."""
+        self._hear("", payload, False)
 
 
 class Listener:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -85,6 +86,34 @@ def test_events(enrol: Enrol, listener: Listener) -> None:
     pump("the event", lambda: said(listener, "event"), publisher, listener)
     found = said(listener, "event")
     assert (found["kind"], found["text"], found["fields"]) == ("stop", "gate died", {"cause": "died"})
+
+
+def test_the_answers_to_a_stop_go_before_the_state(enrol: Enrol, listener: Listener, key: str) -> None:
+    """A thousand robots that told both at once would confirm later."""
+    robot = Pretended()
+    robot.proofs |= {"acknowledged_s": None, "observed_s": None}
+    publisher = enrol(robot=robot)
+    both = (publisher, listener)
+    pump("its state", lambda: word(listener), *both)
+    began_s = time.monotonic()
+    publisher.hears(levels.Order("a" * 32, time.time(), "smoke", "ann").message(signed.read_key(key)))
+    publisher.look(began_s + 0.6)
+    assert robot.state
+    assert robot.state.last_stop
+    proved = dataclasses.replace(robot.state.last_stop, acknowledged_s=4e-3)
+    robot.state = dataclasses.replace(robot.state, last_stop=proved)
+    publisher.look(began_s + 0.9)
+    publisher.look(began_s + 10.0)
+    pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", *both)
+    told = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
+    [row] = [row for row in told[1]["information"] if row["infoType"] == "lastStop"]
+    assert "acknowledged_s" in [each["referenceKey"] for each in row["infoReferences"]], "the first since the stop"
+    reached = [
+        sorted(json.loads(json.loads(payload)["body"])["reached"])
+        for topic, payload in listener.all
+        if "/answer/" in topic
+    ]
+    assert reached == [["asked", "written"], ["acknowledged", "asked", "written"]]
 
 
 def test_a_broker_that_was_away_is_told_all_anew(enrol: Enrol, listener: Listener, broker: Mosquitto) -> None:

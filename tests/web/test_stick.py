@@ -90,9 +90,13 @@ def thumb(tab: Tab) -> Callable[[], None]:
 
 
 def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
-    lift = moved(trial, tab, lambda: thumb(tab), lambda: trial.robot.state.body_vel.vx_mps > 0.05)
-    finger(tab, 0.9, 0.0, "touchMove")
-    wait_for("to the right", lambda: trial.robot.state.body_vel.wz_radps < -0.2)
+    def to_the_right() -> Callable[[], None]:
+        lift = thumb(tab)
+        finger(tab, 0.9, 0.0, "touchMove")
+        return lift
+
+    moved(trial, tab, lambda: thumb(tab), lambda: trial.robot.state.body_vel.vx_mps > 0.05)()
+    lift = moved(trial, tab, to_the_right, lambda: trial.robot.state.body_vel.wz_radps < -0.2)
     trial.board.events()
     since_ns = time.monotonic_ns()
     lift()

@@ -188,7 +188,7 @@ def test_a_websocket_that_neither_opens_nor_fails_leaves_the_page_state_and_stop
 ) -> None:
     front.holds = ("/api/live", "/api/stop/live")
     tab = browser.tab(front.url)
-    tab.until(SEEN, timeout_s=5)
+    tab.until(SEEN)
     stops_soon(trial, tab, driving(trial))
     tab.until(f"{WORD} === 'STOPPED'")
     tab.open("about:blank")

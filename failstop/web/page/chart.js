@@ -1,22 +1,28 @@
 // A chart: the last half minute, newest on the right; a gap where nothing was known.
 const POINTS = 300;
-const EVERY_MS = 400; // more often nobody sees, and a finger on STOP waits for what is being drawn
+const EVERY_MS = 400; // more often nobody reads, and a finger on STOP waits for what is being drawn
 export const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
+
+// A drawing that is wanted often, and done at most every EVERY_MS, when the page has nothing else to do.
+export function seldom(draw) {
+  let waits = false;
+  return () => {
+    if (waits || document.hidden) return;
+    waits = true;
+    setTimeout(() => later(() => { waits = false; draw(); }, {timeout: EVERY_MS}), EVERY_MS);
+  };
+}
 
 export class Chart {
   constructor(canvas, least) {
     this.canvas = canvas;
     this.least = least; // the scale reaches this at least
     this.values = [];
-    this.waits = false;
   }
 
   add(value) {
     this.values.push(value);
     if (this.values.length > POINTS) this.values.shift();
-    if (this.waits || document.hidden) return;
-    this.waits = true;
-    setTimeout(() => later(() => { this.waits = false; this.draw(); }, {timeout: EVERY_MS}), EVERY_MS);
   }
 
   draw() {

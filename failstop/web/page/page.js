@@ -1,5 +1,5 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
-import {Chart, later} from "/chart.js";
+import {Chart, later, seldom} from "/chart.js";
 import {connect} from "/link.js";
 import "/hands.js";
 import "/device.js";
@@ -12,8 +12,9 @@ const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
 const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
+const drawSeldom = seldom(drawLive);
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
-let face = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
+let face = null, live = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -130,10 +131,16 @@ function node(kind, content) {
   return Object.assign(document.createElement(kind), {textContent: content});
 }
 
-function showLive(live) {
+function showLive(values) {
+  live = values;
+  charts.speed.add(live ? Math.hypot(live[0], live[1]) : null);
+  charts.shake.add(live && live[3]);
+  drawSeldom();
+}
+
+function drawLive() {
   const speed = live && Math.hypot(live[0], live[1]), shake = live && live[3];
-  charts.speed.add(live ? speed : null);
-  charts.shake.add(shake);
+  Object.values(charts).forEach((chart) => chart.draw());
   text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s` : "not known");
   text("shake", shake === null || shake === undefined ? "IMU silent" : `${shake.toFixed(1)} mrad/s`);
 }
@@ -148,6 +155,7 @@ function lost() {
   text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
   text("since", "");
   showLive(null);
+  drawLive();
 }
 
 function news(message) {

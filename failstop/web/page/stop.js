@@ -107,11 +107,11 @@
     const id = Math.random().toString(36).slice(2);
     const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: face && face.stop && face.stop.t};
     const sent = send(id);
-    say("asking ...", "asking");
-    if (navigator.vibrate) navigator.vibrate(40);
     dispatchEvent(new Event("stopping")); // what can wait gives up its connection
-    // What the browser does for a request would hold up the bytes of the websocket.
+    // What the browser does for a picture or a request would hold up the bytes of the websocket.
     if (sent) await new Promise((go) => setTimeout(go, ASIDE_MS));
+    if (now === own) say("asking ...", "asking");
+    if (navigator.vibrate) navigator.vibrate(40);
     for (let number = 0; now === own; number++) {
       own.last = number ? `${id}-${number}` : id; // a stop anew, as the one before may be lost; and by both ways the same one
       if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) connectAnew();
