@@ -111,7 +111,7 @@ def _plan(
     none, SettingError."""
     settings = config.checked(settings_for(user))
     has_arm = bool(settings.servos())
-    means = means_of(settings.text("board.kind"), board_of(*settings.board()))
+    means = means_of(settings.text("board.kind"), board_of(*settings.board()), imu=settings.on("board.imu"))
     plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:
