@@ -12,7 +12,7 @@ from failstop import config
 from failstop.cli import style
 from failstop.policy.setting import Setting
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
-from failstop.supervisor.fit import checked_board
+from failstop.supervisor.fit import checked_board, slowest_mps
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -88,9 +88,10 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        checked_board(config.checked(read, arguments.check), arguments.check)
-        count = sum(value != {} for value in read.values())
-        print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
+        checked_board(settings := config.checked(read, arguments.check), arguments.check)
+        count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
+        rest = f"; a wheel that is to be slower than {slowest:.2g} m/s stands" if slowest else ""
+        print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")
     else:
         found = rows(arguments.config)
         if arguments.json:
