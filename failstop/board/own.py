@@ -26,7 +26,7 @@ OWN_PACKAGE = "failstop_own_board"
 """The name under which Python knows it."""
 SAYS = "VOCABULARY = "
 """The begin of the line of its wire.py that says for which vocabulary it was written."""
-PLAIN = ("int", "bool", "str", "float", "bytes")
+CHECKED_TYPES = ("int", "bool", "str", "float", "bytes")
 """Types of which a field is checked; a whole number is a float too."""
 
 
@@ -82,7 +82,7 @@ def _wrong(value: object, name: str) -> str:
             return f"{name}.{field} is missing"
         found = getattr(value, field)
         kind = type(found).__name__
-        if annotation in PLAIN and kind != annotation and (kind, annotation) != ("int", "float"):
+        if annotation in CHECKED_TYPES and kind != annotation and (kind, annotation) != ("int", "float"):
             return f"{name}.{field} = {found!r}, must be of type {annotation}"
         if wrong := _wrong(found, f"{name}.{field}"):
             return wrong
