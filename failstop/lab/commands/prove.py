@@ -23,7 +23,7 @@ from failstop.lab.prove.stand import Stand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
-from failstop.lab.sim.options import add_board
+from failstop.lab.sim.options import IMU_HZ, add_board
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
@@ -90,7 +90,8 @@ def main(arguments: Namespace) -> int:
             if arguments.board:
                 user["board.kind"] = arguments.board
             plan, _ = _plan(arguments, user, only, at)
-            with SimBoard(link, board=str(user.get("board.kind", ""))) as board:
+            imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
+            with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:
                 evidence = taken(link, user, plan, board)
         else:
             path = config.chosen(arguments.name, arguments.config)

@@ -13,7 +13,7 @@ from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS, observer
 NO_WATCHDOG = "this board has no watchdog of its own, and keeps its last speed"
 NO_PAD = "this board has no gamepad"
 NO_REPORTS = (
-    "at rest: this board reports neither its wheels nor an IMU. Watch the wheels, and use the POWER SWITCH when they "
+    "at rest: neither the wheels nor an IMU are reported here. Watch the wheels, and use the POWER SWITCH when they "
     "turn on"
 )
 NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
