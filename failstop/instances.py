@@ -142,8 +142,7 @@ def holder(runtime_dir: str) -> str:
 
 
 def running(runtime_dir: str) -> bool:
-    """True while a service of this directory listens for stop requests; never in one that somebody else may have put
-    there."""
+    """True while a service of this directory listens for stop requests; never in one of somebody else's."""
     try:
         os.close(bell.open_pipe_to_write(instance.stop_path(runtime_dir)))
     except OSError:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from math import pi
+
 from failstop.board.interface import Board
-from failstop.board.kinds import board_of
+from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
@@ -20,4 +22,18 @@ def checked_board(settings: Settings, path: str | None) -> Board:
     if (fastest := max_wheel_rps(settings)) > board.most_rps:
         text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
         raise SettingError(f"{path or 'settings'}: {text}: lower [limits], or see board.per_rps")
+    turn_m = pi * settings["wheels.diameter_m"]
+    if fastest * turn_m < (slowest := slowest_mps(settings)):
+        text = f"the board's smallest speed of a wheel is {slowest:.2g} m/s, and the limits are {fastest * turn_m:.2g}"
+        raise SettingError(f"{path or 'settings'}: {text}: raise [limits], or see board.per_rps")
     return board
+
+
+def slowest_mps(settings: Settings) -> float:
+    """The smallest speed of a wheel at its rim that the board can be told, in m/s: a slower one is rounded to rest; 0:
+    it has no such step."""
+    kind, diameter_m, per_rps, _ = settings.board()
+    if not is_described(kind):
+        return 0.0
+    motion = wire_of(kind).motion
+    return motion.step / (per_rps or motion.per_rps(diameter_m)) * pi * diameter_m

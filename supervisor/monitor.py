@@ -16,7 +16,7 @@ from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT, observer
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
@@ -41,7 +41,7 @@ class Monitor:
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._pong = telemetry.word("pong")
         self._obeyed, self._echo_ns = telemetry.word("obeyed_ns"), board.echo_ns
-        self._by = board.acknowledged_by, board.observed_by
+        self._by = board.acknowledged_by, observer(board.observed_by, imu=run.settings.on("board.imu"))
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()

@@ -17,6 +17,7 @@ from failstop.policy.proofs import (
     LINK_DEAF,
     LINK_UNASKED,
     LINK_UNPROVEN,
+    NO_IMU,
     NOT_SENT,
     wheels_seen,
 )
@@ -86,7 +87,7 @@ class Proof:
         """Take the IMU's word: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
         True when they should be still and are not, and again each time they have had as long: stop again."""
         self._looked_ns = self._looked_ns or now_ns
-        if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
+        if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
         # A board's reports are of a moment, not of a window: wheels that came to rest after the cause have turned.
         late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
@@ -109,7 +110,8 @@ class Proof:
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
-        if self.observed_ns is None and self.wheels != WHEELS_UNSTILL and age_ns < self._after_ns + JUDGED_WITHIN_NS:
+        seen = self.observed_ns is not None or self.wheels == WHEELS_UNSTILL or not self._by[1]
+        if not seen and age_ns < self._after_ns + JUDGED_WITHIN_NS:
             return False
         self.told, before = True, self.told
         return not before
@@ -121,7 +123,8 @@ class Proof:
         else:
             heard = f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})"
         if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
+            unstill = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
+            seen = unstill if self._by[1] else NO_IMU
         else:
             seen = wheels_seen(self.observed_ns / 1e9, self._by[1])
         return f"{self.stop.cause}: {heard}, {seen}"

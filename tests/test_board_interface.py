@@ -28,7 +28,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.port_owner.schedule import Pings
-from tests.support.rooms import imports
+from tests.support.rooms import imports, package
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -180,6 +180,7 @@ def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
     assert len(board.repeats_ns) == 3
     assert all(list(row) == sorted(set(row)) and max((0, *row)) < LEAVE_AFTER_NS for row in board.repeats_ns)
     assert board.hearing().feed(b"") == []
+    assert sum(len(path.read_text().splitlines()) for path in files(f"failstop/board/{kind}")) < 400
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -195,18 +196,23 @@ def test_a_board_of_two_speeds_is_told_no_more_than_its_limit(kind: str) -> None
             board.motor_speeds((0.0, bad), 1.0)
 
 
+THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}
+"""The settings' list of kinds, and of those what is known before one is chosen."""
+OF_THE_BENCH = ("failstop/lab/", "failstop/setup/")
+"""Rooms that try boards out, and ask for one: they run no robot."""
+
+
 def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:
-    """Beside their folders, and those that the settings' list leads to; one board's frames are the lab's and the black
-    box's too."""
-    rooms = ("procs", "supervisor", "failstop/api", "failstop/web", "failstop/cli", "failstop/messages", "shm")
-    named = [
-        (str(path.relative_to(ROOT)), kind)
-        for room in rooms
-        for path in files(room)
-        for kind in BOARDS
-        if re.search(rf"\b{kind}\b", path.read_text())
-    ]
-    assert not named
+    """Beside their own folders."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in package()
+        if not str(path.relative_to(ROOT)).startswith(OF_THE_BENCH)
+        and any(re.search(rf"\b{kind}\b", path.read_text()) for kind in BOARDS)
+    }
+    own = {name for name in found if re.match(rf"failstop/board/({'|'.join(BOARDS)})/", name)}
+    assert len(own) > 5
+    assert found - own == THE_LIST
 
 
 def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:

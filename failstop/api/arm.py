@@ -20,8 +20,7 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """`robot.arm`. It moves only while motion is disabled and nothing is latched; one client at a time: a second one's
-    goal is a latched stop."""
+    """`robot.arm`. It moves while motion is disabled and nothing latched; a second client's goal is a latched stop."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""

@@ -48,8 +48,7 @@ def run(name: str) -> tuple[str, int]:
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
-    """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
-    FailstopError."""
+    """A segment, for reading; of the run `found`, or of the one that is there. Raises NoService, FailstopError."""
     memory, owner = found or run(name)
     return _there(segments.attach, memory, which, owner=owner)
 
@@ -153,8 +152,7 @@ class SeenRun:
         return bool(self._beat.age_ns(now_ns) > self._rules["lease_ns"])
 
     def check(self, kind: str, *names: str) -> None:
-        """Raises Undeclared for a "source" that no client may command as, or an "interlock" that the settings do not
-        name."""
+        """Raises Undeclared for a "source" or an "interlock" that the settings do not name."""
         declared: list[str] = self._rules[f"{kind}s"]
         for name in names:
             if name not in declared:
@@ -242,8 +240,7 @@ class Client:
 
     def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
         """Write one of records.OF_SESSION; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if
-        not of now. The gate sees it at its next tick, or now (`wake`). Raises NoService, and ValueError for what does
-        not fit."""
+        not of now. The gate sees it at its next tick, or now (`wake`). Raises NoService, ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
         if wake:
@@ -290,8 +287,7 @@ class Client:
 def _give_back(
     slot: int, held: segment.Segment, ring: int, life: HeldByThread | None, farewell: list[bytes], owner: int
 ) -> None:
-    """Give a slot back: a command that lies in it stops counting at once. A process that was forked from its `owner`
-    touches nothing in it."""
+    """Give a slot back: a command that lies in it stops counting at once. A fork of its `owner` touches nothing."""
     if os.getpid() == owner:
         # Another process may have the claim before the gate has seen it free.
         with contextlib.suppress(OSError, ValueError):

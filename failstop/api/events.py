@@ -71,8 +71,7 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Every event, those that are there first, each as it is told, without end. Raises NoService when the service
-        has ended."""
+        """Every event, those that are there first, each as it is told. Raises NoService when the service has ended."""
         while True:
             found = self.read()
             yield from found

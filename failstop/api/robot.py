@@ -109,8 +109,7 @@ class Calls(Session):
 
     def sensed(self) -> None:
         """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
-        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService when no
-        service runs."""
+        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService."""
         with self._lock:
             self._client().tell("sensed", [])
 
@@ -327,8 +326,7 @@ class Robot(Calls):
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
         """News of the service as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
-        one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
-        service has ended."""
+        one without end. `past`: first what the run has told so far, the last 256. Raises NoService at the run's end."""
         return EventLog(self.name, past=past).follow()
 
 

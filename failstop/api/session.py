@@ -172,8 +172,7 @@ class Session:
 
     @property
     def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its whole key (`failstop config` lists them). Raises
-        FailstopError."""
+        """Every setting of the service, by its whole key (`failstop config` lists them). Raises FailstopError."""
         with self._lock:
             return self._current().settings()
 
@@ -254,8 +253,7 @@ class Session:
                 self._pending = None
 
     def _reaching(self, what: Word | Callable[[State], bool], timeout_s: float | None) -> Steps[State]:
-        """Until the state is so; it is what comes of it. Raises TimedOut, NoService, and ValueError for a word that
-        there is not."""
+        """Until the state is so; it is what comes of it. Raises TimedOut, NoService, ValueError for no such word."""
         is_so = what if callable(what) else _CHECKS.get(what)
         if is_so is None:
             raise ValueError(f"wait_for({what!r}): no such word; there are {', '.join(_CHECKS)}")

@@ -88,7 +88,7 @@ class Stop:
     acknowledged_by: str = "answer"
     """The proof by which the board acknowledges: answer (to a ping), echo (of what it obeys); empty: by none."""
     observed_by: str = "IMU"
-    """Source of `observed_s`: IMU, or wheels (the board's own reports of them)."""
+    """Source of `observed_s`: IMU, or wheels (the board's own reports of them); empty: the robot has no IMU."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +98,7 @@ class Process:
     pid: int
     """0: there is none now."""
     state: str
-    """starting, running, hanging, suspended (by a signal), fenced (killed for hanging), dead, waiting (to be
-    restarted), down, or stopping."""
+    """starting, running, hanging, suspended (by a signal), fenced (for hanging), dead, waiting, down, or stopping."""
     age_s: float
     """Since its last heartbeat, s."""
     restarts: int
@@ -127,12 +126,13 @@ class Device:
     state: PortState
     """closed, open, or lost (unplugged)."""
     link: Link
-    """The proof by its answers: unproven (none yet), alive, or deaf (it has answered before); unasked: it answers
-    no question by its nature."""
+    """The proof by its answers: unproven (none yet), alive, deaf (it has answered before), unasked (it has none)."""
     watchdog_s: float = 0.0
     """How long after the last frame the board's own watchdog acts, s; 0: it has none, or it is not known."""
     watchdog_does: str = ""
     """The act of that watchdog: zero (it stops the wheels), coast (they roll on without current), or disarm."""
+    imu: bool = True
+    """False: the robot has no IMU (setting board.imu)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,8 +171,7 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The longest silence of the last ten minutes that the machine explains: it did not run a process past its
-    deadline, and nothing was stopped or killed for that, because motion was disabled."""
+    """The longest silence in ten minutes that the machine explains, motion disabled: nothing was stopped for it."""
 
     longest_s: float
     """How long, s."""
@@ -372,8 +371,9 @@ class State:
     starved_times: int = 0
     """How often in this run the machine explained a silence as `starved` does."""
     lease_s: float = 0.06
-    """How long the gate or the supervisor may be silent while the wheels turn, s (setting gate.lease_s; longer without
-    real-time rights)."""
+    """Longest silence of gate or supervisor while wheels turn, s (gate.lease_s; longer without real-time rights)."""
+    steering_rad: float | None = None
+    """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
 
     @property
     def block(self) -> Block | None:

@@ -19,6 +19,7 @@ from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings
 from failstop.shm import heartbeat
@@ -126,6 +127,11 @@ class StateReader(SeenRun):
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         return [(id_, sign * 2 * pi) for id_, sign in Settings(dict(self.settings())).mounted()]
 
+    def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
+        """Of a steered base the angle is the last of what the gate commands; 0 at rest says nothing."""
+        steered = self.settings()["wheels.layout"] == ACKERMANN
+        return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
+
     @property
     def _nothing_yet(self) -> dict[str, Any]:
         """The gate's record before this run's first gate has published one."""
@@ -170,6 +176,7 @@ class StateReader(SeenRun):
             starved_times=known["starved_times"],
             unmet=decided.get("unmet", ""),
             lease_s=self._lease_s,
+            steering_rad=self._steering_rad(decided["wheels_rps"]),
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
@@ -230,9 +237,10 @@ class StateReader(SeenRun):
         return snapshot.Device(path, found, self._value("link") or "unproven", *self._watchdog)
 
     @cached_property
-    def _watchdog(self) -> tuple[float, str]:
-        """The board's own; not of a board of the user's own, whose code no client runs."""
-        return watchdog_of(str(self.settings()["board.kind"]))
+    def _watchdog(self) -> tuple[float, str, bool]:
+        """The board's own, not of a board of the user's own, whose code no client runs; and whether there is an IMU."""
+        settings = self.settings()
+        return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""

@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.policy.proofs import ACKNOWLEDGED_BY, NOT_SENT, SEEN_BY, wheels_seen
+from failstop.policy.proofs import ACKNOWLEDGED_BY, NO_IMU, NOT_SENT, SEEN_BY, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -139,17 +139,18 @@ def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
-    heard, seen = f"NOT acknowledged by the board{yet}", f"NOT seen still by {SEEN_BY[stop.observed_by]}{yet}"
+    heard, by = f"NOT acknowledged by the board{yet}", stop.observed_by
+    seen = f"NOT seen still by {SEEN_BY[by]}{yet}" if by else NO_IMU
     if not stop.acknowledged_by:
         heard = "this board acknowledges nothing"
     elif stop.acknowledged_s is not None:
         heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
     if stop.observed_s is not None:
-        seen = wheels_seen(stop.observed_s, stop.observed_by)
+        seen = wheels_seen(stop.observed_s, by)
     return [
         (written if stop.sent else NOT_SENT, stop.sent),
         (heard, stop.acknowledged_s is not None if stop.acknowledged_by else None),
-        (seen, None if stop.observed_s == 0 else stop.observed_s is not None),
+        (seen, None if stop.observed_s == 0 or not by else stop.observed_s is not None),
     ]
 
 

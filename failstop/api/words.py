@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from math import degrees
 
 from failstop.files.instance import DEFAULT_NAME, option
 
@@ -64,6 +65,12 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     )
 
 
+def steering(rad: float) -> str:
+    """An angle of the steered wheels, as it is commanded."""
+    angle = round(degrees(rad))
+    return f"{abs(angle)} degrees to the {'left' if angle > 0 else 'right'}" if angle else "straight ahead"
+
+
 def took(seconds: float) -> str:
     """A short time, to what matters of it."""
     if seconds < 1e-4:
@@ -75,8 +82,7 @@ def took(seconds: float) -> str:
 
 
 def named(text: str, name: str) -> str:
-    """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
-    several."""
+    """A text whose commands of failstop, in backquotes, name the service, as is needed where there are several."""
     import re  # the saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
@@ -99,8 +105,7 @@ def of(name: str) -> str:
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """(who, what it sees, what is wrong by its account) of each client that says something of itself; old words with
-    their age."""
+    """(who, what it sees, what is wrong by its account) of each client that says it; old words with their age."""
     found = []
     for client in state.clients:
         if client.said_s is not None:

@@ -1,4 +1,5 @@
-"""Own: a board that a folder of the user's describes, by a module wire.py with a Wire named WIRE.
+"""Own: a board that a folder of the user's describes, by a module wire.py with a Wire named WIRE. A line of it says for
+which vocabulary it was written; it is read before the module is run.
 
 Its modules import each other with a dot (`from . import codec`) and failstop's as any program does. They run in every
 process of the service, so whoever may write them may drive: the folder and everything above it belongs to root or to
@@ -11,6 +12,9 @@ import os
 import stat
 import sys
 
+from failstop.data import Data
+from failstop.version import VERSION
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from types import ModuleType
@@ -20,6 +24,10 @@ if TYPE_CHECKING:
 
 OWN_PACKAGE = "failstop_own_board"
 """The name under which Python knows it."""
+SAYS = "VOCABULARY = "
+"""The begin of the line of its wire.py that says for which vocabulary it was written."""
+CHECKED_TYPES = ("int", "bool", "str", "float", "bytes")
+"""Types of which a field is checked; a whole number is a float too."""
 
 
 class OwnBoardError(ValueError):
@@ -31,14 +39,54 @@ class OwnBoardError(ValueError):
 
 def wire(folder: str) -> Wire:
     """The description of that board. Raises OwnBoardError."""
-    from failstop.board.wire import Wire
+    from failstop.board.wire import VOCABULARY, Wire
 
+    _check_vocabulary(folder, str(VOCABULARY))
     found = load(folder, "wire", "WIRE")
     if not isinstance(found, Wire):
         raise OwnBoardError(f"WIRE of {folder}/wire.py is no failstop.board.wire.Wire")
+    if wrong := _wrong(found, "WIRE"):
+        raise OwnBoardError(f"{folder}/wire.py: {wrong}")
     if len(found.stop.writes) != 1:
         raise OwnBoardError(f"the stop of {folder} has {len(found.stop.writes)} writes; one can be driven")
     return found
+
+
+def _check_vocabulary(folder: str, offered: str) -> None:
+    """Refuse a description in another vocabulary. Raises OwnBoardError."""
+    _check(folder)
+    path = os.path.join(folder, "wire.py")
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            said = [line[len(SAYS) :].partition("#")[0].strip() for line in file if line.startswith(SAYS)]
+    except OSError:
+        return  # to run it fails likewise, and tells
+    if said != [offered]:
+        written = f"was written for vocabulary {said[0]}" if said else f"has no line {SAYS}{offered}"
+        offers = f"failstop {VERSION} offers vocabulary {offered} of failstop/board/wire.py"
+        raise OwnBoardError(f'{path} {written}, and {offers}: docs/dev/porting.md, "Versions"')
+
+
+def _wrong(value: object, name: str) -> str:
+    """The first field, of a description or of one within it, that is absent, unknown or of another type; or empty."""
+    if isinstance(value, tuple):
+        return next(filter(None, (_wrong(each, f"{name}[{at}]") for at, each in enumerate(value))), "")
+    if not isinstance(value, Data):
+        return ""
+    fields = type(value).__annotations__
+    for field in vars(value):
+        if field not in fields:
+            return f"{name}.{field}: {type(value).__name__} has no such field"
+    for field, annotation in fields.items():
+        if not hasattr(value, field):
+            return f"{name}.{field} is missing"
+        found = getattr(value, field)
+        kind = type(found).__name__
+        if annotation in CHECKED_TYPES and kind != annotation and (kind, annotation) != ("int", "float"):
+            return f"{name}.{field} = {found!r}, must be of type {annotation}"
+        if wrong := _wrong(found, f"{name}.{field}"):
+            return wrong
+    return ""
 
 
 def load(folder: str, name: str, value: str) -> Any:

@@ -12,6 +12,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+VOCABULARY = 1
+"""The number of this vocabulary. It is raised when a description that held would be refused, or mean another thing."""
+
 ZERO = "zero"
 """The wheels are driven to rest."""
 COAST = "coast"

@@ -164,8 +164,7 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _told(error: Exception) -> int:
-    """The exit code of an error with a message made for people, which is said; anything else is a defect, and is raised
-    again."""
+    """The exit code of an error with a message for people, which is said; anything else is a defect, raised again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError

@@ -121,8 +121,7 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _pieces(text: str, room: int) -> Iterator[str]:
     """Pieces that are not broken, with the spaces after them: words, commands that fit in the room or as much of them
-    as does, and of a longer word the letters. A command with a path in it stays whole: the terminal breaks it so that
-    it can be copied."""
+    as does, and of a longer word the letters. A command with a path stays whole, so that it can be copied."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if PATH_IN_COMMAND.search(word):

@@ -105,8 +105,7 @@ def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
 
 def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Finding], list[Finding]]:
     """Findings on the board, and on each writer's way to it, ended by one that is not answered. Nobody else may have
-    the port open. The first of the boards is the one that the settings name. `again`: the command that tests once
-    more."""
+    the port open. The first of the boards is the one that the settings name. `again`: the command to repeat it."""
     kind, board = next(iter(boards.items()))
     told: list[Finding] = []
     found: list[Finding] = []

@@ -53,8 +53,7 @@ def build(head: dict[str, Any], body: dict[str, Any]) -> bytes:
 
 
 def write(folder: str, name: str, data: bytes) -> str:
-    """Write a file under a name that nobody has yet; returns its path. It is whole, and on the disk, or not there.
-    Raises OSError."""
+    """Write a file under a new name; returns its path. It is whole, and on the disk, or not there. Raises OSError."""
     os.makedirs(folder, exist_ok=True)
     for entry in os.listdir(folder):
         # Drafts of dead writers take room that this file may need.

@@ -1,5 +1,4 @@
-"""Incident: a saved file, decoded into series over time, and what is computed from these. What can't be decoded is left
-out and counted."""
+"""Incident: a saved file, decoded into series over time, and what follows from them. What can't be is counted."""
 
 from __future__ import annotations
 
@@ -101,8 +100,7 @@ class Incident:
         self.machine: dict[str, Any] = body["machine"]
         self._segments: dict[str, Any] = body["segments"]
         self.foreign = head["layout"] != layout.LAYOUT_VERSION
-        """Saved by a version that laid its records out otherwise: the head and the events, which name their parts, are
-        read, and nothing else."""
+        """Saved by a version that laid its records out otherwise: only the head and the events are read."""
         self.undecoded = 0
         self.ticks = [Tick(ns, **found) for ns, found in self._entries(layout.GATE, "box", box.unpack_gate)]
         """The gate's decisions."""

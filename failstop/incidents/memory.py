@@ -148,8 +148,7 @@ def as_map(payload: bytes) -> dict[str, Any]:
 
 
 def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
-    """The three levels of proof, in a few words each, by the head of an incident, each with whether it is one (None:
-    not known)."""
+    """The three levels of proof in words, by the head of an incident, each with whether it is one (None: not known)."""
     stop: dict[str, Any] = head["stop"] or {}
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
     found: list[tuple[str, bool | None]] = [

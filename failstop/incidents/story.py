@@ -112,8 +112,7 @@ def _arm(incident: Incident) -> Iterator[Line]:
 
 
 def _writes(incident: Incident) -> Iterator[Line]:
-    """Writes to the board, by their sort. At a glance, what came after the cause but for routine, and what the port
-    did not take."""
+    """Writes to the board, by their sort. At a glance, what came after the cause, and what the port did not take."""
 
     def key(write: PortWrite) -> tuple[str, str, bool, bool]:
         return write.sort, write.by, write.ns >= incident.cause_ns, write.taken < write.length

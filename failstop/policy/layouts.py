@@ -20,6 +20,8 @@ BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
 """The kinds of boards, each a folder of the board room that describes it."""
 SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
 """Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
+WITHOUT_IMU = ("arduino", "hoverboard")
+"""Kinds of boards without an IMU."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
@@ -118,6 +120,8 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
     settings in `changed` that it does not have."""
     kind = str(values["board.kind"])
+    if kind in WITHOUT_IMU:
+        values["board.imu"] = "off"
     if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
         values["wheels.layout"] = "differential"
     if "wheels.layout" not in changed and kind == BOARDS[0]:

@@ -11,7 +11,8 @@ NOT_SENT = "NOT sent: the board takes no bytes"
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """For people: what acknowledges a stop, by the word of the board's interface."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
-"""For people: what observes that the wheels stand, likewise."""
+"""For people: what observes that the wheels stand, likewise. By nothing: NO_IMU."""
+NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
 """For people: what observes saw nothing to come to rest."""
 WATCHDOGS = {"zero": "it stops its wheels", "coast": "its wheels roll on without current", "disarm": "it disarms"}
@@ -22,6 +23,11 @@ WINDOW_NS = 500_000_000
 """The span of IMU samples that one judgement of a standstill is made of."""
 LEAST_SAMPLES = 20
 """In a window: fewer say too little about a standard deviation, and nothing is judged (an IMU of less than 40 Hz)."""
+
+
+def observer(boards: str, *, imu: bool) -> str:
+    """The observer of wheels at rest, by the word of the board's interface; empty: an IMU that the robot lacks."""
+    return boards if imu or boards != "IMU" else ""
 
 
 def still_after(seconds: float, less: str = "less than") -> str:

@@ -33,10 +33,11 @@ DECLARED = (
     _word(
         "board.robot",
         robots.USUAL_ROBOT,
-        "the robot, of those with the board rrc: its sizes",
+        f"the robot, of those with the board {BOARDS[0]}: its sizes",
         tuple(robots.EVERY_ROBOT),
     ),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
+    _word("board.imu", "on", "off for a robot without an IMU, as a board that has none sets it by itself", SWITCH),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, resend the motor frame at least this often"),

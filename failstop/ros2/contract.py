@@ -113,7 +113,8 @@ JOINT_STATES = Topic(
     "sensor_msgs/msg/JointState",
     PLAIN,
     10,
-    "the wheels: position and velocity integrated from what was commanded",
+    "the wheels: position and velocity integrated from what was commanded; of a steered base `steering`, the angle "
+    "that was commanded last, positive to the left",
 )
 STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON; its keys are below")
 STATUS = Topic(

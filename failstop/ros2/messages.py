@@ -135,12 +135,17 @@ class Wheels:
     def __init__(self) -> None:
         self._names: list[str] = []
         """Of the joints; empty before a service has said how many there are."""
+        self._steering_rad: dict[str, float] = {}
+        """Empty: the base is not steered, or was not told to be yet."""
         self._position_rad: list[float] = []
         self._velocity_radps: list[float] = []
         self._ns = 0
 
-    def follow(self, wheels_radps: snapshot.Wheels | None, now_ns: int) -> None:
-        """The speeds commanded from now on: State.wheels_radps; None: there is no service, and they are zero."""
+    def follow(self, wheels_radps: snapshot.Wheels | None, now_ns: int, steering_rad: float | None = None) -> None:
+        """The speeds commanded from now on: State.wheels_radps; None: there is no service, and they are zero.
+        `steering_rad`: State.steering_rad; where it is None, a steered base stays as it was."""
+        if steering_rad is not None:
+            self._steering_rad = {"steering": steering_rad}
         for at, speed_radps in enumerate(self._velocity_radps):
             self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
         self._ns = now_ns
@@ -156,6 +161,7 @@ class Wheels:
         """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is
         left out; while it moves it is where it was sent."""
         joints = arm.joints if arm else {}
-        found = {name: joint.at_rad for name, joint in joints.items() if joint.at_rad is not None}
+        at = {name: joint.at_rad for name, joint in joints.items() if joint.at_rad is not None}
+        found = {**self._steering_rad, **at}
         position = [*self._position_rad, *found.values()]
         return [*self._names, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])

@@ -209,7 +209,7 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.follow(state.wheels_radps, now_ns)
+        self._wheels.follow(state.wheels_radps, now_ns, state.steering_rad)
         timeout_s = float(settings["scan.timeout_s"])
         if line := self._scan_log.follow(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)

@@ -47,6 +47,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "plugged": state.plugged,
         "port": f"{state.device.path} {state.device.state}",
         "link": state.device.link,
+        "imu": state.device.imu,
         "clients": [f"{client.name} (pid {client.pid})" for client in state.clients],
         "attended": state.attended_by,
         "processes": [
@@ -63,9 +64,10 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
     """Values that change all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the
-    gate's word (ms)."""
+    gate's word (ms), and in words how a steered base is steered while it drives."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
-    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3)]
+    steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
+    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered]
 
 
 def absent(note: str) -> dict[str, Any]:
@@ -89,6 +91,7 @@ def absent(note: str) -> dict[str, Any]:
         "plugged": "unknown",
         "port": "",
         "link": "",
+        "imu": True,
         "clients": [],
         "attended": None,
         "processes": [],
@@ -107,6 +110,7 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "written": "" if stop.written_s is None else words.took(stop.written_s),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
         "observed": "" if stop.observed_s is None else proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by),
+        "unseen": "" if stop.observed_by else "no IMU",
     }
 
 

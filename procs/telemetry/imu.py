@@ -61,7 +61,7 @@ class GyroBias:
         """How much of time the bias is an average of; tau_s once it is no plain average any more."""
         self._tracks = settings.on("imu.tracking")
         """Else the bias never moves after the calibration."""
-        self._samples: list[Vector] | None = []
+        self._samples: list[Vector] | None = [] if settings.on("board.imu") else None
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None

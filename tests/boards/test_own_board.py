@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from failstop import config
-from failstop.board import own
+from failstop.board import own, wire
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
+from failstop.board.wire import VOCABULARY
+from failstop.data import Data
 from failstop.lab.boards.line import model_of
 from failstop.lab.trial import Trial
 from failstop.messages import layout
@@ -61,12 +65,44 @@ def test_it_takes_two_speeds(folder: str) -> None:
         Settings({"board.kind": folder, "joints.base.servo": 1})
 
 
-WRONG = {
+def in_wire(old: str, new: str) -> Callable[[Path], object]:
+    """A change of its wire.py."""
+
+    def change(at: Path) -> None:
+        text = (at / "wire.py").read_text()
+        assert text.count(old) == 1
+        (at / "wire.py").write_text(text.replace(old, new))
+
+    return change
+
+
+SAYS = f"VOCABULARY = {VOCABULARY}\n"
+NO_IMPORT = "import nothing_like_that\n"
+WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
+    # It is told before the module runs, which may ask for what is not there any more.
+    "another vocabulary": (
+        in_wire(SAYS, f"VOCABULARY = {VOCABULARY + 1}  # of a newer one\n{NO_IMPORT}"),
+        rf"wire.py was written for vocabulary {VOCABULARY + 1}, and failstop .* offers vocabulary {VOCABULARY} of",
+    ),
+    "no vocabulary": (
+        in_wire(SAYS, NO_IMPORT),
+        rf"wire.py has no line VOCABULARY = {VOCABULARY}, and failstop .* offers",
+    ),
+    "no field": (in_wire("        after_ns=0,\n", ""), "wire.py: WIRE.stop.after_ns is missing"),
+    "no such field": (in_wire("ping_ns=", "pings_ns="), "wire.py: WIRE.pings_ns: Wire has no such field"),
+    "a field of another type": (
+        in_wire("baud=57_600", 'baud="57600"'),
+        "wire.py: WIRE.port.baud = '57600', must be of type int",
+    ),
+    "in a tuple": (
+        in_wire('            who="', '            whose="'),
+        r"WIRE.commanders\[0\].whose: Commander has no such",
+    ),
     "no such folder": (lambda at: shutil.rmtree(at), "tank: No such file or directory"),
-    "no WIRE": (lambda at: (at / "wire.py").write_text("wire = 1\n"), "wire.py has no WIRE"),
-    "not a Wire": (lambda at: (at / "wire.py").write_text("WIRE = 1\n"), "is no failstop.board.wire.Wire"),
+    "no WIRE": (lambda at: (at / "wire.py").write_text(SAYS), "wire.py has no WIRE"),
+    "not a Wire": (lambda at: (at / "wire.py").write_text(f"{SAYS}WIRE = 1\n"), "is no failstop.board.wire.Wire"),
     "an error of its own": (
-        lambda at: (at / "wire.py").write_text("import nothing_like_that\n"),
+        lambda at: (at / "wire.py").write_text(SAYS + NO_IMPORT),
         "ModuleNotFoundError",
     ),
     "no wire.py": (lambda at: (at / "wire.py").unlink(), "wire.py: ModuleNotFoundError"),
@@ -104,6 +140,21 @@ def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path)
     [line] = done.stderr.splitlines()
     assert f"{tmp_path}/none: No such file or directory" in line
     assert "no stop can be written to it: use the POWER SWITCH" in line
+
+
+HELD = {1: "1ba6ea5162bb6250"}
+"""Of each vocabulary what a description must say, shortened."""
+
+
+def test_a_vocabulary_that_asks_for_something_else_has_another_number() -> None:
+    """An own board must be told. A new field with a default asks for nothing."""
+    words = [(name, word) for name, word in vars(wire).items() if name.isupper() and isinstance(word, str)]
+    kinds = [kind for kind in vars(wire).values() if isinstance(kind, type) and issubclass(kind, Data)]
+    asked = [(kind.__name__, [it for it in kind.__annotations__.items() if not hasattr(kind, it[0])]) for kind in kinds]
+    assert len(words) > 5
+    assert len(asked) > 10
+    digest = hashlib.sha256(repr((words, asked)).encode()).hexdigest()
+    assert digest[:16] == HELD[VOCABULARY], "raise VOCABULARY of wire.py"
 
 
 def test_the_page_says_how_large_the_smallest_is() -> None:

@@ -101,6 +101,10 @@ def test_every_board_says_what_it_can_not_prove_and_has_the_rows_that_it_can() -
     assert first == MEANS
     assert [path.name for path in PATHS if first.lacks(path)] == [table.FROZEN]
     assert [line for line in first.unproved() if NO_WATCHDOG in line] == first.unproved()
+    blind = means_of("rrc", board_of("rrc", 0.08, 0.0), imu=False)
+    assert blind.may_be_blind
+    assert NO_REPORTS in blind.unproved(blind=True)
+    assert blind.lines()[0].endswith("wheels at rest are observed by nobody but you")
 
 
 def test_a_board_that_says_nothing_is_told_of_and_nobody_claims_to_see_it() -> None:

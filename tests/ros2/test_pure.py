@@ -104,6 +104,15 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
         assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * count)
 
 
+def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:
+    wheels = messages.Wheels()
+    for told, shown in ((None, None), (0.3, 0.3), (None, 0.3), (-0.1, -0.1)):
+        wheels.follow(snapshot.Wheels((0.0, 0.0)), 0, told)
+        names, (_, position, velocity) = wheels.fields(0)
+        assert dict(zip(names, position, strict=True)).get("steering") == shown
+        assert len(names) == len(velocity)
+
+
 # The state.
 
 

@@ -289,6 +289,19 @@ def test_check_of_a_file_that_is_right(file: Path, capsys: pytest.CaptureFixture
     assert run(capsys, "--check", str(file)) == (0, f"{file} is right; it sets 0 values\n", "")
 
 
+def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One unit is a turn a minute, of wheels of 8 cm."""
+    file.write_text('board.kind = "hoverboard"\n')
+    said = f"{file} is right; it sets 1 value; a wheel that is to be slower than 0.0042 m/s stands\n"
+    assert run(capsys, "--check", str(file)) == (0, said, "")
+    file.write_text('board.kind = "hoverboard"\nboard.per_rps = 1.0\nlimits.vx_mps = 0.1\nlimits.wz_radps = 0.1\n')
+    code, _, err = run(capsys, "--check", str(file))
+    assert code == 1
+    assert "the board's smallest speed of a wheel is 0.25 m/s, and the limits are 0.11: raise [limits]" in err
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, still_after
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, observer, still_after
 from failstop.supervisor.proof import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Link, Proof
 from failstop.supervisor.stops import Stop
 from tests.support.why import why
@@ -162,6 +162,18 @@ def test_wheels_that_a_board_reports_to_stand_since_after_the_cause_have_turned(
         last = Proof(stop, AFTER, T0, 1.0, ("answer", by))
         last.judged(T0 + 40 * MS, T0 + 40 * MS, T0 + 45 * MS)
         assert last.as_record()["observed_ms"] == observed_ms
+
+
+def test_without_an_imu_nothing_is_observed_nor_waited_for() -> None:
+    stop = Stop(T0, "gate", why("gate died"))
+    stop.answered_by("port owner", T0 + MS, stop, 2)
+    blind = Proof(stop, AFTER, T0, 1.0, ("answer", observer("IMU", imu=False)))
+    assert not blind.judged(0, T0 + AFTER, T0 + AFTER)
+    assert not blind.complete(T0 + 2 * MS)
+    assert blind.ponged(T0 + MS, T0 + 3 * MS)
+    assert blind.complete(T0 + 4 * MS)
+    assert blind.outcome("alive").endswith("after 3.0 ms, not observed: the robot has no IMU")
+    assert (observer("IMU", imu=True), observer("wheels", imu=False)) == ("IMU", "wheels")
 
 
 def test_what_programs_are_told_of_it() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.kinds import KINDS
+from failstop.board.wire import VOCABULARY
 from failstop.policy.layouts import BOARDS
 from tests.support.pages import ROOT
 
@@ -28,5 +29,6 @@ def own_folder(at: Path) -> str:
     ):
         text = (ROOT / "failstop" / f"{source}.py").read_text()
         text = text.replace("from failstop.board.arduino import", "from . import")
+        text = text.replace("_MS = 1_000_000\n", f"_MS = 1_000_000\nVOCABULARY = {VOCABULARY}\n", name == "wire")
         (at / f"{name}.py").write_text(text.replace("from failstop.board.arduino.", "from ."))
     return str(at)

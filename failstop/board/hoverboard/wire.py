@@ -39,7 +39,7 @@ WIRE = Wire(
         after_ns=IDLE_NS,
         repeats_ns=tuple(
             tuple(int(at * _MS) for at in row)
-            for row in ((0, 5.4, 10.6, 25, 116), (0, 1.8, 10.6, 28, 98), (0, 3.6, 7.2, 19.5, 107))
+            for row in ((0, 5.4, 10.6, 25, 61, 116), (0, 1.8, 10.6, 28, 53, 98), (0, 3.6, 7.2, 19.5, 64, 107))
         ),
     ),
     pace=Pace(idle_ns=IDLE_NS, unanswered=None),

@@ -13,7 +13,7 @@ from failstop.api import distance
 from failstop.cli import style
 from failstop.policy.setting import Setting, SettingError
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
-from failstop.supervisor.fit import checked_board
+from failstop.supervisor.fit import checked_board, slowest_mps
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -91,9 +91,10 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        checked_board(config.checked(read, arguments.check), arguments.check)
-        count = sum(value != {} for value in read.values())
-        print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
+        checked_board(settings := config.checked(read, arguments.check), arguments.check)
+        count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
+        rest = f"; a wheel that is to be slower than {slowest:.2g} m/s stands" if slowest else ""
+        print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")
     elif arguments.within is not None:
         print(_fastest(config.load(arguments.config), arguments.within))
     else:

@@ -63,8 +63,7 @@ def main(arguments: Namespace) -> int:
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
     """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
-    what the file sets, as it comes; None: it can't be read, and the stop does not wait for the reason. Raises
-    OwnBoardError."""
+    what the file sets, as it comes; None: it can't be read, the stop does not wait for why. Raises OwnBoardError."""
     found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)

@@ -156,7 +156,8 @@ class Live:
         vx, vy, wz = state.body_vel
         speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
         shakes = shake is not None and shake > STILL_RADPS
-        text = "not known" if shake is None else f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
+        unknown = "not known" if state.device.imu else "no IMU"
+        text = unknown if shake is None else f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
         moves = OK if state.moving else PLAIN
         return [
             self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),

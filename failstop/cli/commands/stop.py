@@ -323,8 +323,7 @@ class Target:
 
 
 def _end_service() -> bool:
-    """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's: no reason not
-    to stop."""
+    """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stopping.of_a_service():
             standard.say(

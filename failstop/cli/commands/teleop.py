@@ -36,8 +36,7 @@ LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 """The settings that are 100 %."""
 TURN_S = 0.05
 LATE_S = 0.25
-"""After a turn that took this long - the program was stopped, the terminal or the machine was held up - what was typed
-meanwhile is old."""
+"""After a turn that took this long - the program or the machine was held up - what was typed meanwhile is old."""
 CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
@@ -96,8 +95,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
 
 
 class Pilot:
-    """Keys in, requests and commands out. A request that fails is a note on the screen; a service that has gone is
-    raised as NoService."""
+    """Keys in, requests and commands out. A request that fails is a note on the screen. Raises NoService."""
 
     def __init__(self, robot: Robot, source: str, full: Velocity) -> None:
         """`full`: the velocity at 100 %, m/s forward, m/s left, rad/s counter-clockwise."""
@@ -127,8 +125,7 @@ class Pilot:
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
-        """Act on keys, and on what is due without any. `late`: they may have waited somewhere; then only what stops
-        counts."""
+        """Act on keys, and on what is due without any. `late`: they may be old; then only what stops counts."""
         self._follow(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
@@ -247,8 +244,7 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """Why a press can't move the wheels, or would stop everything: a second publisher of a source is a reason to
-        latch."""
+        """Why a press can't move the wheels, or would stop everything: a second publisher of a source latches."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"

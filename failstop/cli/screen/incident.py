@@ -39,8 +39,7 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False) -> Lines:
-    """The facts, and the lines of the story that matter, without scrolling; `whole`: every line of it, and what was
-    around it."""
+    """The facts, and the lines of the story that matter, without scrolling; `whole`: all of it, and what was around."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),

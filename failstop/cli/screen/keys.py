@@ -63,8 +63,7 @@ AXES: dict[str, Velocity] = {
 COMMAND_S = 0.3
 """The time that one command is good for by default (gate.command_timeout_s)."""
 ENDS_S = 0.35
-"""After the last repeat: by then the service's own timeout has stopped the wheels; for a source with a longer one, a
-zero is sent."""
+"""After the last repeat: by then the service's timeout has stopped the wheels; where it is longer, a zero is sent."""
 NO_VELOCITY = (0.0, 0.0, 0.0)
 MOST_AT_ONCE = 5
 """More motion keys in one read than a terminal sends between two looks: they were held up on the way, and are old."""
@@ -80,8 +79,7 @@ class Hold:
         """When it ends unless it is repeated."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """The command for these keys, or for the time that has passed without any: each axis within -1 to 1; None:
-        there is none."""
+        """The command for these keys, or for the time without any: each axis within -1 to 1; None: there is none."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()

@@ -1,5 +1,4 @@
-"""Progress: how far a request is, in one line of a terminal that is written over, and is gone at the end. A pipe is
-told the result alone."""
+"""Progress: how far a request is, in a line of a terminal that is gone at the end. A pipe is told the result alone."""
 
 from __future__ import annotations
 

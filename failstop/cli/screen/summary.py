@@ -33,6 +33,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     if death := verdict.death(state, events):
         rows.append([*row("driver", death.text, WARN), (f" ({words.ago(death.t, now_s)})", DIM)])
     rows += _drivers(state, verdict.left_off(events), now_s)
+    if state.steering_rad is not None:
+        rows.append(row("steering", words.steering(state.steering_rad)))
     rows += last_stop(state, now_s)
     if state.speed_limit < 1:
         rows.append(row("limit", f"speed limited to {100 * state.speed_limit:.0f} % of the settings'", WARN))
@@ -128,7 +130,8 @@ def _sensors(state: State) -> Line:
     age_s = state.scan_age_s
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
-    return row("sensor", scan + pad, WARN if state.block is Block.NO_SCAN else PLAIN)
+    imu = "" if state.device.imu else ", no IMU"
+    return row("sensor", scan + pad + imu, WARN if state.block is Block.NO_SCAN else PLAIN)
 
 
 def processes(state: State) -> list[Line]:

@@ -128,8 +128,7 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """The bytes to write so that a screen that shows `before` (None: anything) shows these rows from its top; they must
-    fit."""
+    """The bytes to write so that a screen that shows `before` (None: anything) shows these rows, which must fit."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):

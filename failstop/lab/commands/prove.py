@@ -25,7 +25,7 @@ from failstop.lab.prove.stand import Stand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
-from failstop.lab.sim.options import add_board
+from failstop.lab.sim.options import IMU_HZ, add_board
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
@@ -101,7 +101,8 @@ def main(arguments: Namespace) -> int:
             if arguments.board:
                 user["board.kind"] = arguments.board
             plan, _ = _plan(arguments, user, only, at)
-            with SimBoard(link, board=str(user.get("board.kind", ""))) as board:
+            imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
+            with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:
                 evidence = taken(link, user, plan, board)
         else:
             path = config.chosen(arguments.name, arguments.config)
@@ -122,7 +123,7 @@ def _plan(
     none, SettingError."""
     settings = config.checked(settings_for(user))
     has_arm = bool(settings.servos())
-    means = means_of(settings.text("board.kind"), board_of(*settings.board()))
+    means = means_of(settings.text("board.kind"), board_of(*settings.board()), imu=settings.on("board.imu"))
     plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:

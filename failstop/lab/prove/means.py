@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.board.interface import BY_IMU, Board
+from failstop.board.interface import BY_WHEELS, Board
 from failstop.board.kinds import is_described, wire_of
 from failstop.board.wire import COAST
 from failstop.lab.prove.table import FROZEN, PAD_STOP, Path
-from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS
+from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS, observer
 
 NO_WATCHDOG = "this board has no watchdog of its own, and keeps its last speed"
 NO_PAD = "this board has no gamepad"
 NO_REPORTS = (
-    "at rest: this board reports neither its wheels nor an IMU. Watch the wheels, and use the POWER SWITCH when they "
+    "at rest: neither the wheels nor an IMU are reported here. Watch the wheels, and use the POWER SWITCH when they "
     "turn on"
 )
 NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
@@ -27,6 +27,7 @@ class Means:
     acknowledged_by: str
     """As the board's interface has it; empty: nothing acknowledges."""
     observed_by: str
+    """Likewise; empty: nothing observes."""
     pad: bool = False
     """It reports a gamepad's buttons."""
     may_be_blind: bool = False
@@ -49,7 +50,7 @@ class Means:
     def lines(self, *, blind: bool = False) -> list[str]:
         """For people: what proves a stop here."""
         heard = ACKNOWLEDGED_BY.get(self.acknowledged_by, "nothing")
-        seen = "nobody but you" if blind else SEEN_BY[self.observed_by]
+        seen = "nobody but you" if blind or not self.observed_by else SEEN_BY[self.observed_by]
         found = [f"a stop is acknowledged by {heard}; wheels at rest are observed by {seen}"]
         if self.watchdog_s:
             found.append(f"without a host for {self.watchdog_s:g} s the board acts by itself: {WATCHDOGS[self.does]}")
@@ -71,17 +72,18 @@ class Means:
         return found
 
 
-def means_of(kind: str, board: Board) -> Means:
-    """Of the board of a kind. Raises OwnBoardError, a ValueError."""
+def means_of(kind: str, board: Board, *, imu: bool = True) -> Means:
+    """Of the board of a kind; `imu`: whether the robot has one (setting board.imu). Raises OwnBoardError, a
+    ValueError."""
+    seen = observer(board.observed_by, imu=imu)
     if not is_described(kind):
-        return Means(board.acknowledged_by, board.observed_by, pad=True)
+        return Means(board.acknowledged_by, seen, pad=True, may_be_blind=not imu)
     watchdog = wire_of(kind).watchdog
-    seen = board.observed_by
     return Means(
         board.acknowledged_by,
         seen,
         False,
-        seen == BY_IMU,
+        seen != BY_WHEELS,
         watchdog.acts_ns / 1e9,
         watchdog.does if watchdog.acts_ns else "",
     )

@@ -85,7 +85,7 @@ class Stand:
         self.user: Settings = config.checked(dict(user))
         self.settings: Settings = config.checked(dict(values))
         self.language = board_of(*self.settings.board())
-        self.means: Means = means_of(self.settings.text("board.kind"), self.language)
+        self.means: Means = means_of(self.settings.text("board.kind"), self.language, imu=self.settings.on("board.imu"))
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
         self.name = f"prove-{os.getpid()}"

@@ -77,7 +77,7 @@ function showStop() {
     const said = level === "observed" ? when : when && `after ${when}`;
     if (item.dataset.said === said) continue;
     item.dataset.said = said;
-    item.replaceChildren(level, node("b", said || "not known"));
+    item.replaceChildren(level, node("b", said || (level === "observed" && stop.unseen) || "not known"));
   }
   if (own === null) return;
   if (face.latched) own.epoch = face.epoch;
@@ -101,6 +101,7 @@ function showFacts() {
     ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[face.link] || face.link],
+    ...(face.imu ? [] : [["IMU", "none"]]),
     ["Clients", face.clients.join(", ") || "none"],
   ];
   list("facts", rows, ([name, value]) => [node("dt", name), node("dd", value)]);
@@ -141,8 +142,9 @@ function showLive(values) {
 function drawLive() {
   const speed = live && Math.hypot(live[0], live[1]), shake = live && live[3];
   Object.values(charts).forEach((chart) => chart.draw());
-  text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s` : "not known");
-  text("shake", shake === null || shake === undefined ? "IMU silent" : `${shake.toFixed(1)} mrad/s`);
+  const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = face && !face.imu ? "no IMU" : "IMU silent";
+  text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s${steered}` : "not known");
+  text("shake", shake === null || shake === undefined ? silent : `${shake.toFixed(1)} mrad/s`);
 }
 
 function lost() {
