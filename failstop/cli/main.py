@@ -34,6 +34,7 @@ GROUPS = {
         "fleet": ("fleet.command", "all robots of a broker: see them, stop them, publish this one"),
     },
     "check": {
+        "setup": ("setup.command", "from a cable to a proved robot: a conversation, no editor"),
         "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
         "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
         "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
