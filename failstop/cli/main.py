@@ -36,6 +36,7 @@ GROUPS = {
     "check": {
         "setup": ("setup.command", "from a cable to a proved robot: a conversation, no editor"),
         "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
+        "probe": ("lab.commands.probe", "does your robot stop? any base, without adopting failstop"),
         "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
         "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
         "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),

@@ -24,6 +24,7 @@ from failstop import config, stopping
 from failstop.api.client import attach, send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Blocked, Robot
+from failstop.api.snapshot import Block
 from failstop.board.interface import HEARD_WHEELS
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
@@ -39,6 +40,8 @@ LEVER_M = 0.125
 """A power of two: forward and turn cancel on one side to the last bit, at every moment of their ramps."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
+ENABLES = 3
+"""A busy machine may have motion disabled, with nothing latched."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 POWER = "if a wheel turns, use the POWER SWITCH"
 _PR_SET_PDEATHSIG = 1
@@ -155,13 +158,16 @@ class Rig:
         self._hearing.reset()
         self.turned = {}
         places: dict[int, list[float]] = {}
-        blocked = ""
+        blocked, left = "", ENABLES
         until_s = time.monotonic() + seconds
         try:
             while time.monotonic() < until_s:
                 answer = self._robot.drive(*velocity, manual=True)
                 blocked = answer.why if isinstance(answer, Blocked) else ""
-                if blocked:
+                if blocked and isinstance(answer, Blocked) and answer.block == Block.DISABLED and left:
+                    left -= 1
+                    self._robot.enable()
+                elif blocked:
                     break
                 time.sleep(REPEAT_S)
                 for entry in iter(view.next, None):

@@ -157,7 +157,7 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
     else:
         verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
-        print("\n" + "\n".join(lines))
+        report.print_now("\n" + "\n".join(lines))
     if evidence.simulated and not arguments.out:
         return
     folder = arguments.out or os.path.join(state_directory(arguments.name, os.environ), PROVE_FOLDER)
