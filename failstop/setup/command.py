@@ -78,7 +78,9 @@ def main(arguments: Namespace) -> int:
 
 def _converse(talk: Talk, name: str) -> None:
     style.show([[("failstop setup", style.STRONG), (": from a cable to a proved robot, in six steps", style.PLAIN)]])
-    talk.say("Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it.")
+    talk.say(
+        "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
+    )
     _take_up(talk)
     device = ports.step(talk, System())
     kind = boards.step(talk, device)
@@ -106,7 +108,10 @@ def _take_up(talk: Talk) -> None:
         return
     said = ", ".join(f"{key.replace('_', ' ')} {answer}" for key, answer in answers.items())
     talk.say(f"A setup was left with: {said}.")
-    if not talk.silent and talk.ask("take_up", "Go on with it? (yes, no: begin anew)", YES, yes_or_no, keep=False) != YES:
+    if (
+        not talk.silent
+        and talk.ask("take_up", "Go on with it? (yes, no: begin again)", YES, yes_or_no, keep=False) != YES
+    ):
         talk.draft.forget()
 
 

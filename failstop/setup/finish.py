@@ -42,7 +42,9 @@ def watchdog(talk: Talk, kind: str) -> None:
     talk.step(5, "The board's own watchdog")
     seconds, does = watchdog_of(kind)
     if not seconds:
-        talk.say("This board has none: it keeps its last speed for ever when this computer freezes or the cable is pulled.")
+        talk.say(
+            "This board has none: it keeps its last speed forever when this computer freezes or the cable is pulled."
+        )
         talk.warn("What failstop can't do then, the power switch does.", "keep it at hand")
         return
     talk.say(f"It acts {seconds:g} s after the last frame: {WATCHDOGS[does]}. failstop arms it at each start.")

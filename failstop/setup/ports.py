@@ -111,7 +111,10 @@ def pins(system: System) -> list[tuple[str, str]]:
     found = []
     if RASPBERRY in (system.read("/proc/device-tree/model") or "") and not os.path.exists(system.path("/dev/serial0")):
         found.append(
-            ("The serial pins are off.", "sudo raspi-config nonint do_serial_hw 0, then restart (a Pi 5: dtparam=uart0)")
+            (
+                "The serial pins are off.",
+                "sudo raspi-config nonint do_serial_hw 0, then restart (a Pi 5: dtparam=uart0)",
+            )
         )
     return found
 

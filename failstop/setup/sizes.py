@@ -52,7 +52,9 @@ def step(talk: Talk, values: Mapping[str, object]) -> dict[str, object]:
         chosen[key] = _number(talk, key, settings[key])
     made = Settings({**values, **chosen})
     fastest = made["limits.vx_mps"]
-    told = f"At {fastest:g} m/s the robot stands within {distance_m(fastest, made):.2f} m of whatever fails in software:"
+    told = (
+        f"At {fastest:g} m/s the robot stands within {distance_m(fastest, made):.2f} m of whatever fails in software:"
+    )
     told += f" {reaction_s(made):g} s until the slowest fault is noticed, {ON_THE_WIRE_S:g} s on the way, then"
     talk.say(f"{told} {ASSUMED_MPS2:g} m/s2 of braking, which nobody has measured on this robot.")
     return chosen

@@ -7,12 +7,13 @@ import os
 import sys
 import time
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.cli import style
-from failstop.lab.probe import serial
+from failstop.lab.probe import ros2, serial
 from failstop.lab.probe.card import Card, Row
 from failstop.lab.prove.session import check_free, interruptible
 from failstop.lab.sim.options import add_board
@@ -33,7 +34,7 @@ program that drives them fail. They may turn on until this stops them.
   3. The POWER SWITCH is at hand.
 
 Ctrl-C stops the wheels. Type "{word}" to begin, anything else to leave it: """
-CARD = "card"
+INTERRUPTED = "Ctrl-C: the wheels are stopped"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -45,14 +46,14 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
     add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
-    add("--rows", metavar="ROW,...", help=f"these alone: {', '.join(serial.ROWS)}")
     add = by_ros.add_argument
     add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
     add("--odom", default="/odom", metavar="TOPIC", help="where it says how it moves (default: %(default)s)")
     add("--stamped", action="store_true", help="it takes TwistStamped")
     add("--driver-pid", type=int, metavar="PID", help="its driver's process, which is killed as the last row")
-    for way in (by_port, by_ros):
+    for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
         add = way.add_argument
+        add("--rows", metavar="ROW,...", help=f"these alone: {', '.join(rows)}")
         add("--key", action="store_true", help="your key says when the wheels stand")
         add("--robot", default="", metavar="TEXT", help="for the card: which robot")
         add("--firmware", default="", metavar="TEXT", help="for the card: its firmware, with the version")
@@ -75,9 +76,6 @@ def main(arguments: Namespace) -> int:
     return 130 if card.ended == INTERRUPTED else int(bool(card.ended) or any(_never(row) for row in card.rows))
 
 
-INTERRUPTED = "Ctrl-C: the wheels are stopped"
-
-
 def _never(row: Row) -> bool:
     return not row.skipped and row.stands_s is None
 
@@ -96,18 +94,23 @@ def _consent(arguments: Namespace, count: int) -> None:
         raise Refused("no consent: nothing was moved")
 
 
-def _rows(given: str | None) -> list[str]:
-    names = given.split(",") if given else list(serial.ROWS)
+def _rows(given: str | None, known: Mapping[str, str]) -> list[str]:
+    """The names of --rows. Raises FailstopError."""
+    names = given.split(",") if given else list(known)
     for name in names:
-        if name not in serial.ROWS:
-            raise FailstopError(f"no row {name!r}: there is {', '.join(serial.ROWS)}")
+        if name not in known:
+            raise FailstopError(f"no row {name!r}: there is {', '.join(known)}")
     return names
 
 
 def frame(text: str) -> bytes:
     """The bytes of --frame. Raises FailstopError."""
     try:
-        return bytes.fromhex(text[2:]) if text.startswith("0x") else text.encode().decode("unicode_escape").encode("latin1")
+        return (
+            bytes.fromhex(text[2:])
+            if text.startswith("0x")
+            else text.encode().decode("unicode_escape").encode("latin1")
+        )
     except (ValueError, UnicodeError):
         raise FailstopError(rf"--frame {text}: write hexadecimal digits behind 0x, or text with \n") from None
 
@@ -117,7 +120,7 @@ def _serial(arguments: Namespace) -> Card:
         raise FailstopError("which board? give --board: rrc, arduino, hoverboard, ugv, or a folder of your own")
     board = board_of(arguments.board, DIAMETER_M, 0.0)
     sent = frame(arguments.frame) if arguments.frame else serial.frame_of(board)
-    names = _rows(arguments.rows)
+    names = _rows(arguments.rows, serial.ROWS)
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
@@ -143,13 +146,12 @@ def _serial(arguments: Namespace) -> Card:
 
 
 def _ros2(arguments: Namespace) -> Card:
-    from failstop.lab.probe import ros2
-
-    _consent(arguments, len(ros2.ROWS))
+    names = _rows(arguments.rows, ros2.ROWS)
+    _consent(arguments, len(names))
     card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
     try:
         with interruptible():
-            for row in ros2.rows(arguments, _say):
+            for row in ros2.rows(arguments, names, _say):
                 card.rows.append(row)
                 _say(f"   {row.found}")
     except KeyboardInterrupt:

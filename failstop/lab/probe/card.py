@@ -36,6 +36,8 @@ class Row:
     skipped: str = ""
     """Why it was not done; empty: it was."""
     note: str = ""
+    cause_ns: int = 0
+    """When it failed (CLOCK_MONOTONIC)."""
 
     @property
     def found(self) -> str:
@@ -92,7 +94,10 @@ class Card:
     def heads(self) -> list[tuple[str, str]]:
         """What was probed."""
         pairs = [("robot", self.robot), ("board", self.board), ("firmware", self.firmware), ("driver", self.driver)]
-        return [*((name, what or "not said") for name, what in pairs), ("made", f"{self.day}, failstop probe {VERSION}")]
+        return [
+            *((name, what or "not said") for name, what in pairs),
+            ("made", f"{self.day}, failstop probe {VERSION}"),
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """For programs."""

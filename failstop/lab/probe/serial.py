@@ -199,7 +199,8 @@ class SerialProbe:
             self._lower_lines()
         stands_ns = self._stands(cause_ns)
         self._finish()
-        return Row(name, ROWS[name], None if stands_ns is None else max(0, stands_ns - cause_ns) / 1e9, self.by)
+        seconds = None if stands_ns is None else max(0, stands_ns - cause_ns) / 1e9
+        return Row(name, ROWS[name], seconds, self.by, cause_ns=cause_ns)
 
     def _stands(self, cause_ns: int) -> int | None:
         """When the wheels came to rest; None: they did not within NEVER_S."""

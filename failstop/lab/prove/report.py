@@ -105,7 +105,9 @@ def print_now(text: str) -> None:
     """As it comes, into a pipe too; on a terminal what has no colours is broken at its words."""
     columns = style.width() if sys.stdout.isatty() else 0
     for line in text.split("\n"):
-        rows = style.wrap([(line, style.PLAIN)], columns, 2) if columns and "\x1b" not in line else [[(line, style.PLAIN)]]
+        rows = (
+            style.wrap([(line, style.PLAIN)], columns, 2) if columns and "\x1b" not in line else [[(line, style.PLAIN)]]
+        )
         print("\n".join(map(style.plain, rows)), flush=True)
 
 
