@@ -33,6 +33,12 @@ def table() -> list[list[bool]]:
 PROGRAMS = [block.text for block in blocks(PAGE) if block.language == "python"]
 
 
+def hung(pid: int) -> None:
+    """Wait until a process stands still."""
+    process = psutil.Process(pid)
+    wait_for("it to hang", lambda: process.status() == psutil.STATUS_STOPPED)
+
+
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
     with SimBoard(tmp_path_factory.mktemp("b") / "board", board="ugv") as made:
@@ -61,7 +67,7 @@ def test_a_program_stops_the_wheels_where_the_table_says_so(number: int, board: 
             if end:
                 program.send_signal(end)
             if end == signal.SIGSTOP:
-                wait_for("it to hang", lambda: psutil.Process(program.pid).status() == psutil.STATUS_STOPPED)
+                hung(program.pid)
             else:
                 program.wait(MOVES_S)
             board.events()

@@ -1,4 +1,4 @@
-"""The probe against simulated boards: its card says what the board really did, and its death leaves no wheel turning."""
+"""The probe against simulated boards: its card says what the board did, and its death leaves no wheel turning."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S`. It obeys /cmd_vel and tells /odom; with a
-timeout of 0 it keeps the last velocity. Each change of what its wheels do is a line: when (ns), and whether they turn.
-Never imported by a test."""
+"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S`. It obeys /cmd_vel and tells /odom; with
+a timeout of 0 it keeps the last velocity. Each change of what its wheels do is a line: when (ns), and whether they
+turn. Never imported by a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`failstop probe ros2`, on the stand-in and on a real ROS: the card says what the driver did, by the driver's own word."""
+"""`failstop probe ros2`, on the stand-in and on a real ROS; the driver itself says when its wheels stood."""
 
 from __future__ import annotations
 

@@ -57,9 +57,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         assert set(wiring.together().values()) == {1}
         person.types("yes")
         person.reads("Did the left wheels turn backward")
-        assert {wheel: way for wheel, way in wiring.together().items()} == {
-            wheel[:-1]: -1 if wheel[:-1] in LEFT else 1 for wheel in wheels.values()
-        }
+        assert wiring.together() == {wheel[:-1]: -1 if wheel[:-1] in LEFT else 1 for wheel in wheels.values()}
         person.types("yes")
         for question in ("Wheel diameter", "Distance of left and right", "Fastest forward", "Fastest turn"):
             if question == "Distance of left and right" and robot == "rrc":

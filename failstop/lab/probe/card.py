@@ -101,7 +101,7 @@ class Card:
 
     def as_dict(self) -> dict[str, Any]:
         """For programs."""
-        head = {name: what for name, what in self.heads()}
+        head = dict(self.heads())
         rows = [
             {
                 "row": row.name,

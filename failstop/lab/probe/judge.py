@@ -12,8 +12,8 @@ import sys
 from collections.abc import Sequence
 
 from failstop.lab.prove import shake
-from failstop.lab.prove.sight import SeenSample
 from failstop.lab.prove.shake import Noise
+from failstop.lab.prove.sight import SeenSample
 
 NEVER_S = 10.0
 """Wheels that turn for longer than this never stop, as far as a person near them is concerned."""

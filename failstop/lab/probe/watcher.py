@@ -2,8 +2,8 @@
 
 `python -m failstop.lab.probe.watcher PORT KIND`: standard input is its lifeline. Each line is `drive PID` (this process
 drives now), or `stop`; it answers every line by one. When the line ends, or nothing has come for SILENT_S, it kills
-what drives and writes the board's stop until the port has taken it, waiting for a port that is gone. It has a session of
-its own: Ctrl-C and a closed terminal do not reach it.
+what drives and writes the board's stop until the port has taken it, waiting for a port that is gone. It has a session
+of its own: Ctrl-C and a closed terminal do not reach it.
 """
 
 from __future__ import annotations
