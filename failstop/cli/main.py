@@ -6,6 +6,7 @@ import errno
 import sys
 
 from failstop.cli import standard
+from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -97,8 +98,6 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(_usage())
         return 0 if words else 1
     if words[0] in ("-V", "--version"):
-        from failstop.version import VERSION
-
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:

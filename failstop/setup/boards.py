@@ -64,7 +64,7 @@ def step(talk: Talk, path: str) -> str:
 
 
 def _live(talk: Talk, fd: int, board: Board) -> None:
-    """What it reports, for a moment."""
+    """Show its reports, for a moment."""
     set_speed(fd, board.port)
     tap = Tap(fd, board)
     counts = {HEARD_IMU: 0, HEARD_WHEELS: 0, HEARD_BATTERY: 0}

@@ -147,7 +147,7 @@ def _differ(talk: Talk, path: str, made: str) -> None:
 
 
 def doctor(talk: Talk, path: str, device: str, name: str) -> None:
-    """What on this machine weakens the promises."""
+    """Show the faults of this machine that weaken the promises."""
     style.show([[], [("The machine, as `failstop doctor --quick` sees it", style.STRONG)]])
     looked = table.examine(Look(name, path, device, True))
     found = [row for row in looked if row[1].level in (FAIL, WARN) and row[0] != NOT_YET]
@@ -155,7 +155,7 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
 
 
 def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> None:
-    """What was proved, what was not, and what to type next."""
+    """Sum up: the proofs, those that are missing, and the commands to type next."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:

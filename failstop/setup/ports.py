@@ -107,7 +107,7 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[tuple[str, str]]:
-    """What keeps the serial pins of a small computer from being a port, each with the remedy."""
+    """Reasons why the serial pins of a small computer are no port, each with the remedy."""
     found = []
     if RASPBERRY in (system.read("/proc/device-tree/model") or "") and not os.path.exists(system.path("/dev/serial0")):
         found.append(
@@ -134,7 +134,7 @@ def console(system: System, path: str) -> list[tuple[str, str]]:
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """What keeps failstop from this port, or writes to it too."""
+    """Reasons why failstop can't have this port, or not for itself."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     said = [Finding("fail", text, remedy) for text, remedy in console(system, path)]

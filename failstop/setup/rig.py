@@ -191,7 +191,7 @@ class Rig:
             self.turned[id_] = float((way > 0) - (way < 0))
 
     def _why(self) -> str:
-        """What holds the wheels, in a few words; empty: nothing, or nobody can tell."""
+        """The reason why the wheels stand, in a few words; empty: none, or nobody can tell."""
         with contextlib.suppress(FailstopError):
             if self._robot:
                 state = self._robot.state

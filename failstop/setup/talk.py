@@ -46,7 +46,7 @@ class Talk:
         style.show(style.wrap(line, min(WIDEST, style.width()), indent))
 
     def warn(self, text: str, remedy: str = "") -> None:
-        """What is not well, and what helps."""
+        """A fault, and what helps."""
         self.say(text, style.WARN)
         if remedy:
             self.say(f"-> {remedy}", style.STRONG, 5)

@@ -20,7 +20,8 @@ from failstop.lab.sim.options import add_board
 
 EXAMPLES = """\
 failstop probe serial --board ugv --port /dev/ttyAMA0
-failstop probe serial --board ugv --port /dev/ttyAMA0 --frame '{"T":13,"X":0.1,"Z":0}\\n'
+failstop probe serial --board ugv --port /dev/ttyAMA0 --key
+failstop probe serial --board ugv --port /dev/ttyS0 --frame 'vendor frame\\n'
 failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 """
 WORD = "spin"
@@ -103,7 +104,7 @@ def _rows(given: str | None, known: Mapping[str, str]) -> list[str]:
     return names
 
 
-def frame(text: str) -> bytes:
+def _frame(text: str) -> bytes:
     """The bytes of --frame. Raises FailstopError."""
     try:
         return (
@@ -119,7 +120,7 @@ def _serial(arguments: Namespace) -> Card:
     if not arguments.board:
         raise FailstopError("which board? give --board: rrc, arduino, hoverboard, ugv, or a folder of your own")
     board = board_of(arguments.board, DIAMETER_M, 0.0)
-    sent = frame(arguments.frame) if arguments.frame else serial.frame_of(board)
+    sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")

@@ -19,7 +19,7 @@ FORMATS = (".txt", ".json", ".svg")
 GOOD_S, BAD_S = 0.5, 2.0
 """Up to the one a time is shown green, from the other on red."""
 GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
-LINE, WIDTH, LEFT, RIGHT = 34, 760, 32, 470
+LINE, WIDTH, MARGIN, TIMES_AT = 34, 760, 32, 470
 RECKON = "Wheels off the ground. On the ground a base goes on for longer."
 
 
@@ -92,7 +92,7 @@ class Card:
         return f"It stops: within {slowest:.2f} s, each of {len(self.tried)} times."
 
     def heads(self) -> list[tuple[str, str]]:
-        """What was probed."""
+        """The things that were probed."""
         pairs = [("robot", self.robot), ("board", self.board), ("firmware", self.firmware), ("driver", self.driver)]
         return [
             *((name, what or "not said") for name, what in pairs),
@@ -131,25 +131,25 @@ class Card:
     def svg(self) -> str:
         """A picture."""
         y = 56
-        parts = [_said(LEFT, y, TITLE, size=26, weight="bold")]
+        parts = [_said(MARGIN, y, TITLE, size=26, weight="bold")]
         y += 12
         for name, what in self.heads():
             y += 24
-            parts += [_said(LEFT, y, name, colour=GREY, size=15), _said(LEFT + 100, y, what, size=15)]
+            parts += [_said(MARGIN, y, name, colour=GREY, size=15), _said(MARGIN + 100, y, what, size=15)]
         y += 28
-        parts.append(f'<line x1="{LEFT}" y1="{y}" x2="{WIDTH - LEFT}" y2="{y}" stroke="#d0d7de"/>')
+        parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         for row in self.rows:
             y += LINE
             parts += [
-                _said(LEFT, y, row.words, size=18),
-                _said(RIGHT, y, row.found, colour=row.colour, size=18, weight="bold"),
-                _said(RIGHT + 105, y, row.by or "", colour=GREY, size=13),
+                _said(MARGIN, y, row.words, size=18),
+                _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
+                _said(TIMES_AT + 105, y, row.by or "", colour=GREY, size=13),
             ]
         y += 26
-        parts.append(f'<line x1="{LEFT}" y1="{y}" x2="{WIDTH - LEFT}" y2="{y}" stroke="#d0d7de"/>')
+        parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         stops = bool(self.tried) and all(row.stands_s is not None for row in self.tried)
-        parts.append(_said(LEFT, y + 36, self.verdict, colour=GREEN if stops else RED, size=20, weight="bold"))
-        parts.append(_said(LEFT, y + 62, RECKON, colour=GREY, size=14))
+        parts.append(_said(MARGIN, y + 36, self.verdict, colour=GREEN if stops else RED, size=20, weight="bold"))
+        parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
         height = y + 86
         frame = f'<rect width="{WIDTH}" height="{height}" rx="14" fill="#ffffff" stroke="#d0d7de"/>'
         head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" font-family="sans-serif">'

@@ -14,14 +14,14 @@ from collections.abc import Sequence
 from failstop.lab.prove import shake
 from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.sight import SeenSample
+from failstop.procs.telemetry.readback import AT_REST
 
 NEVER_S = 10.0
 """Wheels that turn for longer than this never stop, as far as a person near them is concerned."""
 RESTS_S = 0.5
 """A rest lasts for so long before it is believed."""
-AT_REST = 1e-6
 NS = 1e9
-BY_WHEELS, BY_IMU, BY_KEY, BY_ODOMETRY = "board's wheels", "board's IMU", "a person's key", "odometry"
+REPORTS, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
 
 
 class Shaking:

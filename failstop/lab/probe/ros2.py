@@ -28,7 +28,7 @@ VX_MPS = 0.1
 TURNS_S = 1.5
 SEEN_S = 20.0
 SPIN_S = 0.01
-ODOMETRY = "nav_msgs/msg/Odometry"
+ODOM_TYPE = "nav_msgs/msg/Odometry"
 ROWS = {
     "silence": "its publisher falls silent",
     "sigkill": "its publisher is killed (SIGKILL)",
@@ -95,7 +95,7 @@ class Listener:
         self.samples: list[SeenSample] = []
         # It hears reliable publishers too.
         profile = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(type_of(ODOMETRY), topic, self._take, profile)
+        self._node.create_subscription(type_of(ODOM_TYPE), topic, self._take, profile)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
@@ -175,7 +175,7 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
     note = ""
     if name == "driver" and not arguments.key and not listener.samples:
         seconds, note = None, "its odometry ended with it: look at the wheels, and use --key"
-    return Row(name, ROWS[name], seconds, judge.BY_KEY if arguments.key else judge.BY_ODOMETRY, note=note)
+    return Row(name, ROWS[name], seconds, judge.PERSON if arguments.key else judge.ODOMETER, note=note)
 
 
 def _stands(by_key: bool, listener: Listener) -> int | None:

@@ -30,7 +30,7 @@ RPS = 0.5
 TURNS_S = 1.5
 STILL_S = 2.0
 ASK_S = 0.02
-LOOK_S = 0.002
+TURN_S = 0.002
 STARTS_S = 15.0
 PLUG_S = 60.0
 ROWS = {
@@ -70,8 +70,8 @@ class SerialProbe:
     def by(self) -> str:
         """How rest is judged."""
         if self._by_key:
-            return judge.BY_KEY
-        return judge.BY_IMU if self._board.observed_by == BY_IMU else judge.BY_WHEELS
+            return judge.PERSON
+        return judge.GYRO if self._board.observed_by == BY_IMU else judge.REPORTS
 
     @property
     def watcher_pid(self) -> int:
@@ -101,6 +101,8 @@ class SerialProbe:
                 self._watcher.stdin.close()  # its end is the order to stop
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._watcher.wait(STARTS_S)
+            if self._watcher.stdout:
+                self._watcher.stdout.close()
         self._end_driver()
         self._let_go()
 
@@ -152,7 +154,7 @@ class SerialProbe:
             self.look()
             if found():
                 return True
-            time.sleep(LOOK_S)
+            time.sleep(TURN_S)
         return False
 
     def character(self) -> None:
@@ -246,7 +248,7 @@ class SerialProbe:
         self._tell("stop")
         self._open()
         seconds = None if stands_ns is None else (stands_ns - cause_ns) / 1e9
-        return Row("plug", ROWS["plug"], seconds, judge.BY_KEY)
+        return Row("plug", ROWS["plug"], seconds, judge.PERSON)
 
     def _start(self) -> None:
         """The throw-away driver drives."""

@@ -28,7 +28,7 @@ APART_S = 0.1
 
 
 class Watcher:
-    """What it knows."""
+    """The process that drives now, and the port."""
 
     def __init__(self, path: str, kind: str) -> None:
         self._path, self._board = path, board_of(kind, 1.0, 0.0)
