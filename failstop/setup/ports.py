@@ -12,6 +12,7 @@ from failstop.board.kinds import board_of
 from failstop.doctor.look import OK, SKIP, Finding, Look
 from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
 from failstop.doctor.system import System
+from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
 from failstop.setup.talk import Left, NotAnAnswer, Talk
 
@@ -138,6 +139,8 @@ def hindrances(path: str, system: System) -> list[Finding]:
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     said = [Finding("fail", text, remedy) for text, remedy in console(system, path)]
+    if name := next((holder.instance for holder in look.holders[0] if holder.instance), ""):
+        return [Finding("fail", f"the service {name!r} has {path} open", f"sudo systemctl stop {unit_of(name)}")]
     return [*said, *(row for row in found if row.level not in (OK, SKIP))]
 
 

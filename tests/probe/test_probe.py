@@ -109,7 +109,7 @@ def test_the_judge_dates_a_rest_by_its_first_report() -> None:
 
 
 def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> None:
-    rows = [Row("sigkill", ROWS["sigkill"], None, judge.REPORTS), Row("silence", ROWS["silence"], 0.8, judge.PERSON)]
+    rows = [Row("sigkill", ROWS["sigkill"], None, judge.OWN_WORD), Row("silence", ROWS["silence"], 0.8, judge.PERSON)]
     card = Card("a <robot> & more " * 9, "ugv", "", "mine", [*rows, Row("plug", ROWS["plug"], skipped="nobody")])
     texts, data, picture = (Path(path) for path in card.save(str(tmp_path / "card")))
     assert tuple(path.suffix for path in (texts, data, picture)) == FORMATS

@@ -21,7 +21,7 @@ from failstop.lab.sim.options import add_board
 EXAMPLES = """\
 failstop probe serial --board ugv --port /dev/ttyAMA0
 failstop probe serial --board ugv --port /dev/ttyAMA0 --key
-failstop probe serial --board ugv --port /dev/ttyS0 --frame 'vendor frame\\n'
+failstop probe serial --board arduino --port /dev/ttyUSB0 --frame 'm 50 50\\r'
 failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 """
 WORD = "spin"

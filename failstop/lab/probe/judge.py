@@ -21,7 +21,7 @@ NEVER_S = 10.0
 RESTS_S = 0.5
 """A rest lasts for so long before it is believed."""
 NS = 1e9
-REPORTS, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
+OWN_WORD, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
 
 
 class Shaking:

@@ -71,7 +71,7 @@ class SerialProbe:
         """How rest is judged."""
         if self._by_key:
             return judge.PERSON
-        return judge.GYRO if self._board.observed_by == BY_IMU else judge.REPORTS
+        return judge.GYRO if self._board.observed_by == BY_IMU else judge.OWN_WORD
 
     @property
     def watcher_pid(self) -> int:
