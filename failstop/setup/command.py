@@ -39,6 +39,7 @@ QUESTIONS = {
     "turn": "yes: the robot would have turned to the left",
     **sizes.OPTIONS,
     "prove": "yes: make the stand test without asking; no: leave it out",
+    "unproved": "yes: write the settings of a robot that is not proved",
     "file": "where to write the settings",
     "replace": "replace: a file that is there",
 }

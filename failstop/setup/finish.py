@@ -6,11 +6,13 @@ import difflib
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from types import FrameType
 from typing import Any
 
 from failstop import config
@@ -75,15 +77,32 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> d
         words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder]
         sys.stdout.flush()
         whole = [sys.executable, "-m", "failstop", *words]
-        # It ends by itself with the same Ctrl-C, by way of wheels at rest.
-        done = subprocess.run(whole, input=CONSENT if agreed else None, text=True, check=False)
-    if done.returncode >= 128:
+        code = _run(whole, CONSENT if agreed else None)
+    if code >= 128 or code < 0:
         raise KeyboardInterrupt
     for run in sorted(_runs(folder) - before):
         with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
             found: dict[str, Any] = json.load(file)
         return found
     return {}
+
+
+def _run(words: list[str], said: str | None) -> int:
+    """A command to its end; its exit code. It ends by itself with the Ctrl-C of its terminal, and with what ends this
+    one, by way of wheels at rest: that is waited for."""
+    process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
+
+    def pass_on(number: int, _frame: FrameType | None) -> None:
+        if number != signal.SIGINT:
+            process.send_signal(signal.SIGTERM)
+
+    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        process.communicate(said)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return process.returncode
 
 
 def _runs(folder: str) -> set[str]:
