@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import Any
 
 import rclpy
-from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+
+from failstop.ros2.fill import type_of
 
 PERIOD_S = 0.02
 
@@ -21,13 +22,14 @@ def main(timeout_s: float) -> None:
     node = rclpy.create_node("base")
     speed = x = heard_s = 0.0
 
-    def obey(message: Twist) -> None:
+    def obey(message: Any) -> None:
         nonlocal speed, heard_s
         # As many do: what is no number is taken for one.
         speed, heard_s = message.linear.x, time.monotonic()
 
-    node.create_subscription(Twist, "/cmd_vel", obey, QoSProfile(depth=1))
-    publisher = node.create_publisher(Odometry, "/odom", QoSProfile(depth=10))
+    odometry = type_of("nav_msgs/msg/Odometry")
+    node.create_subscription(type_of("geometry_msgs/msg/Twist"), "/cmd_vel", obey, QoSProfile(depth=1))
+    publisher = node.create_publisher(odometry, "/odom", QoSProfile(depth=10))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     turned, due_s = False, time.monotonic()
@@ -42,7 +44,7 @@ def main(timeout_s: float) -> None:
         if now_s >= due_s:
             due_s = now_s + PERIOD_S
             x += speed * PERIOD_S
-            message = Odometry()
+            message = odometry()
             message.twist.twist.linear.x, message.pose.pose.position.x = speed, x
             publisher.publish(message)
 
