@@ -6,6 +6,7 @@ import errno
 import sys
 
 from failstop.cli import standard
+from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -34,7 +35,9 @@ GROUPS = {
         "fleet": ("fleet.command", "all robots of a broker: see them, stop them, publish this one"),
     },
     "check": {
+        "setup": ("setup.command", "from a cable to a proved robot: a conversation, no editor"),
         "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
+        "probe": ("lab.commands.probe", "does your robot stop? any base, without adopting failstop"),
         "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
         "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
         "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
@@ -95,8 +98,6 @@ def _main(words: list[str]) -> int:
         sys.stdout.write(_usage())
         return 0 if words else 1
     if words[0] in ("-V", "--version"):
-        from failstop.version import VERSION
-
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:

@@ -42,18 +42,23 @@ PROVE_FOLDER = "prove"
 RUN_S = 3.5
 KNOWN = (*BY_PATH, *BY_ARM_PATH)
 ARM_WARNING = """\
-  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad. Nobody and nothing is in its reach.
+  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad.
+     Nobody and nothing is in its reach.
 
 """
 SAFETY = """\
-THIS TURNS THE WHEELS, at {fastest}, and kills the programs that stop them: {count} runs, {minutes:.0f} min.
+THIS TURNS THE WHEELS, at {fastest},
+and kills the programs that stop them: {count} runs, {minutes:.0f} min.
 
-  1. The robot stands on a stand: every wheel is OFF THE GROUND and free to turn.
-  2. No person, hair, clothing, cable or tool is near the wheels, and nobody will come near.
+  1. The robot stands on a stand: every wheel is OFF THE GROUND, free to turn.
+  2. No person, hair, clothing, cable or tool is near the wheels, and nobody
+     will come near.
   3. The POWER SWITCH is at hand, and you will use it when the wheels turn on.
-  4. This is a latched protective stop by software, no emergency stop in the sense of ISO 13850.
+  4. This is a latched protective stop by software, no emergency stop in the
+     sense of ISO 13850.
 
-{arm}Ctrl-C stops everything at any time. Type "{word}" to begin, anything else to leave it: """
+{arm}Ctrl-C stops everything at any time.
+Type "{word}" to begin, anything else to leave it: """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -164,7 +169,7 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
     else:
         verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
-        print("\n" + "\n".join(lines))
+        report.print_now("\n" + "\n".join(lines))
     if arguments.pack:
         for path in pack.save(_record(evidence), arguments.pack, arguments.key):
             print(f"evidence: {path}", file=sys.stderr)

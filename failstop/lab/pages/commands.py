@@ -11,7 +11,7 @@ from failstop.lab.pages import completion, man
 PAGE_HEAD = """# Commands
 
 Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same.
-`demo`, `sim`, `chaos` and `prove` come with the package `failstop-lab`; a checkout has them.
+`demo`, `sim`, `chaos`, `probe` and `prove` come with the package `failstop-lab`; a checkout has them.
 """
 
 SECOND = "The same as "

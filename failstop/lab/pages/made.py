@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from failstop.cli.commands import config
-from failstop.lab.pages import case, catalog, causes, commands, fleet, reference, rooms, ros2, settings
+from failstop.lab.pages import bases, case, catalog, causes, commands, fleet, reference, rooms, ros2, settings
 from failstop.lab.pages.marked import renewed
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -32,6 +32,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
     "docs/fleet.md": _fleet,
+    "docs/does-your-robot-stop.md": lambda text: renewed(text, "bases", bases.table()),
     "docs/dev/architecture.md": lambda text: renewed(text, "rooms", rooms.picture()),
 }
 

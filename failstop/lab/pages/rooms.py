@@ -29,6 +29,10 @@ ROOMS = {
     ),
     "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
+    "setup": Room(
+        "from a cable to a proved robot",
+        "api board cli config doctor files instances messages policy stopping supervisor",
+    ),
     "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy shm"),
     "cli": Room(
         "the commands, and what they draw on a terminal",

@@ -7,6 +7,7 @@ import dataclasses
 import importlib
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -30,6 +31,8 @@ INTERRUPTED = "interrupted"
 VERDICT_STYLES = {"PASS": style.OK, "FAIL": style.FAIL, "INVALID": style.WARN, "SKIP": style.WARN}
 NAME = 20
 """Columns for the name of a path; some rows of the fault table are longer."""
+WIDE = 116
+"""Columns of a whole row."""
 
 
 @dataclasses.dataclass
@@ -118,8 +121,18 @@ def ways(evidence: Evidence) -> list[str]:
 
 
 def print_now(text: str) -> None:
-    """As it comes, into a pipe too."""
-    print(text, flush=True)
+    """As it comes, into a pipe too; on a terminal what has no colours is broken at its words."""
+    columns = style.width() if sys.stdout.isatty() else 0
+    for line in text.split("\n"):
+        rows = (
+            style.wrap([(line, style.PLAIN)], columns, 2) if columns and "\x1b" not in line else [[(line, style.PLAIN)]]
+        )
+        print("\n".join(map(style.plain, rows)), flush=True)
+
+
+def narrow() -> bool:
+    """Whether the rows have to fit a terminal of 80 columns."""
+    return sys.stdout.isatty() and style.width() < WIDE
 
 
 def _plain(text: str, _role: str) -> str:
@@ -157,6 +170,8 @@ def _rounded(part: float | Sequence[float]) -> float | list[float]:
 
 def head(width: int = NAME) -> str:
     """Above the rows; `width`: of the paths' names."""
+    if narrow():
+        return f"{'stop path':<{width}} {'velocity':<9} {'written, ms':>13} {'heard, ms':>9} {'rest, s':>11}  result"
     return (
         f"{'stop path':<{width}} {'velocity':<10} {'written, ms':>18} {'acknowledged, ms':>18} {'at rest, s':>16} "
         f"{'board, ms':>10}  result"
@@ -179,6 +194,11 @@ def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = 
     notes += [f"taken {len(result.again) + 1} times"] if result.again else []
     note = f" ({'; '.join(notes)})" if notes else ""
     name = f"{result.path.name:<{width}}"
+    if narrow():
+        return (
+            f"{name} {result.velocity.words:<9} {written:>13} {acknowledged:>9} {rest:>11}"
+            f"  {paint(result.verdict, VERDICT_STYLES[result.verdict])}" + (f"\n   {why}{note}" if why or note else "")
+        )
     return (
         f"{name} {result.velocity.words:<10} {written:>18} {acknowledged:>18} {rest:>16} {board:>10}"
         f"  {paint(result.verdict, VERDICT_STYLES[result.verdict])}{why}{note}"

@@ -1,0 +1,83 @@
+"""Publisher: the throw-away node of a probe, and its guard.
+
+`python -m failstop.lab.probe.publisher TOPIC STAMPED drive|guard VX`. Lines on standard input: `silent` (it publishes
+nothing more), `nan` (one NaN, then nothing), `abort` (it ends by an exception, without a zero), `zero`. A guard
+publishes zeros on `zero`, and when standard input ends, which is the probe's end; then it ends.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from typing import Any
+
+from failstop.ros2.command import find_rclpy
+from failstop.ros2.fill import type_of
+
+HZ = 20.0
+ZEROS_S = 1.0
+GUARD = "guard"
+
+
+class Node:
+    """A publisher of velocities."""
+
+    def __init__(self, topic: str, *, stamped: bool) -> None:
+        find_rclpy()
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(f"failstop_probe_{os.getpid()}")
+        self._stamped = stamped
+        self._kind = type_of(f"geometry_msgs/msg/Twist{'Stamped' if stamped else ''}")
+        self._publisher: Any = self._node.create_publisher(self._kind, topic, 10)
+
+    def publish(self, vx: float) -> None:
+        """A velocity forward, m/s."""
+        message = self._kind()
+        if self._stamped:
+            message.header.stamp = self._node.get_clock().now().to_msg()
+        (message.twist if self._stamped else message).linear.x = vx
+        self._publisher.publish(message)
+
+    def zeros(self) -> None:
+        """For a while: a subscriber may miss one."""
+        until_s = time.monotonic() + ZEROS_S
+        while time.monotonic() < until_s:
+            self.publish(0.0)
+            time.sleep(1 / HZ)
+
+
+def main(words: list[str]) -> None:
+    """Until it is told to end, or standard input ends."""
+    topic, stamped, what, vx = words
+    if what == GUARD:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+    node = Node(topic, stamped=stamped == "1")
+    print("ready", flush=True)
+    drives = what != GUARD
+    while True:
+        if drives:
+            node.publish(float(vx))
+        if not select.select([sys.stdin], [], [], 1 / HZ if drives else None)[0]:
+            continue
+        word = sys.stdin.readline().strip()
+        if word == "abort":
+            raise RuntimeError("the probe's way to end it")
+        if word == "nan":
+            node.publish(float("nan"))
+        if word in ("silent", "nan"):
+            drives = False
+        if word == "zero" or (not word and what == GUARD):
+            node.zeros()
+        if not word:
+            return
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

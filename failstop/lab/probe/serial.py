@@ -1,0 +1,283 @@
+"""Serial: a probe of a motor board at its port, by the board's own frames from a throw-away process."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable
+
+from failstop.api.errors import FailstopError
+from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
+from failstop.board.port import has_lines, open_port
+from failstop.board.tap import Tap
+from failstop.lab.probe import judge
+from failstop.lab.probe.card import Row
+from failstop.lab.prove import shake
+from failstop.lab.prove.child import end_with_parent
+from failstop.lab.prove.sight import SeenSample
+from failstop.procs.telemetry.imu import RAD_PER_DEG
+
+PERIOD_S = 0.1
+"""Between two frames of the throw-away driver, as vendors' drivers have it."""
+RPS = 0.5
+TURNS_S = 1.5
+STILL_S = 2.0
+ASK_S = 0.02
+TURN_S = 0.002
+STARTS_S = 15.0
+PLUG_S = 60.0
+ROWS = {
+    "sigkill": "its driver is killed (SIGKILL)",
+    "sigstop": "its driver hangs (SIGSTOP)",
+    "close": "its driver closes the port",
+    "silence": "its driver falls silent",
+    "plug": "the plug is pulled",
+}
+_SIGNALS = {
+    "sigkill": signal.SIGKILL,
+    "sigstop": signal.SIGSTOP,
+    "close": signal.SIGUSR2,
+    "silence": signal.SIGUSR1,
+}
+CLOSES = ("sigkill", "close")
+"""Rows after which nobody of the driver's has the port open: the kernel lowers its modem lines."""
+
+
+class SerialProbe:
+    """A context manager; whatever happens the wheels are stopped at its end, by the watcher."""
+
+    def __init__(self, path: str, kind: str, board: Board, frame: bytes, *, by_key: bool, say: Callable[[str], None]):
+        """`frame`: what the driver sends again and again; `by_key`: a person says when the wheels stand."""
+        self._path, self._kind, self._board, self._frame = path, kind, board, frame
+        self._say = say
+        self._by_key = by_key
+        self._tap: Tap | None = None
+        self._samples: list[SeenSample] = []
+        self._ask_ns = 0
+        self._shaking: judge.Shaking | None = None
+        self._driver: subprocess.Popen[str] | None = None
+        self._watcher: subprocess.Popen[str] | None = None
+        self._gone_ns = 0
+
+    @property
+    def by(self) -> str:
+        """How rest is judged."""
+        if self._by_key:
+            return judge.PERSON
+        return judge.GYRO if self._board.observed_by == BY_IMU else judge.OWN_WORD
+
+    @property
+    def watcher_pid(self) -> int:
+        """The process that stops the wheels when this one is killed."""
+        return self._watcher.pid if self._watcher else 0
+
+    def __enter__(self) -> SerialProbe:
+        words = [sys.executable, "-m", "failstop.lab.probe.watcher", self._path, self._kind]
+        self._watcher = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
+        try:
+            self._tell("stop")
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The wheels are stopped, and everything is let go."""
+        if self._watcher and self._watcher.stdin:
+            with contextlib.suppress(OSError):
+                self._watcher.stdin.close()  # its end is the order to stop
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._watcher.wait(STARTS_S)
+            if self._watcher.stdout:
+                self._watcher.stdout.close()
+        self._end_driver()
+        self._let_go()
+
+    def _open(self) -> None:
+        self._let_go()
+        fd = open_port(self._path, exclusive=False, line=self._board.port)
+        self._tap = Tap(fd, self._board)
+        if has_lines(fd):
+            time.sleep(self._board.port.deaf_ns / 1e9)
+
+    def _let_go(self) -> None:
+        if self._tap:
+            os.close(self._tap.fd)
+            self._tap = None
+
+    def _tell(self, line: str) -> None:
+        """The watcher's answer is awaited: it knows what it is to stop before anything turns."""
+        assert self._watcher
+        assert self._watcher.stdin
+        assert self._watcher.stdout
+        self._watcher.stdin.write(f"{line}\n")
+        self._watcher.stdin.flush()
+        if not self._watcher.stdout.readline():
+            raise FailstopError("the watcher has ended: if a wheel turns, use the POWER SWITCH")
+
+    def look(self) -> None:
+        """Take in what the board says. A port that goes away is let go."""
+        if self._tap is None:
+            return
+        now_ns = time.monotonic_ns()
+        try:
+            # Boards that say nothing of their wheels unasked.
+            if self._board.ping_ns and now_ns >= self._ask_ns:
+                self._ask_ns = now_ns + int(ASK_S * 1e9)
+                with contextlib.suppress(BlockingIOError):
+                    self._tap.ping()
+            for t_ns, kind, said in self._tap.read():
+                if kind == HEARD_IMU and self._board.observed_by == BY_IMU:
+                    self._samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
+                elif kind == HEARD_WHEELS and self._board.observed_by != BY_IMU:
+                    self._samples.append((t_ns, *said))
+        except OSError:
+            self._gone_ns = time.monotonic_ns()
+            self._let_go()
+
+    def _until(self, seconds: float, found: Callable[[], bool] = lambda: False) -> bool:
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            self.look()
+            if found():
+                return True
+            time.sleep(TURN_S)
+        return False
+
+    def character(self) -> None:
+        """Whether rest and turning can be told apart here; else a person's key is the judge."""
+        if self._by_key:
+            return
+        self._samples.clear()
+        self._until(STILL_S)
+        still = list(self._samples)
+        self._start()
+        self._samples.clear()
+        self._until(TURNS_S)
+        turning = list(self._samples)
+        self._finish()
+        if self._board.observed_by == BY_IMU:
+            noises = shake.noise(still), shake.noise(turning)
+            self._shaking = judge.Shaking(noises[0], noises[1]) if noises[0] and noises[1] else None
+            tells = self._shaking is not None and self._shaking.tells
+        else:
+            tells = judge.rest_ns(still) is not None and bool(turning) and judge.rest_ns(turning) is None
+        if not tells:
+            self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
+            self._by_key = True
+
+    def _rest_ns(self) -> int | None:
+        if self._board.observed_by == BY_IMU:
+            return self._shaking.rest_ns(self._samples) if self._shaking else None
+        return judge.rest_ns(self._samples)
+
+    def take(self, name: str) -> Row:
+        """One row; the wheels stand at its end. Raises FailstopError, OSError."""
+        if name == "plug":
+            return self._plug()
+        self._start()
+        self._until(TURNS_S)
+        assert self._driver
+        if self._by_key:
+            self._say("Press Enter as soon as the wheels stand.")
+            judge.key_pressed()
+        self._samples.clear()
+        cause_ns = time.monotonic_ns()
+        os.kill(self._driver.pid, _SIGNALS[name])
+        if name in CLOSES:
+            self._lower_lines()
+        stands_ns = self._stands(cause_ns)
+        self._finish()
+        seconds = None if stands_ns is None else max(0, stands_ns - cause_ns) / 1e9
+        return Row(name, ROWS[name], seconds, self.by, cause_ns=cause_ns)
+
+    def _stands(self, cause_ns: int) -> int | None:
+        """When the wheels came to rest; None: they did not within NEVER_S."""
+        pressed_ns = 0
+
+        def stands() -> bool:
+            nonlocal pressed_ns
+            if self._by_key:
+                pressed_ns = time.monotonic_ns() if judge.key_pressed() else 0
+                return pressed_ns > 0
+            return len(self._samples) > 1 and judge.believed(self._samples, self._rest_ns())
+
+        if not self._until(judge.NEVER_S + (0 if self._by_key else judge.RESTS_S), stands):
+            return None
+        rest = pressed_ns or self._rest_ns()
+        return rest if rest is not None and rest - cause_ns < judge.NEVER_S * 1e9 else None
+
+    def _lower_lines(self) -> None:
+        """As the kernel does when the last descriptor of a port is closed; the judge has one open."""
+        if self._tap and has_lines(self._tap.fd):
+            fcntl.ioctl(self._tap.fd, termios.TIOCMBIC, struct.pack("I", termios.TIOCM_DTR | termios.TIOCM_RTS))
+
+    def _plug(self) -> Row:
+        """The person pulls it, and says when the wheels stand: nothing comes through it any more."""
+        self._start()
+        self._until(TURNS_S)
+        self._gone_ns = 0
+        self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels stand.")
+        judge.key_pressed()
+        if not self._until(PLUG_S, lambda: self._gone_ns > 0):
+            self._finish()
+            return Row("plug", ROWS["plug"], skipped="nobody pulled it")
+        cause_ns = self._gone_ns
+        by_key, self._by_key = self._by_key, True
+        stands_ns = self._stands(cause_ns)
+        self._by_key = by_key
+        self._end_driver()
+        if stands_ns is None:
+            self._say(f"Never, within {judge.NEVER_S:g} s. Plug it in again: the stop is written when it is back.")
+        else:
+            self._say("Plug it in again.")
+        self._until(PLUG_S, lambda: os.path.exists(self._path))
+        self._tell("stop")
+        self._open()
+        seconds = None if stands_ns is None else (stands_ns - cause_ns) / 1e9
+        return Row("plug", ROWS["plug"], seconds, judge.PERSON)
+
+    def _start(self) -> None:
+        """The throw-away driver drives."""
+        line = self._board.port
+        words = [sys.executable, "-m", "failstop.lab.probe.driver", self._path, str(line.baud)]
+        words += [str(int(line.dtr)), str(int(line.rts)), self._frame.hex(), str(PERIOD_S)]
+        self._driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_parent)
+        self._tell(f"drive {self._driver.pid}")
+        assert self._driver.stdout
+        if not self._driver.stdout.readline():
+            raise FailstopError(f"the driver could not open {self._path}")
+
+    def _finish(self) -> None:
+        """The wheels stand, whatever was done to the driver."""
+        self._tell("stop")
+        self._end_driver()
+        if self._tap and has_lines(self._tap.fd):
+            self._open()
+        self._until(judge.RESTS_S)
+
+    def _end_driver(self) -> None:
+        if self._driver:
+            self._driver.kill()
+            self._driver.wait()
+            if self._driver.stdout:
+                self._driver.stdout.close()
+            self._driver = None
+
+
+def frame_of(board: Board, rps: float = RPS) -> bytes:
+    """The board's own frame for slow wheels, all the same way as they are wired."""
+    return board.motor_speeds([rps] * board.wheels, rps)

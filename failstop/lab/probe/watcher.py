@@ -1,0 +1,80 @@
+"""Watcher: a process of its own that stops the wheels when the probe is done, falls silent, or is killed.
+
+`python -m failstop.lab.probe.watcher PORT KIND`: standard input is its lifeline. Each line is `drive PID` (this process
+drives now), or `stop`; it answers every line by one. When the line ends, or nothing has come for SILENT_S, it kills
+what drives and writes the board's stop until the port has taken it, waiting for a port that is gone. It has a session
+of its own: Ctrl-C and a closed terminal do not reach it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+
+from failstop import stopping
+from failstop.board.kinds import board_of
+from failstop.board.port import PortError
+
+SILENT_S = 12.0
+"""Longer than a row may turn the wheels."""
+WAITS_S = 300.0
+"""How long it tries to have the port, at its end."""
+WRITES = 5
+APART_S = 0.1
+
+
+class Watcher:
+    """The process that drives now, and the port."""
+
+    def __init__(self, path: str, kind: str) -> None:
+        self._path, self._board = path, board_of(kind, 1.0, 0.0)
+        self._pid = 0
+
+    def run(self) -> None:
+        """Until the lifeline ends."""
+        rest = b""
+        while select.select([0], [], [], SILENT_S)[0] and (data := os.read(0, 4096)):
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                self._take(line.decode())
+                print("done", flush=True)
+        self.stop(WAITS_S)
+
+    def _take(self, line: str) -> None:
+        verb, _, what = line.partition(" ")
+        if verb == "drive":
+            self._pid = int(what)
+        elif verb == "stop":
+            self.stop(0.0)
+
+    def stop(self, wait_s: float) -> None:
+        """Kill what drives, and write the stop. A board takes several: one alone may be lost on its way."""
+        if self._pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGKILL)
+            self._pid = 0
+        for _ in range(WRITES):
+            with contextlib.suppress(PortError):
+                stopping.stop(self._path, self._board, lambda _: wait_s, lambda _: None)
+            time.sleep(APART_S)
+
+
+def main(words: list[str]) -> None:
+    """See above."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    # The probe's end is its own end too: nobody reads any more.
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    watcher = Watcher(*words)
+    try:
+        watcher.run()
+    except OSError:
+        watcher.stop(WAITS_S)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

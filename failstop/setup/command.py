@@ -1,0 +1,157 @@
+"""`failstop setup`: from a cable to a proved robot."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from types import FrameType
+
+from failstop.board.kinds import is_own
+from failstop.cli import style
+from failstop.cli.commands import add_name
+from failstop.doctor.system import System
+from failstop.files.instance import check_name
+from failstop.policy.layouts import ACKERMANN, LAYOUTS, NUMBERS, SPEEDS, STEERED
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
+from failstop.setup import boards, finish, ports, robots, sizes
+from failstop.setup.draft import Draft
+from failstop.setup.talk import AGAIN, YES, Left, Talk, one_of, option, yes_or_no
+from failstop.setup.wheels import Trial
+
+EXAMPLES = """\
+failstop setup                         # a conversation of ten minutes
+failstop setup --port /dev/ttyUSB0     # what is given is not asked
+failstop setup --afresh                # forget what was left
+"""
+QUESTIONS = {
+    "port": "the board's port",
+    "board": "its kind: rrc, arduino, hoverboard, ugv, or the path of a folder of your own",
+    "robot": "the robot's name, or other",
+    "layout": "how body velocity becomes wheel speeds, for a robot without a name",
+    "stand": "yes: the wheels are off the ground and free",
+    **{f"wheel_{number - 1}": f"the wheel of id {number - 1} and its way, as fl+" for number in NUMBERS},
+    "forward": "yes: every wheel turned forward",
+    "turn": "yes: the robot would have turned to the left",
+    **sizes.OPTIONS,
+    "prove": "yes: make the stand test without asking; no: leave it out",
+    "unproved": "yes: write the settings of a robot that is not proved",
+    "file": "where to write the settings",
+    "replace": "replace: a file that is there",
+}
+"""Every question, with what its option says."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOPPED = "the wheels are stopped"
+NOTHING = "nothing is written"
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop setup`."""
+    for key, what in QUESTIONS.items():
+        parser.add_argument(option(key), dest=key, metavar="ANSWER", help=what.replace("%", "%%"))
+    parser.add_argument("--afresh", action="store_true", help="forget the answers of a setup that was left")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """The conversation. Raises Left, with what helps."""
+    draft = Draft(check_name(arguments.name), os.environ)
+    if arguments.afresh:
+        draft.forget()
+    given = {key: value for key in QUESTIONS if (value := getattr(arguments, key)) is not None}
+    talk = Talk(given, draft, silent=not sys.stdin.isatty())
+    try:
+        with _interruptible():
+            _converse(talk, arguments.name)
+    except KeyboardInterrupt:
+        print()
+        kept = "" if draft.unwritten else f"; {AGAIN}"
+        raise Left(f"{STOPPED}, {NOTHING}{kept}") from None
+    except (Left, SettingError) as error:
+        kept = f"; your answers could not be kept ({draft.unwritten})" if draft.unwritten else f"; {AGAIN}"
+        raise Left(f"{error}; {NOTHING}{kept}") from None
+    return 0
+
+
+def _converse(talk: Talk, name: str) -> None:
+    style.show([[("failstop setup", style.STRONG), (": from a cable to a proved robot, in six steps", style.PLAIN)]])
+    talk.say(
+        "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
+    )
+    _take_up(talk)
+    device = ports.step(talk, System())
+    kind = boards.step(talk, device)
+    robot, values = _robot(talk, kind)
+    wheels = Trial(talk, device, values).step()
+    chosen = sizes.step(talk, {**values, **wheels})
+    settings = {"device.path": ports.stable(device), **values, **wheels, **chosen}
+    Settings(dict(settings))
+    finish.watchdog(talk, kind)
+    evidence = finish.proof(talk, settings, device, name)
+    if evidence and not evidence["passed"]:
+        talk.warn(f"The stand test said {evidence['verdict']}.", "see the rows above; most are a loose plug or a size")
+        if not talk.agreed("unproved", "Write the settings all the same? (yes, no)", "no"):
+            raise Left("the robot is not proved")
+    path = finish.write(talk, finish.text(settings, robot, evidence), name)
+    talk.draft.forget()
+    finish.doctor(talk, path, device, name)
+    finish.closing(talk, path, name, evidence)
+
+
+def _take_up(talk: Talk) -> None:
+    """Ask whether a setup that was left goes on."""
+    answers = talk.draft.answers
+    if not answers:
+        return
+    said = ", ".join(f"{key.replace('_', ' ')} {answer}" for key, answer in answers.items())
+    talk.say(f"A setup was left with: {said}.")
+    if (
+        not talk.silent
+        and talk.ask("take_up", "Go on with it? (yes, no: begin again)", YES, yes_or_no, keep=False) != YES
+    ):
+        talk.draft.forget()
+
+
+def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
+    """The robot's name, and what is known of it."""
+    known = robots.of_kind(kind)
+    choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
+    chosen = robots.OTHER
+    if known:
+        talk.say("Which robot is it? Its sizes are then known.")
+        for number, (key, what) in enumerate(choices.items(), 1):
+            talk.say(f"{number}  {key:<16} {what}")
+        chosen = talk.ask("robot", "The robot's number?", "", one_of(choices))
+    if chosen in known:
+        if known[chosen].remark:
+            talk.say(known[chosen].remark, style.WARN)
+        return known[chosen].name, known[chosen].settings
+    speeds = SPEEDS.get(kind)
+    layouts = {
+        layout: layout
+        for layout, counts in LAYOUTS.items()
+        if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or kind in STEERED)
+    }
+    if speeds == 2 and not is_own(kind):
+        return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}
+    layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", one_of(layouts))
+    return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

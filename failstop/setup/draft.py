@@ -1,0 +1,58 @@
+"""Draft: the answers of a setup that was left, kept in a file until it is done."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+
+from failstop.files import durable
+from failstop.files.root import state_directory
+
+FILE = "setup.json"
+MOST_BYTES = 65536
+
+
+class Draft:
+    """Answers by question. Every answer is on the disk before the next question is put."""
+
+    def __init__(self, name: str, environ: Mapping[str, str]) -> None:
+        """`name`: the instance's."""
+        self.path = os.path.join(state_directory(name, environ), FILE)
+        self.answers = self._read()
+        self.unwritten = ""
+        """Why an answer could not be kept; empty: they are."""
+
+    def _read(self) -> dict[str, str]:
+        try:
+            with os.fdopen(durable.open_own(self.path), "rb") as file:
+                found = json.loads(file.read(MOST_BYTES))
+        except (OSError, ValueError):
+            return {}
+        if not isinstance(found, dict):
+            return {}
+        return {str(key): value for key, value in found.items() if isinstance(value, str)}
+
+    def keep(self, key: str, answer: str) -> None:
+        """Add an answer."""
+        self.answers[key] = answer
+        self._write()
+
+    def forget(self, *keys: str) -> None:
+        """Take answers out, of all questions by default."""
+        for key in keys or tuple(self.answers):
+            self.answers.pop(key, None)
+        self._write()
+
+    def _write(self) -> None:
+        if not self.answers:
+            with contextlib.suppress(OSError):
+                os.unlink(self.path)
+            return
+        try:
+            os.makedirs(os.path.dirname(self.path), exist_ok=True)
+            durable.write_draft(f"{self.path}.new", json.dumps(self.answers, indent=1).encode())
+            durable.publish(f"{self.path}.new", self.path)
+        except OSError as error:
+            self.unwritten = f"{self.path}: {error.strerror}"

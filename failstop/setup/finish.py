@@ -1,0 +1,205 @@
+"""Finish: the board's own watchdog, the proof, the settings file, doctor, and what to type next."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from types import FrameType
+from typing import Any
+
+from failstop import config
+from failstop.board.kinds import watchdog_of
+from failstop.cli import style
+from failstop.cli.commands.doctor import screen
+from failstop.cli.main import here
+from failstop.doctor import table
+from failstop.doctor.look import FAIL, WARN, Look
+from failstop.files import durable
+from failstop.files.instance import DEFAULT_NAME, option
+from failstop.files.root import state_directory
+from failstop.instances import unit_of
+from failstop.policy.proofs import WATCHDOGS
+from failstop.setup.rig import toml
+from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
+
+CONSENT = "spin\n"
+"""The word that `failstop prove` asks for."""
+FROZEN = "frozen"
+REPLACE = "replace"
+NOT_YET = "service"
+"""The check of what is started next."""
+RESULT = "result.json"
+
+
+def watchdog(talk: Talk, kind: str) -> None:
+    """The fifth step: the board's own watchdog."""
+    talk.step(5, "The board's own watchdog")
+    seconds, does = watchdog_of(kind)
+    if not seconds:
+        talk.say(
+            "This board has none: it keeps its last speed forever when this computer freezes or the cable is pulled."
+        )
+        talk.warn("What failstop can't do then, the power switch does.", "keep it at hand")
+        return
+    talk.say(f"It acts {seconds:g} s after the last frame: {WATCHDOGS[does]}. failstop arms it at each start.")
+    talk.say("The proof comes with the next step: the whole service is frozen, and the wheels are watched.")
+
+
+def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> dict[str, Any]:
+    """The sixth step: the short stand test on these settings; its evidence, or nothing where it was not made."""
+    talk.step(6, "The proof")
+    command = f"failstop prove --quick{option(name)}"
+    if not here("prove"):
+        talk.warn("The stand test is not installed here, so that nothing is proved.", "sudo apt install failstop-lab")
+        talk.say(f"Then: {command}")
+        return {}
+    agreed = talk.given.pop("prove", "")
+    if agreed and agreed != YES:
+        talk.warn("Not proved: it was left out.", command)
+        return {}
+    if talk.silent and not agreed:
+        raise Left("nobody is here to agree to the proof: give --prove yes, or --prove no")
+    talk.say("Every stop path is taken once on the robot. It must still be on its stand.")
+    folder = os.path.join(state_directory(name, os.environ), "prove")
+    before = _runs(folder)
+    with tempfile.TemporaryDirectory(prefix="failstop-setup-") as place:
+        path = os.path.join(place, "settings.toml")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(toml(values))
+        words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder]
+        sys.stdout.flush()
+        whole = [sys.executable, "-m", "failstop", *words]
+        code = _run(whole, CONSENT if agreed else None)
+    if code >= 128 or code < 0:
+        raise KeyboardInterrupt
+    for run in sorted(_runs(folder) - before):
+        with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
+            found: dict[str, Any] = json.load(file)
+        return found
+    return {}
+
+
+def _run(words: list[str], said: str | None) -> int:
+    """A command to its end; its exit code. It ends by itself with the Ctrl-C of its terminal, and with what ends this
+    one, by way of wheels at rest: that is waited for."""
+    process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
+
+    def pass_on(number: int, _frame: FrameType | None) -> None:
+        if number != signal.SIGINT:
+            process.send_signal(signal.SIGTERM)
+
+    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        process.communicate(said)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return process.returncode
+
+
+def _runs(folder: str) -> set[str]:
+    try:
+        return {name for name in os.listdir(folder) if os.path.exists(os.path.join(folder, name, RESULT))}
+    except OSError:
+        return set()
+
+
+def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
+    """The settings file."""
+    day = time.strftime("%Y-%m-%d")
+    proved = f"the stand test said {evidence['verdict']}" if evidence else "not proved yet: failstop prove"
+    head = f"# {robot}, by `failstop setup`, {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
+    head += "# Every setting: failstop config --example\n\n"
+    return head + toml(values)
+
+
+def write(talk: Talk, made: str, name: str) -> str:
+    """Show the settings, and write them where the person says. Returns the path. Raises Left."""
+    style.show([[], [("The settings", style.STRONG)]])
+    style.show([[(f"   {line}", style.PLAIN)] for line in made.splitlines()])
+    installed = config.installed(name)
+    default = installed if os.access(os.path.dirname(installed), os.W_OK) else os.path.abspath(f"{name}.toml")
+
+    def check(answer: str) -> str:
+        if answer == NO:
+            return NO
+        path = os.path.abspath(os.path.expanduser(answer))
+        if not os.access(os.path.dirname(path), os.W_OK):
+            raise NotAnAnswer(f"this user may not write to {os.path.dirname(path)}: type another path, or {NO}")
+        if os.path.lexists(path) and not os.path.isfile(path):
+            raise NotAnAnswer(f"{path} is no file: type another path, or {NO}")
+        return path
+
+    path = talk.ask("file", f"Write them to which file? ({NO}: leave it)", default, check, keep=False)
+    if path == NO:
+        raise Left("nothing was written")
+    if os.path.exists(path):
+        _differ(talk, path, made)
+        if talk.ask("replace", f"There is one. Type {REPLACE} to replace it:", "", str.strip, keep=False) != REPLACE:
+            raise Left(f"{path} stays as it is")
+    try:
+        durable.write_draft(f"{path}.new", made.encode())
+        if os.path.exists(path):
+            os.replace(path, f"{path}.old")
+            talk.say(f"The settings of before are in {path}.old.")
+        durable.publish(f"{path}.new", path)
+    except OSError as error:
+        raise Left(f"{path} could not be written: {error.strerror}") from None
+    talk.say(f"Written to {path}.", style.OK)
+    return path
+
+
+def _differ(talk: Talk, path: str, made: str) -> None:
+    with open(path, encoding="utf-8", errors="replace") as file:
+        before = file.read().splitlines()
+    for line in list(difflib.unified_diff(before, made.splitlines(), "there", "new", lineterm="", n=0))[2:]:
+        if line[:1] in "+-":
+            style.show([[(f"   {line}", style.PLAIN)]])
+
+
+def doctor(talk: Talk, path: str, device: str, name: str) -> None:
+    """Show the faults of this machine that weaken the promises."""
+    style.show([[], [("The machine, as `failstop doctor --quick` sees it", style.STRONG)]])
+    looked = table.examine(Look(name, path, device, True))
+    found = [row for row in looked if row[1].level in (FAIL, WARN) and row[0] != NOT_YET]
+    style.show(screen(found, min(80, style.width())) if found else [[("   nothing to say", style.OK)]])
+
+
+def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> None:
+    """Sum up: the proofs, those that are missing, and the commands to type next."""
+    style.show([[], [("What is proved", style.STRONG)]])
+    rows = evidence.get("rows", [])
+    if not rows:
+        talk.warn("Nothing yet.", f"failstop prove --quick{option(name)}")
+    else:
+        passed = sum(row["verdict"] == "PASS" for row in rows)
+        talk.say(f"{passed} of {len(rows)} stop paths on this robot, its wheels in the air.", style.OK)
+        if any(row["path"] == FROZEN and row["verdict"] == "PASS" for row in rows):
+            talk.say("The board's own watchdog: it stopped the wheels while the whole service was frozen.", style.OK)
+    for reason in (*evidence.get("unproved", ()), "on the ground: wheels take longer to stop there"):
+        talk.say(f"not proved: {reason}", style.DIM)
+    style.show([[], [("Next", style.STRONG)]])
+    for command in commands(path, name):
+        talk.say(command, style.STRONG)
+
+
+def commands(path: str, name: str) -> list[str]:
+    """The commands to type next."""
+    installed = config.installed(name)
+    where = option(name)
+    start = f"sudo systemctl enable --now {unit_of(name).removesuffix('.service')}"
+    if path == installed and os.path.isdir("/run/systemd/system"):
+        begin = [start]
+    elif name == DEFAULT_NAME and os.path.isdir(os.path.dirname(installed)):
+        begin = [f"sudo install -m 644 {shlex.quote(path)} {installed}", start]
+    else:
+        begin = [f"failstop run --config {shlex.quote(path)}{where} &"]
+    return [*begin, f"failstop enable{where}", f"failstop teleop{where}      # drive by keys; space stops"]

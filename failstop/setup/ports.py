@@ -1,0 +1,160 @@
+"""Ports: which of them the board is at, and what keeps this user from it, each with its remedy."""
+
+from __future__ import annotations
+
+import glob
+import os
+import time
+from collections.abc import Callable, Collection
+
+from failstop.board import asking, port
+from failstop.board.kinds import board_of
+from failstop.doctor.look import OK, SKIP, Finding, Look
+from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
+from failstop.doctor.system import System
+from failstop.instances import unit_of
+from failstop.policy.layouts import BOARDS
+from failstop.setup.talk import Left, NotAnAnswer, Talk
+
+UNPLUG = "unplug"
+OTHER_PATH = "or type the path of another"
+NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
+BY_ID = "/dev/serial/by-id"
+COMES_S = 10.0
+"""How long a board that is plugged in may take to be there."""
+LOOK_S = 0.1
+RASPBERRY = "Raspberry Pi"
+
+
+def listed(system: System) -> dict[str, str]:
+    """Each port's path, with what it says of itself; what can't be a board's is left out."""
+    own = {usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}
+    found = {}
+    for path, what in system.ports(own):
+        if what != NO_DESCRIPTION or not path.startswith("/dev/ttyS"):
+            chip = next((f", a {name}" for usb, name in asking.ADAPTERS.items() if usb in what), "")
+            found[path] = f"{'on serial pins' if what == NO_DESCRIPTION else what}{chip}"
+    for link in ("/dev/serial0",):
+        if os.path.exists(link) and os.path.realpath(link) not in map(os.path.realpath, found):
+            found[link] = "on serial pins"
+    return found
+
+
+def nodes() -> set[str]:
+    """The serial devices that are there now."""
+    return {path for pattern in NODES for path in glob.glob(pattern)}
+
+
+def stable(path: str, folder: str = BY_ID) -> str:
+    """A name for the port that a replug does not change, where there is one."""
+    for link in (LINK, *sorted(glob.glob(f"{glob.escape(folder)}/*"))):
+        if os.path.exists(link) and os.path.realpath(link) == os.path.realpath(path):
+            return link
+    return path
+
+
+def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float = COMES_S) -> str:
+    """The port that goes and comes back when its board is unplugged and plugged in. Raises Left."""
+    before = set(look())
+    talk.ask("unplugged", "Pull the board's USB cable now, then press Enter.", "done", keep=False)
+    gone = before - set(look())
+    if len(gone) != 1:
+        what = f"{', '.join(sorted(gone))} went" if gone else "no port went"
+        raise Left(f"{what} when the cable was pulled: is it this computer's, and a cable with data lines?")
+    talk.say(f"{min(gone)} has gone.")
+    without = set(look())
+    talk.ask("plugged", "Plug it in again, then press Enter.", "done", keep=False)
+    until_s = time.monotonic() + comes_s
+    while not (came := set(look()) - without):
+        if time.monotonic() > until_s:
+            raise Left("no port came back: look at the cable, and at what `sudo dmesg | tail` says")
+        time.sleep(LOOK_S)
+    return min(came)
+
+
+def choose(talk: Talk, system: System) -> str:
+    """The board's port, by the person. Raises Left."""
+    found = {} if talk.known("port") else listed(system)
+    for number, (path, what) in enumerate(found.items(), 1):
+        talk.say(f"{number}  {path}   {what}")
+    if not found and not talk.known("port"):
+        talk.warn("There is no serial port here.", "plug the board in; `sudo dmesg | tail` says whether it came")
+        for text, remedy in pins(system):
+            talk.warn(text, remedy)
+
+    def check(answer: str) -> str:
+        if answer == UNPLUG:
+            return answer
+        if answer.isdecimal() and 1 <= int(answer) <= len(found):
+            return list(found)[int(answer) - 1]
+        path = os.path.expanduser(answer)
+        if not path.startswith("/"):
+            numbers = f"a number from 1 to {len(found)}, " if found else ""
+            raise NotAnAnswer(f"type {numbers}a path such as /dev/ttyACM0, or {UNPLUG}")
+        if not os.path.exists(path):
+            raise NotAnAnswer(f"there is no {path}: plug the board in, or type another")
+        if system.node(path) is None:
+            raise NotAnAnswer(f"{path} is no serial port")
+        return path
+
+    numbers = f"its number, {OTHER_PATH}" if found else "type its path"
+    default = next(iter(found)) if len(found) == 1 else ""
+    path = talk.ask("port", f"Which port is the board at? ({numbers}; {UNPLUG}: find it)", default, check)
+    if path == UNPLUG:
+        path = went(talk)
+        talk.draft.keep("port", path)
+        talk.say(f"The board is at {path}.")
+    return path
+
+
+def pins(system: System) -> list[tuple[str, str]]:
+    """Reasons why the serial pins of a small computer are no port, each with the remedy."""
+    found = []
+    if RASPBERRY in (system.read("/proc/device-tree/model") or "") and not os.path.exists(system.path("/dev/serial0")):
+        found.append(
+            (
+                "The serial pins are off.",
+                "sudo raspi-config nonint do_serial_hw 0, then restart (a Pi 5: dtparam=uart0)",
+            )
+        )
+    return found
+
+
+def console(system: System, path: str) -> list[tuple[str, str]]:
+    """A login or the kernel's own messages on this port, each with the remedy."""
+    name, real = os.path.basename(path), os.path.basename(os.path.realpath(path))
+    words = (system.read("/proc/cmdline") or "").split()
+    found = []
+    if any(word.startswith(f"console={tty}") for tty in (name, real) for word in words):
+        remedy = "sudo raspi-config nonint do_serial_cons 1, or take console= out of cmdline.txt; then restart"
+        found.append((f"The kernel writes its messages to {path}.", remedy))
+    unit = f"serial-getty@{real}.service"
+    if system.said("systemctl", "is-active", unit) is not None:
+        found.append((f"A login waits on {path}.", f"sudo systemctl disable --now {unit}"))
+    return found
+
+
+def hindrances(path: str, system: System) -> list[Finding]:
+    """Reasons why failstop can't have this port, or not for itself."""
+    look = Look(device_path=path, system=system)
+    found = [row for check in (permission, held, grabbers) for row in check(look)]
+    said = [Finding("fail", text, remedy) for text, remedy in console(system, path)]
+    if name := next((holder.instance for holder in look.holders[0] if holder.instance), ""):
+        return [Finding("fail", f"the service {name!r} has {path} open", f"sudo systemctl stop {unit_of(name)}")]
+    return [*said, *(row for row in found if row.level not in (OK, SKIP))]
+
+
+def step(talk: Talk, system: System) -> str:
+    """The first step: the port. Raises Left."""
+    talk.step(1, "The port")
+    path = choose(talk, system)
+    try:
+        serious = False
+        for row in hindrances(path, system):
+            talk.warn(f"{row.text[0].upper()}{row.text[1:]}", row.fix or row.advice)
+            serious = serious or row.level == "fail"
+        if serious:
+            raise Left(f"{path} can't be used so: do what is said above")
+    except port.PortError as error:
+        raise Left(str(error)) from None
+    return path

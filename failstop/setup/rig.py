@@ -1,0 +1,240 @@
+"""Rig: a service of its own, for the length of a step, on the settings that are being made.
+
+Every wheel that setup turns is turned through it, so that everything that stops a robot stops this one too. One wheel
+alone is turned by settings in which the base's own kinematics turn no other: nothing is added to the gate.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from math import pi
+from types import TracebackType
+
+from failstop import config, stopping
+from failstop.api.client import attach, send_stop
+from failstop.api.errors import FailstopError, Refused
+from failstop.api.robot import Blocked, Robot
+from failstop.api.snapshot import Block
+from failstop.board.interface import HEARD_WHEELS
+from failstop.board.kinds import board_of
+from failstop.board.port import PortError
+from failstop.files import instance
+from failstop.messages import layout, segments
+from failstop.setup.talk import Left
+
+READY_S = 15.0
+END_S = 5.0
+FREE_S = 5.0
+REPEAT_S = 0.05
+LEVER_M = 0.125
+"""A power of two: forward and turn cancel on one side to the last bit, at every moment of their ramps."""
+RAMP_MPS2 = 0.5
+MOST_WORDS = 300
+ENABLES = 3
+"""A busy machine may have motion disabled, with nothing latched."""
+OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
+POWER = "if a wheel turns, use the POWER SWITCH"
+_PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None, use_errno=True)
+
+Velocity = tuple[float, float, float]
+
+
+def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
+    """Settings, and a command under which the wheel of this id alone turns, forward as its motor is wired. `speeds`: in
+    a frame of the board; four need a board with ids for three wheels at least."""
+    base: dict[str, object] = {
+        "board.kind": kind,
+        "wheels.diameter_m": diameter_m,
+        "limits.acceleration_mps2": RAMP_MPS2,
+        "limits.acceleration_radps2": RAMP_MPS2 / LEVER_M,
+    }
+    if speeds == 2:
+        vx, wz = rim_mps / 2, rim_mps / 2 / LEVER_M
+        base |= {"wheels.layout": "differential", "wheels.track_m": 2 * LEVER_M}
+        base |= {"wheels.id_1": 0, "wheels.id_2": 1, "wheels.sign_1": 1, "wheels.sign_2": 1}
+        base |= {"limits.vx_mps": vx, "limits.wz_radps": wz}
+        return base, (vx, 0.0, -wz if id_ == 0 else wz)
+    others = [other for other in range(speeds) if other != id_]
+    base |= {"wheels.layout": "omni3", "wheels.lever_m": LEVER_M, "limits.vx_mps": rim_mps}
+    for number, (wheel, way) in enumerate(zip((id_, *others[:2]), (0.0, 90.0, 90.0), strict=True), 1):
+        base |= {f"wheels.id_{number}": wheel, f"wheels.sign_{number}": 1, f"wheels.angle_{number}_deg": way}
+    return base, (rim_mps, 0.0, 0.0)
+
+
+def rim_mps(rps: float, diameter_m: float) -> float:
+    """How fast a wheel of this diameter rolls at so many turns a second."""
+    return rps * pi * diameter_m
+
+
+def toml(values: Mapping[str, object]) -> str:
+    """A settings file of these values, table by table. Texts here are printable."""
+    tables: dict[str, list[str]] = {}
+    for key, value in values.items():
+        table, _, name = key.rpartition(".")
+        tables.setdefault(table, []).append(f"{name} = {json.dumps(value)}")
+    return "\n".join(f"[{table}]\n" + "\n".join(lines) + "\n" for table, lines in tables.items())
+
+
+def _end_with_parent() -> None:
+    """In the child, before exec: SIGTERM when setup dies. The supervisor then stops the wheels and ends."""
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+class Rig:
+    """A context manager. Whatever happens, the wheels are stopped at its end."""
+
+    def __init__(self, device: str, values: Mapping[str, object]) -> None:
+        """Raises SettingError."""
+        self._values = {**values, **OVERRIDES}
+        settings = config.checked(dict(self._values))
+        self._board = board_of(*settings.board())
+        self._hearing = self._board.hearing()
+        self._device = device
+        self.name = f"setup-{os.getpid()}"
+        self._folder = ""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._robot: Robot | None = None
+        self.turned: dict[int, float] = {}
+        """Of each wheel by its id the largest speed that the board has reported, in the unit of its motion, or 1 or -1
+        by the way that its position went; empty: it has reported nothing."""
+
+    def __enter__(self) -> Rig:
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _start(self) -> None:
+        self._folder = tempfile.mkdtemp(prefix="failstop-setup-")
+        path = os.path.join(self._folder, "settings.toml")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(toml(self._values))
+        words = ["run", "--name", self.name, "--device", self._device, "--config", path]
+        with open(os.path.join(self._folder, "log"), "wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "failstop", *words],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, "STATE_DIRECTORY": self._folder},
+                preexec_fn=_end_with_parent,
+                # Ctrl-C is setup's own, which ends this in order.
+                start_new_session=True,
+            )
+        until_s = time.monotonic() + READY_S + self._board.port.deaf_ns / 1e9
+        while True:
+            if self._process.poll() is not None:
+                raise Left(f"the service did not start: {self._said()}")
+            with contextlib.suppress(FailstopError):
+                self._robot = self._robot or Robot(self.name, client="setup")
+                state = self._robot.wait_for("ready", 0.2)
+                if state.cause:
+                    self._robot.reset(seen=state.epoch)
+                self._robot.enable()
+                return
+            if time.monotonic() > until_s:
+                raise Left(f"the service was not ready within {READY_S:g} s: {self._why() or self._said()}")
+
+    def drive(self, velocity: Velocity, seconds: float) -> None:
+        """Drive, then stand. Raises Left where nothing moves."""
+        assert self._robot
+        view = attach(self.name, layout.TELEMETRY).ring_reader("received")
+        self._hearing.reset()
+        self.turned = {}
+        places: dict[int, list[float]] = {}
+        blocked, left = "", ENABLES
+        until_s = time.monotonic() + seconds
+        try:
+            while time.monotonic() < until_s:
+                answer = self._robot.drive(*velocity, manual=True)
+                blocked = answer.why if isinstance(answer, Blocked) else ""
+                if blocked and isinstance(answer, Blocked) and answer.block == Block.DISABLED and left:
+                    left -= 1
+                    self._robot.enable()
+                elif blocked:
+                    break
+                time.sleep(REPEAT_S)
+                for entry in iter(view.next, None):
+                    for kind, said in self._hearing.feed(entry[2]):
+                        if kind == HEARD_WHEELS:
+                            self._take(said, places)
+            self._robot.disable()
+        except (FailstopError, Refused) as error:
+            blocked = str(error)
+        if blocked:
+            raise Left(f"the wheels were stopped: {self._why() or blocked}; {POWER}")
+
+    def _take(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
+        speeds, positions = said
+        for id_, speed in enumerate(speeds):
+            if abs(speed) >= abs(self.turned.get(id_, 0.0)):
+                self.turned[id_] = speed
+        for id_, place in enumerate(positions) if not speeds else ():
+            places.setdefault(id_, []).append(place)
+            way = place - places[id_][0]
+            self.turned[id_] = float((way > 0) - (way < 0))
+
+    def _why(self) -> str:
+        """The reason why the wheels stand, in a few words; empty: none, or nobody can tell."""
+        with contextlib.suppress(FailstopError):
+            if self._robot:
+                state = self._robot.state
+                return str(state.cause or state.waiting_for or state.blocked or "")
+        return ""
+
+    def _said(self) -> str:
+        with contextlib.suppress(OSError), open(os.path.join(self._folder, "log"), errors="replace") as file:
+            lines = [line.strip().removeprefix("failstop: ") for line in file.read().splitlines() if line.strip()]
+            return lines[-1][:MOST_WORDS] if lines else ""
+        return ""
+
+    def close(self) -> None:
+        """Stop the wheels, by the service, and by the port itself behind it."""
+        held = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        for number in held:
+            signal.signal(number, signal.SIG_IGN)
+        try:
+            self._end()
+        finally:
+            for number, handler in held.items():
+                signal.signal(number, handler)
+
+    def _end(self) -> None:
+        if self._process:
+            with contextlib.suppress(FailstopError):
+                send_stop(self.name, "setup: the step is over")
+            if self._robot:
+                self._robot.close()
+                self._robot = None
+            self._process.terminate()
+            try:
+                self._process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
+            with contextlib.suppress(PortError):
+                stopping.stop(self._device, self._board, lambda error: FREE_S * (error.kind == "busy"), lambda _: None)
+            for run in segments.dead_runs(self.name):
+                segments.unlink_all(run)
+            for path in instance.places(self.name):
+                shutil.rmtree(path, ignore_errors=True)
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = ""

@@ -1,0 +1,179 @@
+"""Wheels: which id is which wheel, and which way its motor is wired; each turned alone, then all together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from failstop.board.kinds import board_of
+from failstop.cli import style
+from failstop.policy.layouts import SPEEDS, WHEEL_NAMES, wheel_count
+from failstop.policy.settings import Settings
+from failstop.setup.rig import Rig, alone, rim_mps
+from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, yes_or_no
+
+SECONDS = 1.0
+RPS = 0.5
+"""Turns of a wheel a second: slow, and fast enough to be seen."""
+FASTEST_RPS = 2.0
+AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
+WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
+STAND = (
+    "WHEELS TURN NOW. The robot is on a stand: every wheel is off the ground and free, nobody and nothing is near, and "
+    "the power switch is at hand. Ctrl-C stops the wheels at any time."
+)
+SUPPLY = "are the motors' supply and that motor's plug in?"
+
+
+def short(name: str) -> str:
+    """`front left` as fl, `left` as left."""
+    return "".join(word[0] for word in name.split()) if " " in name else name
+
+
+def names(count: int) -> list[str]:
+    """Of each wheel in the order of their numbers, the word for it."""
+    return [short(name) for name in WHEEL_NAMES[count]]
+
+
+def parsed(answer: str, words: list[str], spare: bool) -> str:
+    """A wheel and its way, as `fl+`; or one of again, faster, none. `spare`: an id may be without a wheel. Raises
+    NotAnAnswer."""
+    text = answer.lower().strip()
+    if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
+        return text
+    if text == NONE:
+        raise NotAnAnswer(f"every id of this robot has a wheel: {SUPPLY} Then type {AGAIN_WORD} or {FASTER}")
+    for word in words:
+        for begin in dict.fromkeys((word, word[0] if len({each[0] for each in words}) == len(words) else word)):
+            if text.startswith(begin) and (way := WAYS.get(text[len(begin) :].strip())):
+                return f"{word}{'+' if way > 0 else '-'}"
+    raise NotAnAnswer(f"type the wheel ({', '.join(words)}), then + for forward or - for backward, as {words[0]}+")
+
+
+def stand(talk: Talk) -> None:
+    """The person's word that the wheels may turn; asked each time. Raises Left."""
+    talk.say(STAND, style.STRONG)
+    if talk.ask("stand", "Is it so? Type yes:", "", yes_or_no, keep=False) != YES:
+        raise Left("nothing was moved: put the robot on a stand")
+
+
+class Trial:
+    """The third step."""
+
+    def __init__(self, talk: Talk, device: str, values: Mapping[str, object]) -> None:
+        """`values`: the settings so far. Raises SettingError."""
+        self._talk, self._device, self._values = talk, device, dict(values)
+        settings = Settings(dict(values))
+        self._kind = settings.text("board.kind")
+        self._diameter_m = settings["wheels.diameter_m"]
+        self._count = wheel_count(self._kind, settings.text("wheels.layout"))
+        self._speeds = SPEEDS.get(self._kind, board_of(self._kind, 1.0, 0.0).wheels)
+        self._words = names(self._count)
+        self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
+        self._rps = RPS
+
+    def step(self) -> dict[str, object]:
+        """Ids and signs, found by turning the wheels. Raises Left."""
+        talk = self._talk
+        talk.step(3, "The wheels")
+        stand(talk)
+        found: dict[str, object] = {}
+        if self._speeds == self._count == 4 and self._kind.startswith("/"):
+            talk.warn("Of a board of your own with four wheels no single wheel can be turned.", "set [wheels] by hand")
+        else:
+            found = self._ids()
+        self._together({**self._values, **found})
+        return found
+
+    def _ids(self) -> dict[str, object]:
+        answers: dict[int, str] = {}
+        self._legend()
+        left = list(range(self._speeds))
+        while left:
+            id_ = left.pop(0)
+            spare = self._speeds - self._count > sum(answer == NONE for answer in answers.values())
+            answer = self._asked(id_, spare)
+            twin = next((other for other, said in answers.items() if answer != NONE and said[:-1] == answer[:-1]), None)
+            if twin is not None:
+                self._talk.draft.forget(f"wheel_{id_}", f"wheel_{twin}")
+                text = f"{answer[:-1]} was said of id {twin} and of id {id_}: one wheel can't have two"
+                if self._talk.silent:
+                    raise Left(text)
+                self._talk.warn(f"{text}. Both are turned once more.")
+                del answers[twin]
+                left = [twin, id_, *left]
+            elif len(answers) + 1 == self._speeds and sum(said != NONE for said in (*answers.values(), answer)) == 0:
+                raise Left(f"no wheel turned: {SUPPLY}")
+            else:
+                answers[id_] = answer
+        found: dict[str, object] = {}
+        for id_, answer in sorted(answers.items()):
+            if answer != NONE:
+                number = self._words.index(answer[:-1]) + 1
+                found |= {f"wheels.id_{number}": id_, f"wheels.sign_{number}": 1 if answer[-1] == "+" else -1}
+        return found
+
+    def _legend(self) -> None:
+        """How the questions are answered, once."""
+        wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
+        self._talk.say("One wheel after the other turns slowly for a second. Type which it was, and which way:")
+        self._talk.say(f"wheel   {wheels}" if self._count == 4 else f"wheel   {', '.join(self._words)}", indent=5)
+        self._talk.say(f"way     + {self._way}, - the other way: {self._words[0]}+", indent=5)
+        self._talk.say(f"else    {AGAIN_WORD}: once more; {FASTER}: twice as fast", indent=5)
+
+    def _asked(self, id_: int, spare: bool) -> str:
+        """The person's word of one id; the wheel turns before each question."""
+        talk, key = self._talk, f"wheel_{id_}"
+        while True:
+            if key not in talk.given and key not in talk.draft.answers:
+                self._turn(id_)
+            none = f"; {NONE}" if spare else ""
+            question = f"Id {id_}: which wheel, which way? ({', '.join(self._words)} with + or -{none})"
+            answer = talk.ask(key, question, "", lambda said: parsed(said, self._words, spare))
+            if answer not in (AGAIN_WORD, FASTER):
+                return answer
+            talk.draft.forget(key)
+            if answer == FASTER:
+                self._rps = min(FASTEST_RPS, 2 * self._rps)
+
+    def _turn(self, id_: int) -> None:
+        rim = rim_mps(self._rps, self._diameter_m)
+        values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
+        self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
+        with Rig(self._device, values) as rig:
+            rig.drive(velocity, SECONDS)
+        if not rig.turned:
+            return
+        moved = {other: speed for other, speed in rig.turned.items() if speed}
+        if not moved:
+            self._talk.warn("The board reports that no wheel turned.", f"{SUPPLY} Or type {FASTER}.")
+        for other, speed in moved.items():
+            self._talk.say(f"The board reports that id {other} turned {'forward' if speed > 0 else 'backward'}.")
+
+    def _together(self, values: Mapping[str, object]) -> None:
+        """All of them, as a robot: forward, then to the left. Raises Left."""
+        talk = self._talk
+        rim = rim_mps(self._rps, self._diameter_m)
+        settings = Settings(dict(values))
+        reach_m = settings["wheels.track_m"] if "wheels.track_m" in settings.flat() else settings["wheels.lever_m"]
+        tries: list[tuple[str, str, tuple[float, float, float]]] = [
+            ("forward", "Did every wheel turn forward?", (rim, 0.0, 0.0)),
+            ("turn", "Did the left wheels turn backward, and the right ones forward?", (0.0, 0.0, rim / reach_m)),
+        ]
+        if self._count == 3:
+            tries = [
+                ("forward", "Did the left wheel turn -, the right one +, and the rear one stand?", (rim, 0.0, 0.0)),
+                ("turn", "Did all three turn the way that turns the robot to the left?", (0.0, 0.0, rim / reach_m)),
+            ]
+        elif "steering.servo" in settings.flat():
+            tries[1] = ("turn", "Do the steered wheels point to the left?", (rim, 0.0, rim / reach_m))
+        wanted = [key for key, _, _ in tries if key not in talk.given and talk.draft.answers.get(key) != YES]
+        limits = {"limits.vx_mps": rim, "limits.wz_radps": max(0.01, rim / reach_m)}
+        for key, question, velocity in tries:
+            if key in wanted:
+                talk.say("All wheels together, for a second ...", style.DIM)
+                with Rig(self._device, {**values, **limits}) as rig:
+                    rig.drive(velocity, SECONDS)
+            if talk.ask(key, question + " (yes, no)", "", yes_or_no) != YES:
+                talk.draft.forget(key, *(f"wheel_{id_}" for id_ in range(self._speeds)))
+                what = "steering.sign or a wheel" if "steering.servo" in settings.flat() else "one of the wheels"
+                raise Left(f"then what was said of {what} is not so: the wheels are asked once more")

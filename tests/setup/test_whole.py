@@ -1,0 +1,80 @@
+"""A robot of each kind, from nothing to a proved robot by the conversation alone; the simulated board is the judge."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import config
+from failstop.lab.sim.client import SimBoard
+from tests.setup.person import Person, Wiring
+from tests.support.amounts import LONG
+
+MOST_ANSWERS = 25
+TWO = {0: "left+", 1: "right-"}
+FOUR = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
+LEFT = ("left", "fl", "rl")
+ROBOTS = {
+    "ugv": ("ugv", "ugv-rover", TWO),
+    "rrc": ("rrc", "rosorin", FOUR),
+    "tracks": ("rrc", "landerpi-tracks", FOUR),
+    "arduino": ("arduino", "", TWO),
+    "hoverboard": ("hoverboard", "", TWO),
+}
+"""Each: the kind of board, the robot's name where there are names for it, how it is wired."""
+IN_SHORT = ("ugv",)
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder with short paths."""
+    with tempfile.TemporaryDirectory(prefix="s", dir="/tmp") as folder:
+        for made in ("etc/failstop", "run/failstop", "var/lib/failstop"):
+            (Path(folder) / made).mkdir(parents=True)
+        yield Path(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ROBOTS if LONG else IN_SHORT)
+def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, place: Path) -> None:
+    kind, name, wheels = ROBOTS[robot]
+    port = str(place / "b")
+    with SimBoard(port, board=kind) as board, Person(place) as person:
+        person.says("Which port is the board at?", port)
+        person.reads(f"({kind})")
+        if name:
+            listed = person.reads("The robot's number?")
+            person.types(listed.split(f" {name} ")[0].split()[-1])
+        person.says("Type yes:", "yes")
+        wiring = Wiring(board, wheels)
+        for id_ in wheels:
+            person.reads(f"Id {id_}: which wheel, which way?")
+            person.types(wiring.seen())
+        person.reads("Did every wheel turn forward?")
+        assert set(wiring.together().values()) == {1}
+        person.types("yes")
+        person.reads("Did the left wheels turn backward")
+        assert wiring.together() == {wheel[:-1]: -1 if wheel[:-1] in LEFT else 1 for wheel in wheels.values()}
+        person.types("yes")
+        for question in ("Wheel diameter", "Distance of left and right", "Fastest forward", "Fastest turn"):
+            if question == "Distance of left and right" and robot == "rrc":
+                person.says("Distance of front and rear axle", "")
+            if question == "Fastest turn" and robot == "rrc":
+                person.says("Fastest sideways", "")
+            person.says(question, "")
+        person.says('Type "spin"', "spin")
+        person.reads("PASS")
+        person.says("Write them to which file?", "")
+        person.reads("Next")
+        assert person.ends() == 0
+        assert not any(board.wheels())
+    assert person.answers < MOST_ANSWERS
+    assert not person.wide(80)
+    made = config.load(str(place / "etc/failstop/failstop.toml"))
+    words = {0: "left", 1: "right"} if len(wheels) == 2 else {0: "fl", 1: "rl", 2: "fr", 3: "rr"}
+    found = {id_: f"{words[at]}{'+' if sign > 0 else '-'}" for at, (id_, sign) in enumerate(made.mounted())}
+    assert found == wheels
+    assert not (place / "state/setup.json").exists()
