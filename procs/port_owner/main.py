@@ -14,13 +14,12 @@ from failstop.policy.causes import Cause
 from failstop.procs.context import Context
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
-from failstop.procs.port_owner import admission, requests, schedule
+from failstop.procs.port_owner import admission, requests
 from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
-from failstop.procs.port_owner.asking import Asking
 from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
-from failstop.procs.port_owner.schedule import Repeats
+from failstop.procs.schedule import REFRESH, REPEAT, Repeats
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell
 from failstop.shm.lifeline import give_way
@@ -63,7 +62,6 @@ class PortOwner:
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
         self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
-        self.pings = Asking(context, self.loop, self.wire, self.port.hears_ns)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
@@ -113,9 +111,9 @@ class PortOwner:
         self._take_port(ready, now_ns)
         self._repeat(now_ns)
         self.port.follow(now_ns)
-        self.pings.follow(now_ns)
+        self.port.ask(now_ns)
         self.port.watch(heard=self._telemetry.runs())
-        self.heartbeat.beat(now_ns, self.epoch)
+        self.heartbeat.beat(now_ns)
         return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
@@ -144,7 +142,7 @@ class PortOwner:
         self._take_held()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
-        self.pings.stopped(written_ns)
+        self.port.pings.stopped(written_ns)
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
@@ -288,7 +286,7 @@ class PortOwner:
             and self.bus.wrote(move[0], now_ns)
         ):
             self._arm_moved = True
-            self.repeats.motion()
+            self.repeats.end()
             self._requests.wake()
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
@@ -348,7 +346,7 @@ class PortOwner:
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
-            self.repeats.motion()
+            self.repeats.end()
             self._requests.wake()  # from here on the next request counts at once
         elif frame == self.board.stop:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
@@ -367,7 +365,6 @@ class PortOwner:
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)
             self.port.adopt(sent, now_ns)
-            self.pings.wait(self.port.hears_ns)
             self._stopped(monotonic_ns())
             self.port.begin(now_ns)
 
@@ -378,9 +375,9 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         self.repeats.wait(self.wire.free_ns)
-        if (due := self.repeats.take(now_ns)) == schedule.REPEAT:
+        if (due := self.repeats.take(now_ns)) == REPEAT:
             self.wire.burst()
-        elif due == schedule.REFRESH:
+        elif due == REFRESH:
             self.wire.frame(self.board.refresh)
 
 

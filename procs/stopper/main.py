@@ -55,7 +55,7 @@ class Stopper:
         self._bells = (context.bell("bell"), context.early.bell)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._parent = Parent(context, self.loop, 1)
-        self.held = HeldPort(context, self.loop, self._parent.control, self._port, HANGUP)
+        self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
@@ -71,10 +71,10 @@ class Stopper:
         bell.clear_rung(self._bells, ready)
         self._answer_deaths(ready, now_ns)
         self._write_due(now_ns)
-        self.held.follow(ready)
+        self.held.follow(ready, lost=self._port.lost)
         if not self._parent.orphaned_ns:
             self._follow_port_owner(now_ns)
-        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        self.heartbeat.beat(now_ns)
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:

@@ -11,7 +11,7 @@ import msgpack
 from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NEXT_STEP, NO_FIELDS, Fields, Note, pack
+from failstop.messages.packing import NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -134,7 +134,7 @@ class Telemetry:
         self._bias_flags = (False, False)
         self._attach(context)
         self._watch_others(context)
-        self._publish_still(self._still)
+        self._tell_still(self._still, was_still=False)
         self._inherit(context.own)
         now_ns = monotonic_ns()
         self._gate.read(now_ns)
@@ -230,7 +230,7 @@ class Telemetry:
         self._tell_pad_mode()
         for text, step in self._files.notes():
             self._note("disk", text, step=step)
-        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        self.heartbeat.beat(now_ns)
 
     def _follow_gate(self, now_ns: int) -> None:
         """Follow the gate's state with everything that depends on it."""
@@ -249,16 +249,6 @@ class Telemetry:
             self._port_owner_bell.ring()
         if self._port.follow(ready):
             self._hearing.reset()
-
-    def _publish_still(self, judge: StillJudge | ReadBack) -> None:
-        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
-        # lack of a verdict never with a time.
-        if not judge.judged_ns:
-            self._judged_word.set(0)
-            self._barrier()
-        self._still_word.set(judge.still_ns)
-        self._barrier()
-        self._judged_word.set(judge.judged_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the records that come with no frame of the board."""
@@ -279,8 +269,7 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        whole, what = (f"{text}{NEXT_STEP}{step}", len(text)) if step else (text, 0)
-        self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
+        self._rings["notes"].put(Note(kind, text, fields, level, step).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
@@ -324,7 +313,14 @@ class Telemetry:
         self._note_gyro(note)
 
     def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
-        self._publish_still(judge)
+        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
+        # lack of a verdict never with a time.
+        if not judge.judged_ns:
+            self._judged_word.set(0)
+            self._barrier()
+        self._still_word.set(judge.still_ns)
+        self._barrier()
+        self._judged_word.set(judge.judged_ns)
         if was_still != (judge.still_ns > 0):
             self.supervisor_bell.ring()
 

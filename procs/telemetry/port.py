@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 LATE_NS = 100_000_000
 """Bytes that may have waited for as long as this count as older, whatever they are: an old answer is none to a newer
-ping (procs/port_owner/schedule.py), an old stick of the gamepad commands nothing."""
+ping (procs/schedule.py), an old stick of the gamepad commands nothing."""
 
 PROVED_NS = 3_000_000_000
 """So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
@@ -31,8 +31,7 @@ class HeardPort:
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
-        self._held = HeldPort(context, loop, control, self, READ | EDGE)
-        self.follow = self._held.follow
+        self._held = HeldPort(context, loop, control, self.adopt, READ | EDGE)
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
@@ -43,9 +42,9 @@ class HeardPort:
         while self._read():
             pass
 
-    def close(self) -> None:
-        """Let it go."""
-        self.adopt(-1)
+    def follow(self, ready: dict[int, int]) -> bool:
+        """Once a turn, as HeldPort.follow()."""
+        return self._held.follow(ready, lost=self.lost)
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
         """Once a turn: have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end

@@ -39,8 +39,9 @@ class Repeats:
         self._bursts = len(self._after_ns)
         self._due.set(*(now_ns + after for after in (*self._after_ns, ZERO_EVERY_NS)))
 
-    def motion(self) -> None:
-        """Motion was written: an earlier stop is over and must not cut into it. No zeros before the next."""
+    def end(self) -> None:
+        """Motion was written, or is another process's to write: a stop must not cut into it. No zeros before the next
+        stop."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
