@@ -6,6 +6,7 @@ from __future__ import annotations
 import _socket
 import os
 import struct
+from collections.abc import Callable
 
 from failstop.messages import layout, records
 from failstop.messages.records import PATH_BYTES, cut
@@ -13,8 +14,6 @@ from failstop.procs.loop import GONE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
 

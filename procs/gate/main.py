@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from time import monotonic_ns
 
 from failstop.files import instance, place
@@ -27,8 +28,6 @@ from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from failstop.procs.gate.clients import News
 
 PUBLISH_NS = 75_000_000

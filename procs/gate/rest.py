@@ -3,12 +3,8 @@ move: they read the word `busy`."""
 
 from __future__ import annotations
 
-from failstop.procs.loop import NEVER
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop, Timer
+from failstop.procs.context import Context
+from failstop.procs.loop import NEVER, Loop, Timer
 
 PERIODS_AT_REST = 2
 """From tick to tick, while nothing needs each of them."""

@@ -33,17 +33,13 @@ from __future__ import annotations
 
 from collections import deque
 
+from failstop.board.interface import Board
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_MOVE
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.loop import NEVER
+from failstop.procs.loop import MS, NEVER
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
-
-MS = 1_000_000
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""

@@ -12,7 +12,7 @@ from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
-from failstop.procs.loop import NEVER, READ, Loop
+from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.procs.port_owner import admission, requests
 from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
@@ -25,7 +25,6 @@ from failstop.shm import bell
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
-MS = 1_000_000
 TICK_NS = 33 * MS
 """A third of what it may be silent for (policy/processes.py). What it has to notice sooner rings, or is a timer."""
 OTHER_BACKLOG = 128

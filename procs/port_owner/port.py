@@ -11,14 +11,10 @@ from time import monotonic_ns
 
 from failstop.board.port import waiting_bytes
 from failstop.messages import layout, records
-from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Timer
+from failstop.procs.context import Context
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
+from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.schedule import Pings
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
-    from failstop.procs.port_owner.port_writer import PortWriter
 
 AGAIN_NS = 20_000_000
 """After so long it is told again what the kernel did not take whole."""

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from failstop.board import port
+from failstop.procs.context import Context
 from failstop.procs.handover import Control, HeldPort
-from failstop.procs.loop import EDGE, HANGUP, READ
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
+from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
 """Bytes that may have waited for as long as this count as older, whatever they are: an old answer is none to a newer
