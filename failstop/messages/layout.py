@@ -164,7 +164,6 @@ SEGMENTS = (
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _ring("received", 512, 512, "everyone"),  # bytes from the board, in order; about 4 s of them
-            _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # the reports that it decoded (box.py)
         ),
     ),

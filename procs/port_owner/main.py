@@ -97,7 +97,8 @@ class PortOwner:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        self._hear_requests(ready, now_ns)
+        if self._requests.asked(ready, now_ns):
+            self._stop_request(now_ns)
         bell.clear_rung(self._bells, ready)
         self._hear_causes()
         self._answer_deaths(ready, now_ns)
@@ -147,10 +148,6 @@ class PortOwner:
         self._written_word.set(written_ns)
         self._moving_word.set(0)
         return written_ns
-
-    def _hear_requests(self, ready: dict[int, int], now_ns: int) -> None:
-        if self._requests.asked(ready, now_ns):
-            self._stop_request(now_ns)
 
     def _stop_request(self, now_ns: int) -> None:
         self.wire.burst()

@@ -11,7 +11,7 @@ import msgpack
 from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NO_FIELDS, Fields, Note, pack
+from failstop.messages.packing import NO_FIELDS, Fields, Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -145,7 +145,7 @@ class Telemetry:
         own = context.own
         latest = ("imu", "bias", "odometry", "battery", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
-        rings = ("buttons", "causes", "pad_requests", "notes", "servos")
+        rings = ("causes", "pad_requests", "notes", "servos")
         self._rings = {name: own.ring_writer(name) for name in rings}
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
@@ -370,7 +370,6 @@ class Telemetry:
         self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
         self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
         if news.cause:
-            self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
             text = f"{news.cause}; last frames: {self._pad.recent()}"
             self._note("pad", text, {"reason": str(news.cause)})
 
@@ -386,7 +385,6 @@ class Telemetry:
     def _on_key(self, sample: Value, t_ns: int) -> None:
         key, event = sample
         self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
-        self._rings["buttons"].put(pack({"kind": "key", "key": key, "event": event}), t_ns)
 
 
 def run(context: Context) -> int:
