@@ -50,8 +50,6 @@ class FileView:
     A file that a client has truncated is a short read, which no CRC passes, and not a SIGBUS that kills the reader.
     """
 
-    __slots__ = ("fd",)
-
     def __init__(self, fd: int) -> None:
         self.fd = fd
 

@@ -16,8 +16,6 @@ REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
 class HeartbeatReader:
     """The watching side of one process's heartbeat."""
 
-    __slots__ = ("cpu_ns", "ns", "pid", "rights", "state", "worst_ns")
-
     def __init__(self, segment: Segment) -> None:
         self.ns = segment.word("beat_ns")
         self.cpu_ns = segment.word("beat_cpu_ns")
@@ -37,8 +35,6 @@ class HeartbeatReader:
 
 class Heartbeat:
     """The writing side. Only the segment's own process beats; a successor starts again."""
-
-    __slots__ = ("_last_ns", "_words", "_worst_ns")
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)

@@ -57,11 +57,6 @@ END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
 
-def _continued() -> bool:
-    """True when a signal has let this process go on since the last call, which takes SIGCONT to be blocked."""
-    return signal.sigtimedwait((signal.SIGCONT,), 0) is not None
-
-
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
 
@@ -153,7 +148,9 @@ class Supervisor:
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
         gap_ns = now_ns - self._turned_ns
-        suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and _continued() else 0
+        # A signal has let this process go on since: SIGCONT is blocked (entry.py).
+        continued = gap_ns >= EXCUSE_NS and signal.sigtimedwait((signal.SIGCONT,), 0)
+        suspended_ns = gap_ns if continued else 0
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0

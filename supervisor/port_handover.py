@@ -41,8 +41,6 @@ UDEV_S = 2.0
 class OwnPort(StopPort):
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("number", "stopped")
-
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
         super().__init__(fd, board, servos)

@@ -31,8 +31,6 @@ EARLY_NS = 2_000_000
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_line_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
-
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
         burst or not at all."""

@@ -247,7 +247,7 @@ class Telemetry:
         """The port owner, which does not read, is told of a loss; half a frame from before it has no other half."""
         if self._port.lost:
             self._port_owner_bell.ring()
-        if self._port.follow(ready):
+        if self._port.held.follow(ready, lost=self._port.lost):
             self._hearing.reset()
 
     def _publish(self, now_ns: int) -> None:

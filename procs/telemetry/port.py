@@ -27,7 +27,7 @@ class HeardPort:
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
-        self._held = HeldPort(context, loop, control, self.adopt, READ | EDGE)
+        self.held = HeldPort(context, loop, control, self.adopt, READ | EDGE)
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
@@ -38,16 +38,12 @@ class HeardPort:
         while self._read():
             pass
 
-    def follow(self, ready: dict[int, int]) -> bool:
-        """Once a turn, as HeldPort.follow()."""
-        return self._held.follow(ready, lost=self.lost)
-
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
         """Once a turn: have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end
         alone."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
-        self._held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
+        self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def take(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Once a turn: what has come since the last, and when."""
