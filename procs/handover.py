@@ -91,8 +91,8 @@ class HeldPort:
                 self._loop.watch(self._fd, wanted)
 
     def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
-        """Once a turn; `lost`: its user has found it gone. True when it has taken one, a new one or its own again where
-        that was closed."""
+        """Look for news of the port, once a turn; `lost`: its user has found that it is gone. True when another
+        descriptor was taken, of a new port or of the same one again."""
         taken = False
         given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
         if ready.get(self._fd, 0) & GONE or lost or given_up:
@@ -106,7 +106,7 @@ class HeldPort:
         return taken
 
     def let_go(self) -> None:
-        """Close it, if there is one."""
+        """Close the port, if one is held."""
         if self._fd >= 0:
             self._loop.forget(self._fd)
             self._adopt(-1)

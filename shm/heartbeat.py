@@ -48,7 +48,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def beat(self, now_ns: int) -> None:
-        """One turn of the loop."""
+        """Tell of one turn of the loop."""
         words, gap_ns = self._words, now_ns - self._last_ns
         self._last_ns = now_ns
         if gap_ns > self._worst_ns:

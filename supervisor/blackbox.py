@@ -138,7 +138,7 @@ class BlackBox:
                 self._tell(code, told if isinstance(told, dict) else None)
 
     def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing."""
+        """Tell what a saver that has ended has saved, if anything, or what is `wrong`; `told` None: it said nothing."""
         if not code and told == {}:
             return
         told = told or {}

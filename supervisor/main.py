@@ -259,7 +259,7 @@ class Supervisor:
         self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
 
     def _follow_reset(self, now_ns: int) -> None:
-        """Once the last stop is carried out."""
+        """Decide the reset that waits, once the last stop is carried out."""
         if not self._unanswered and self.epochs.decide_reset():
             self.processes.recall(now_ns)
 

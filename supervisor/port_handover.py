@@ -115,7 +115,7 @@ class Opener:
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
-        """The port was lost: open it when it is back."""
+        """Have the thread open the lost port as soon as it is back."""
         self._asked.release()
 
     def take(self) -> tuple[int, int] | None:

@@ -143,5 +143,5 @@ class StopPort:
             port.close_port(old)
 
     def close(self) -> None:
-        """Let it go."""
+        """Close the descriptor, and hold none."""
         self.adopt(-1)

@@ -92,7 +92,7 @@ class Slot:
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record of this name, once."""
+        """The newest record of this name, unless it was returned before."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None

@@ -16,7 +16,7 @@ from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
 from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
-from failstop.procs.gate.remarks import Said
+from failstop.procs.gate.remarks import SelfReports
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
@@ -57,7 +57,7 @@ class Gate:
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
-        self._said = Said(now_ns)
+        self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._each_tick = bool(settings.servos() or settings.interlocks())

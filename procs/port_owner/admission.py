@@ -104,7 +104,7 @@ class Admission:
         return None
 
     def stopped(self, epoch: int) -> None:
-        """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""
+        """Remember a stop of the port owner's own in this epoch: the supervisor answers it with a newer one."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
 
@@ -136,7 +136,7 @@ class ServoBus:
         return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
-        """It was written; True when a servo moves by it."""
+        """Account for a frame that was written; True when a servo moves by it."""
         self._free_ns = max(self._free_ns, now_ns) + self._board.servo_ns(frame)
         moves = frame[_COMMAND_AT] == SERVO_MOVE
         if moves:

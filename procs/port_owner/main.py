@@ -193,13 +193,14 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
+        """Stop after a sleep of the machine: commands and frames are older than they look, and the robot may have been
+        moved."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
+        """Stop at the moment when a lease runs out, not at a tick after it. Without motion there is nothing to stop."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -250,7 +251,7 @@ class PortOwner:
             self._burst()
 
     def _forward_arm(self) -> None:
-        """As for motion, one after the other; the first that has to wait holds up those behind it."""
+        """Write the arm's frames in order, each decided on as motion is; the first that must wait holds up the rest."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -261,14 +262,14 @@ class PortOwner:
                     break
             self.bus.waiting.popleft()
             if verdict != admission.ADMIT:
-                self._obey(verdict, now_ns)
+                self._refuse(verdict, now_ns)
             elif due_ns != NEVER:
                 self._write_arm(move)
             due_ns = NEVER
         self._arm_due.set(due_ns)
 
     def _write_arm(self, move: DatedFrame) -> None:
-        """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
+        """Write a frame for the servos, with the word `moving` set meanwhile alone: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
@@ -295,7 +296,7 @@ class PortOwner:
         beat_ns = self._supervisor_beat.get()
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
-    def _obey(self, verdict: int | Cause, now_ns: int) -> None:
+    def _refuse(self, verdict: int | Cause, now_ns: int) -> None:
         """Act on a frame that is not written."""
         if verdict == admission.STAND_STILL:
             self._burst()
@@ -315,7 +316,7 @@ class PortOwner:
         if verdict == admission.ADMIT:
             self._write_motion(motion)
         else:
-            self._obey(verdict, now_ns)
+            self._refuse(verdict, now_ns)
 
     def _take_held(self) -> DatedFrame | None:
         """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
@@ -325,9 +326,9 @@ class PortOwner:
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
-        """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
-        raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
-        starved here, for however long, may live."""
+        """Set the word `moving`, then look at epoch and time once more, then write: whoever reads that nothing moves,
+        having raised the epoch or not, knows that no frame is about to be written that would not be good then. So a
+        port owner that is starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()

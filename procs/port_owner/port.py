@@ -47,7 +47,7 @@ class OpenPort:
         """Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 
     def begin(self, now_ns: int) -> None:
-        """The first burst is written."""
+        """Go on after the first burst: the port counts as open once the board hears and was told."""
         if self._wire.lost or self.hears_ns <= now_ns:
             self._hear(now_ns)
         else:
@@ -63,7 +63,7 @@ class OpenPort:
             self._hears.set(now_ns + AGAIN_NS)
 
     def _told(self) -> bool:
-        """Whether the kernel has taken all that the board is to be told."""
+        """Tell the board what is left to tell; True once the kernel has taken all of it."""
         wire = self._wire
         for frame in self._untold:
             if not wire.frame(frame, len(frame) * len(self._untold)) or wire.unsent:
@@ -130,7 +130,7 @@ class OpenPort:
         self._watched = wanted
 
     def lose(self) -> None:
-        """Let it go."""
+        """Close the port, and watch it no longer."""
         if self._watched[0] == self._wire.fd:
             self._loop.forget(self._wire.fd)
         self._watched = (-1, 0)

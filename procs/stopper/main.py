@@ -78,7 +78,8 @@ class Stopper:
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """The port owner's at once. It has the first go at the supervisor's, which is the end of this process too."""
+        """Stop for the port owner's death at once. At the supervisor's, the end of this process too, it has the first
+        go."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
