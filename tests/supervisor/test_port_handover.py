@@ -209,6 +209,7 @@ def test_the_supervisor_repeats_the_stop_while_the_port_owner_has_no_port(scene:
     assert turn(scene, 1) == BURST
     scene.has_port(layout.PORT_OWNER, 2)
     assert turn(scene, ZERO_EVERY_NS) == b"", "it says zero itself"
+    assert scene.supervisor.loop.due_ns() > scene.now_ns, "and no timer of a repeat keeps the loop awake"
 
 
 def test_a_port_that_has_gone_again_before_anybody_heard_of_it_is_lost_again(scene: Scene) -> None:
