@@ -6,6 +6,7 @@ from __future__ import annotations
 import _socket
 import os
 import struct
+from collections.abc import Callable
 
 from failstop.messages import layout, records
 from failstop.messages.records import PATH_BYTES, cut
@@ -13,24 +14,8 @@ from failstop.procs.loop import GONE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Protocol
-
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
-
-    class PortDescriptor(Protocol):
-        """A descriptor of the port, whatever it is held for."""
-
-        fd: int
-        """-1: none."""
-        lost: bool
-
-        def adopt(self, fd: int) -> None:
-            """Take another."""
-
-        def close(self) -> None:
-            """Let it go."""
-
 
 _FD = struct.Struct("i")
 _NUMBER = struct.Struct("<Q")
@@ -82,46 +67,50 @@ class HeldPort:
     """The port of a process that does not own it, taken as the supervisor hands it down, let go at once when it has
     gone: a descriptor kept open over a USB drop renumbers the device. A word tells which port it is."""
 
-    def __init__(self, context: Context, loop: Loop, control: Control, port: PortDescriptor, wanted: int) -> None:
-        """`wanted`: what the loop watches it for."""
-        self._loop, self._control, self._port, self._wanted = loop, control, port, wanted
+    def __init__(
+        self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
+    ) -> None:
+        """`adopt`: lets the old descriptor go for another, -1 for none; `wanted`: what the loop watches it for."""
+        self._loop, self._control, self._adopt, self._wanted = loop, control, adopt, wanted
         self._record = context.segment(layout.PORT_OWNER).latest_reader("port")
         self._word = context.own.word("port_number")
         self._number = context.port_number
-        self._word.set(0)
-        if port.fd >= 0:
-            self._hold()
+        self._hold(context.fd("port"))
 
-    def _hold(self) -> None:
-        self._word.set(self._number)
-        self._loop.watch(self._port.fd, self._wanted)
+    def _hold(self, fd: int) -> None:
+        self._fd = fd
+        self._word.set(self._number if fd >= 0 else 0)
+        if fd >= 0:
+            self._loop.watch(fd, self._wanted)
 
     def watch(self, wanted: int) -> None:
         """Watch it for something else from here on."""
         if wanted != self._wanted:
             self._wanted = wanted
-            if self._port.fd >= 0:
-                self._loop.watch(self._port.fd, wanted)
+            if self._fd >= 0:
+                self._loop.watch(self._fd, wanted)
 
-    def follow(self, ready: dict[int, int]) -> bool:
-        """Once a turn. True when it has taken one, a new one or its own again where that was closed."""
-        port, taken = self._port, False
+    def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
+        """Look for news of the port, once a turn; `lost`: its user has found that it is gone. True when another
+        descriptor was taken, of a new port or of the same one again."""
+        taken = False
         given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
-        if ready.get(port.fd, 0) & GONE or port.lost or given_up:
+        if ready.get(self._fd, 0) & GONE or lost or given_up:
             self.let_go()
-        while sent := self._control.newer(ready, self._number + (port.fd >= 0)):
+        while sent := self._control.newer(ready, self._number + (self._fd >= 0)):
             self.let_go()
             fd, self._number, _ = sent
-            port.adopt(fd)
-            self._hold()
+            self._adopt(fd)
+            self._hold(fd)
             taken = True
         return taken
 
     def let_go(self) -> None:
-        if self._port.fd >= 0:
-            self._loop.forget(self._port.fd)
-            self._port.close()
-            self._word.set(0)
+        """Close the port, if one is held."""
+        if self._fd >= 0:
+            self._loop.forget(self._fd)
+            self._adopt(-1)
+            self._hold(-1)
 
 
 def pair() -> tuple[int, int]:

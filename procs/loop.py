@@ -1,7 +1,7 @@
 """Loop: waits for descriptors or the next timer, with microsecond time-outs.
 
-Whoever sets a timer also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
-is due and not taken or set again keeps the loop awake.
+A loop waits for every timer that it made; the code that set a timer checks whether it is due. A timer that is due and
+is neither taken nor set again keeps the loop awake.
 
 `epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone. So the
 descriptors are in an epoll set. For a timer `select` waits for that set; for the longest time that a process may
@@ -37,7 +37,7 @@ class Timer:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Wait for this one, and once it is taken for the next."""
+        """Set the next point in time, and those that follow, each when the one before was taken."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
@@ -45,11 +45,11 @@ class Timer:
         return now_ns >= self.ns
 
     def wait(self, until_ns: int) -> None:
-        """Not before this, whatever was set."""
+        """Put the next point in time off until then at least."""
         self.ns = max(self.ns, until_ns)
 
     def take(self, now_ns: int) -> bool:
-        """True when it is due; it is then waited for the next one."""
+        """True when the timer is due; the point in time after it takes its place then."""
         if now_ns < self.ns:
             return False
         self.set(*self._then, NEVER)

@@ -50,8 +50,6 @@ class FileView:
     A file that a client has truncated is a short read, which no CRC passes, and not a SIGBUS that kills the reader.
     """
 
-    __slots__ = ("fd",)
-
     def __init__(self, fd: int) -> None:
         self.fd = fd
 
@@ -195,11 +193,8 @@ class LatestWriter(_Writer):
 
 class RingWriter(_Writer):
     """Appends entries in order, for any number of readers. There is no shared head or tail, no reader state in shared
-    memory and no lock: entry `n` lives in cell `n % cells`.
-
-    Writing entry n: (1) build the cell with seq n privately, (2) a barrier, (3) one slice assignment: whoever sees an
-    entry sees what its writer stored before it, and the entries before it among that.
-    """
+    memory and no lock: entry `n` lives in cell `n % cells`. Whoever sees an entry sees what its writer stored before
+    it, and the entries before it among that: a barrier is between."""
 
     __slots__ = ()
 

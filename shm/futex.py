@@ -53,8 +53,6 @@ class Futex:
     Only the kernel reaches it through the mapping: a file that somebody has truncated costs no SIGBUS.
     """
 
-    __slots__ = ("_address", "_fd", "_offset", "_owned", "_page")
-
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
         """Lines that belong together are in one page. Whoever waits needs the caller's descriptor open. Raises
         OSError."""

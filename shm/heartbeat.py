@@ -16,15 +16,11 @@ REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
 class HeartbeatReader:
     """The watching side of one process's heartbeat."""
 
-    __slots__ = ("cpu_ns", "epoch", "loops", "ns", "pid", "rights", "state", "worst_ns")
-
     def __init__(self, segment: Segment) -> None:
         self.ns = segment.word("beat_ns")
         self.cpu_ns = segment.word("beat_cpu_ns")
-        self.loops = segment.word("beat_loops")
         self.worst_ns = segment.word("beat_worst_ns")
         self.pid = segment.word("beat_pid")
-        self.epoch = segment.word("beat_epoch")
         self.state = segment.word("beat_state")
         self.rights = segment.word("beat_rights")
 
@@ -40,31 +36,24 @@ class HeartbeatReader:
 class Heartbeat:
     """The writing side. Only the segment's own process beats; a successor starts again."""
 
-    __slots__ = ("_last_ns", "_loops", "_words", "_worst_ns")
-
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
-        self._loops = 0
         self._worst_ns = 0
         self._last_ns = now_ns
-        for word in (words.loops, words.worst_ns, words.epoch):
-            word.set(0)
+        words.worst_ns.set(0)
         words.state.set(BEAT_STARTING)
         words.rights.set(rights)
         words.cpu_ns.set(process_time_ns())
         words.pid.set(pid)
         words.ns.set(now_ns)
 
-    def beat(self, now_ns: int, epoch: int) -> None:
-        """One turn of the loop."""
+    def beat(self, now_ns: int) -> None:
+        """Tell of one turn of the loop."""
         words, gap_ns = self._words, now_ns - self._last_ns
         self._last_ns = now_ns
         if gap_ns > self._worst_ns:
             self._worst_ns = gap_ns
             words.worst_ns.set(gap_ns)
-        self._loops += 1
-        words.loops.set(self._loops)
-        words.epoch.set(epoch)
         words.cpu_ns.set(process_time_ns())
         words.ns.set(now_ns)
 

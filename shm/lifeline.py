@@ -48,8 +48,6 @@ def pid_namespace() -> int:
 class Lifeline:
     """Watches one process. `fd` becomes readable when the process has died; it then stays readable."""
 
-    __slots__ = ("armed", "early", "fd", "marked", "pid")
-
     def __init__(self, pid: int = 0) -> None:
         """0: a process whose number is not known here, as in a container: the early news alone can tell. Raises
         ProcessLookupError when there is no such process."""
@@ -101,8 +99,6 @@ class Lifeline:
 
 class EarlyNews:
     """One process's waiting threads; `bell` rings after a lifeline has told of a death."""
-
-    __slots__ = ("_lifelines", "_policy", "bell")
 
     def __init__(self, lifelines: Segment) -> None:
         """Threads take the scheduling that this process has now."""

@@ -36,8 +36,6 @@ class Record(Data):
 class SegmentSpec:
     """One segment: its name, its one writer, the mode of its file, and where each record lies in it."""
 
-    __slots__ = ("mode", "name", "offsets", "records", "size", "writer")
-
     def __init__(self, name: str, writer: str, mode: int, records: tuple[Record, ...]) -> None:
         self.name = name
         self.writer = writer
@@ -53,8 +51,6 @@ class SegmentSpec:
 
 class Segment:
     """One segment as this process sees it: mapped (its own, or read-only), or through pread for client segments."""
-
-    __slots__ = ("_fd", "incarnation", "mapped", "spec", "view")
 
     def __init__(self, spec: SegmentSpec, incarnation: int, mapped: mmap.mmap | None = None, fd: int = -1) -> None:
         self.spec = spec

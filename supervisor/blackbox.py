@@ -16,12 +16,9 @@ import msgpack
 from failstop.messages import box, layout, records
 from failstop.messages.packing import NEXT_STEP
 from failstop.shm.lifeline import Lifeline
+from failstop.supervisor.run import Run
 from failstop.supervisor.starter import environment, reap, script_command, spawn
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:  # for the saver, which has a constant of here and needs no more
-    from failstop.supervisor.run import Run
-    from failstop.supervisor.stops import Stop
+from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
@@ -141,7 +138,7 @@ class BlackBox:
                 self._tell(code, told if isinstance(told, dict) else None)
 
     def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing."""
+        """Tell what a saver that has ended has saved, if anything, or what is `wrong`; `told` None: it said nothing."""
         if not code and told == {}:
             return
         told = told or {}

@@ -116,7 +116,7 @@ class Child:
         """Its predecessor was killed by a signal."""
 
     def on(self, event: int) -> None:
-        """One of EVENTS has happened to it."""
+        """Follow one of EVENTS to the state that NEXT gives; one that cannot happen is kept as a defect."""
         after = NEXT[self.state][event]
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, EVENTS[event], self.state))

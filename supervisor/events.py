@@ -140,7 +140,7 @@ class Events:
     def _send(
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
     ) -> None:
-        """To everybody, unless there was too much of its sort."""
+        """Send one event to everybody, unless there was too much of its sort."""
         text = f"{what}{NEXT_STEP}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))

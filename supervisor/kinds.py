@@ -6,18 +6,19 @@ changes its meaning.
 
 from __future__ import annotations
 
+from failstop.data import Data
+
 LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
 """The journal's PRIORITY of each level."""
 
 
-class EventKind:
-    __slots__ = ("fields", "level", "message_id", "name")
+class EventKind(Data):
+    """One row. `fields`: names, with spaces between."""
 
-    def __init__(self, name: str, level: str, message_id: str, fields: str = "") -> None:
-        self.name = name
-        self.level = level
-        self.message_id = message_id
-        self.fields = tuple(fields.split())
+    name: str
+    level: str
+    message_id: str
+    fields: str = ""
 
 
 EVENT_KINDS = (

@@ -29,7 +29,7 @@ class Latch:
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:
-        """Stops that came together, for which the epoch is being raised to `epoch`."""
+        """Take stops that came together; the epoch is being raised to `epoch` for them."""
         self.newest = min(stops, key=lambda stop: stop.t_ns)
         self._raised_ns = now_ns
         if self.stop is None:
@@ -38,7 +38,7 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear it and nothing else."""
+        """Clear the latch and nothing else, unless a stop has come since the request."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
@@ -48,7 +48,7 @@ class Latch:
         return Reply(True, f"latched stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def as_record(self) -> bytes:
-        """For everybody, once there was a stop."""
+        """The latch as the record that everybody reads; asked once there was a stop."""
         told = self.stop or self.newest
         assert told is not None
         return records.LATCH.pack(self.since, told.t_ns, self._raised_ns, told.cause.pack())
@@ -75,7 +75,7 @@ class Epochs:
         self._barrier = Barrier()
 
     def raise_for(self, stops: list[Stop], now_ns: int) -> None:
-        """The cause first, then the epoch that refers to it, then the bells."""
+        """Publish the cause first, then the raised epoch that refers to it; ring the bells last."""
         self.number += 1
         self.latch.add(stops, self.number, now_ns)
         self._latch_record.write(self.latch.as_record())

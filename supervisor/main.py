@@ -19,7 +19,8 @@ from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import MS, NEVER, READ
+from failstop.procs.loop import MS, READ
+from failstop.procs.schedule import Repeats
 from failstop.shm import bell, heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
@@ -42,8 +43,6 @@ BEATS_ALONE = 2
 STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
-ALONE_EVERY_NS = 200_000_000
-"""While no port owner with the port runs, who sends zeros at this rate, the supervisor bursts at it."""
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
@@ -56,11 +55,6 @@ HEAR_NS = 300_000_000
 ping may be 50 ms away (schedule.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
-
-
-def _continued() -> bool:
-    """True when a signal has let this process go on since the last call, which takes SIGCONT to be blocked."""
-    return signal.sigtimedwait((signal.SIGCONT,), 0) is not None
 
 
 class Supervisor:
@@ -92,11 +86,8 @@ class Supervisor:
         self._due = self.loop.timer()
         """When the port owner has had its time to answer, or the first process counts as hanging unless it beats."""
         self._turned_ns = self._watched_ns = monotonic_ns()
-        self._repeat = self.loop.timer()
-        """When a stop of its own is written again."""
-        self._plan_repeats(self._turned_ns)
-        self._tried_ns = 0
-        """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
+        self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
+        self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
@@ -134,7 +125,7 @@ class Supervisor:
         self.processes.pass_notes()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.status.ever)
-        self.heartbeat.beat(now_ns, self.epoch)
+        self.heartbeat.beat(now_ns)
         self._events.flush(now_ns, hold=self._unanswered is not None)
         late_ns = [self._unanswered.answer_by_ns] if self._unanswered else []
         self._due.set(min([*late_ns, *(child.overdue_ns() for child in self.children)]))
@@ -148,7 +139,7 @@ class Supervisor:
             if ready or late or self._unanswered or now_ns >= self.loop.due_ns():
                 return ready
             self._watched_ns, self._turned_ns = self._turned_ns, now_ns
-            self.heartbeat.beat(now_ns, self.epoch)
+            self.heartbeat.beat(now_ns)
         return self.loop.wait(self._tick_ns())
 
     def _tick_ns(self) -> int:
@@ -157,7 +148,9 @@ class Supervisor:
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
         gap_ns = now_ns - self._turned_ns
-        suspended_ns = gap_ns if gap_ns >= EXCUSE_NS and _continued() else 0
+        # A signal has let this process go on since: SIGCONT is blocked (entry.py).
+        continued = gap_ns >= EXCUSE_NS and signal.sigtimedwait((signal.SIGCONT,), 0)
+        suspended_ns = gap_ns if continued else 0
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0
@@ -168,14 +161,9 @@ class Supervisor:
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
-        written = self._port.burst()
-        self._tried_ns = monotonic_ns()
-        self._plan_repeats(self._tried_ns)
-        return self._wrote(self._tried_ns) if written else 0
-
-    def _plan_repeats(self, now_ns: int) -> None:
-        if after_ns := self._port.board.repeats_ns[SUPERVISOR_ROW]:
-            self._repeat.set(*(now_ns + after for after in after_ns))
+        written, now_ns = self._port.burst(), monotonic_ns()
+        self._repeats.restart(now_ns)
+        return self._wrote(now_ns) if written else 0
 
     def _wrote(self, written_ns: int) -> int:
         """A burst went out on its own descriptor then, which is returned."""
@@ -190,21 +178,18 @@ class Supervisor:
             self.monitor.link.opened()
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
-            self._tried_ns = opened_ns
-            self._plan_repeats(now_ns)
+            self._repeats.restart(now_ns)
             self.monitor.opened(self._wrote(opened_ns) if opened_ns else self._burst())
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """Nobody else says zero to the board while no port owner runs that has the port."""
+        """Nobody else repeats a stop, or says zero to the board, while no port owner runs that has the port."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
-        self._repeat.wait(self._port.free_ns)
+        self._repeats.wait(self._port.free_ns)
         if served:
-            self._repeat.set(NEVER)  # it stops itself, and may have been told to move again
-        elif self._repeat.take(now_ns):
-            self._port.burst()
-        elif now_ns - self._tried_ns >= ALONE_EVERY_NS:
-            self._burst()
+            self._repeats.end()  # it stops itself, and may have been told to move again
+        elif self._repeats.take(now_ns) and self._port.burst():
+            self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
@@ -274,7 +259,7 @@ class Supervisor:
         self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
 
     def _follow_reset(self, now_ns: int) -> None:
-        """Once the last stop is carried out."""
+        """Decide the reset that waits, once the last stop is carried out."""
         if not self._unanswered and self.epochs.decide_reset():
             self.processes.recall(now_ns)
 
@@ -394,6 +379,6 @@ class Supervisor:
             if sent_ns >= stop_ns:
                 return arrival_ns - stop_ns
             self._watched_ns = now_ns
-            self.heartbeat.beat(now_ns, self.epoch)
+            self.heartbeat.beat(now_ns)
             sleep(HURRY_NS / 1e9)
         return 0

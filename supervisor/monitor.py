@@ -156,10 +156,7 @@ class Monitor:
         obeyed_ns = self._obeyed.get()
         if obeyed_ns != self._seen_obeyed:
             self._seen_obeyed = obeyed_ns
-            sent_ns = obeyed_ns - self._echo_ns
-            self.heard = max(self.heard, (sent_ns, obeyed_ns))
-            if self._last and self._last.ponged(sent_ns, obeyed_ns):
-                self._publish(self._last)
+            self._acknowledge(obeyed_ns - self._echo_ns, obeyed_ns)
         word = self._pong.get()
         if word == self._seen_pong:
             return
@@ -169,6 +166,10 @@ class Monitor:
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked again meanwhile
         self.link.answered(sent_ns)
+        self._acknowledge(sent_ns, arrival_ns)
+
+    def _acknowledge(self, sent_ns: int, arrival_ns: int) -> None:
+        """The board has answered, or obeyed, what was sent then."""
         self.heard = max(self.heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)

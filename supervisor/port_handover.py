@@ -41,8 +41,6 @@ UDEV_S = 2.0
 class OwnPort(StopPort):
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("number", "stopped")
-
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
         super().__init__(fd, board, servos)
@@ -117,7 +115,7 @@ class Opener:
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
-        """The port was lost: open it when it is back."""
+        """Have the thread open the lost port as soon as it is back."""
         self._asked.release()
 
     def take(self) -> tuple[int, int] | None:

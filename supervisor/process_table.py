@@ -167,8 +167,8 @@ class ProcessTable:
                     note = Note.unpack(entry[2])
                 except ValueError:
                     continue  # a damaged one: nothing depends on it
-                text, step = note.parts()
-                self._events.tell(note.kind, text, {"process": process, **note.fields}, level=note.level, step=step)
+                fields = {"process": process, **note.fields}
+                self._events.tell(note.kind, note.text, fields, level=note.level, step=note.step)
 
     def follow_spared(self, now_ns: int) -> None:
         """Once a turn: who was spared and has beaten again is told of."""

@@ -70,7 +70,7 @@ class Proof:
         """The time from which the board's obedience and its answer are counted."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """It could not be written, and now it was: the port is back."""
+        """Take the time of a stop that could not be written before the port was back."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.told = False
         self._since_ns = written_ns

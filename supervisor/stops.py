@@ -65,7 +65,7 @@ class Stop(Data):
         return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)
 
     def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
-        """Somebody has written it, while `latched` was; `written_ns` 0: it could not be written."""
+        """Take who has written it, and when (0: it could not be written), while `latched` was latched."""
         self.by = by
         self.written_ns = written_ns
         self.behind = None if latched is self else latched  # nobody collects what refers to itself

@@ -27,7 +27,7 @@ from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import LEAVE_AFTER_NS
-from failstop.procs.port_owner.schedule import Pings
+from failstop.procs.schedule import Pings
 from tests.support.rooms import imports, package
 from tests.support.states import latched, stop
 

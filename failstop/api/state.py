@@ -21,7 +21,7 @@ from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
 from failstop.policy.layouts import ACKERMANN
 from failstop.policy.processes import PROCESS_BY_NAME
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, mounted_wheels
 from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
 from failstop.shm.thread_state import state_of
@@ -125,7 +125,7 @@ class StateReader(SeenRun):
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
-        return [(id_, sign * 2 * pi) for id_, sign in Settings(dict(self.settings())).mounted()]
+        return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
         """Of a steered base the angle is the last of what the gate commands; 0 at rest says nothing."""

@@ -24,14 +24,12 @@ DRAIN_S = 0.1
 """The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
 LOOK_S = 0.0005
 ALREADY = -1
-SAME_NS = 2_000_000
-"""An early stop as young as this is the stop that its loop is about to write."""
+EARLY_NS = 2_000_000
+"""An early stop that is a whole one counts as on the line for this long: its loop is about to write the same."""
 
 
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
-
-    __slots__ = ("_early_ns", "_line_ns", "_stop", "_writing", "board", "errno", "fd", "free_ns", "lost", "unsent")
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
@@ -44,8 +42,6 @@ class StopPort:
         self._line_ns = 0
         """Until then the last thing written here, a whole stop, is on the line or needs silence behind it: another stop
         would garble both. 0: none is."""
-        self._early_ns = 0
-        """When it wrote an early stop that is a whole one, which no burst of its own has followed yet."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -67,19 +63,15 @@ class StopPort:
             return ALREADY
         taken = self._write(self.board.first_stop)
         if taken == len(self._stop):
-            self._early_ns = time.monotonic_ns()
+            self._line_ns = max(self._line_ns, time.monotonic_ns() + EARLY_NS)
         return taken
 
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
-        since the burst heals any cut; the rest of an earlier burst goes first. Where all of the stop was just written
-        early, or is on the line still, that was it: a second one without a gap behind it garbles both on some
-        boards."""
+        since the burst heals any cut; the rest of an earlier burst goes first. Where a whole stop is on the line still,
+        that was it: a second one without a gap behind it garbles both on some boards."""
         begun = self.unsent if self._stop.endswith(self.unsent) else b""
         with self._writing:
-            early_ns, self._early_ns = self._early_ns, 0
-            if early_ns and not (self.lost or self.unsent) and time.monotonic_ns() - early_ns < SAME_NS:
-                return True
             if self._on_line():
                 return True
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
@@ -114,13 +106,13 @@ class StopPort:
             except OSError as error:
                 self.lost, self.errno = True, error.errno or 0
                 return 0
-            self.lost = False
+            self.lost, self._line_ns = False, 0
             if idle_ns := self.board.idle_ns:
                 begun_ns = max(time.monotonic_ns(), self.free_ns - idle_ns)
                 end_ns = begun_ns + taken * self.board.port.byte_ns
                 self.free_ns = end_ns + idle_ns
-                whole = self.board.after_ns > 0 and taken == len(data) and data == self._stop
-                self._line_ns = end_ns + self.board.after_ns if whole else 0
+                if self.board.after_ns and taken == len(data) and data == self._stop:
+                    self._line_ns = end_ns + self.board.after_ns
             return taken
         return 0
 
@@ -146,10 +138,10 @@ class StopPort:
             old, self.fd = self.fd, fd
             self.lost = fd < 0
             self.unsent = b""
-            self._early_ns = self._line_ns = 0
+            self._line_ns = 0
         if old >= 0:
             port.close_port(old)
 
     def close(self) -> None:
-        """Let it go."""
+        """Close the descriptor, and hold none."""
         self.adopt(-1)

@@ -52,11 +52,9 @@ def _beat() -> tuple[Record, ...]:
     """The heartbeat of a process (heartbeat.py)."""
     return (
         _word("beat_ns", "everyone"),  # CLOCK_MONOTONIC of the last turn of its loop
-        _word("beat_loops", "everyone"),  # turns since its start
         _word("beat_worst_ns", "everyone"),  # longest time between two turns
         _word("beat_pid", "everyone"),
         _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
-        _word("beat_epoch", "everyone"),  # the epoch it saw last
         _word("beat_state", "everyone"),  # heartbeat.BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING
         _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED | EARLY_NEWS
     )
@@ -166,7 +164,6 @@ SEGMENTS = (
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _ring("received", 512, 512, "everyone"),  # bytes from the board, in order; about 4 s of them
-            _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # the reports that it decoded (box.py)
         ),
     ),

@@ -20,6 +20,7 @@ NEXT_STEP = "; next: "
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 """The bytes of a value. Not for several threads. Raises TypeError, ValueError, OverflowError."""
 
+STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
 
@@ -46,29 +47,24 @@ def fitting(
 
 class Note(Data):
     """A note for people, on its way from gate or telemetry to the supervisor's events. A msgpack list: kind
-    (supervisor/kinds.py), level (empty: the kind's own), text, characters of it before its step (0: it has none),
-    fields."""
+    (supervisor/kinds.py), level (empty: the kind's own), text, the step to take (may be empty), fields."""
 
     kind: str
     text: str
     fields: Fields = NO_FIELDS
     level: str = ""
-    what: int = 0
+    step: str = ""
 
     def pack(self) -> bytes:
         """For a ring of NOTE_BYTES."""
-        head, what = (self.kind, self.level), self.what
-        return fitting(NOTE_BYTES, NOTE_CUTS, self.text, self.fields, lambda text, fields: (*head, text, what, fields))
-
-    def parts(self) -> tuple[str, str]:
-        """The text, and the step that it ends with."""
-        return (self.text[: self.what], self.text[self.what + len(NEXT_STEP) :]) if self.what else (self.text, "")
+        head, step = (self.kind, self.level), cut(self.step, STEP_BYTES).decode()
+        return fitting(NOTE_BYTES, NOTE_CUTS, self.text, self.fields, lambda text, fields: (*head, text, step, fields))
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:
         """Raises ValueError."""
         found = msgpack.unpackb(payload)
-        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, int, dict]:
+        if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, str, dict]:
             raise ValueError("a payload that is no note")
-        kind, level, text, what, fields = found
-        return cls(kind, text, fields, level, what)
+        kind, level, text, step, fields = found
+        return cls(kind, text, fields, level, step)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from math import atan2, copysign, cos, pi, radians, sin, tan
 
 from failstop.policy.layouts import ACKERMANN
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, mounted_wheels
 
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
 WheelSpeeds = tuple[float, ...]
@@ -116,7 +116,7 @@ def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
 
 def from_settings(settings: Settings) -> Chassis:
     """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]."""
-    layout, mounted = settings.text("wheels.layout"), settings.mounted()
+    layout, mounted = settings.text("wheels.layout"), mounted_wheels(settings.values)
     if layout == "omni3":
         rows = omni(settings["wheels.lever_m"], [settings[f"wheels.angle_{number}_deg"] for number in (1, 2, 3)])
     elif layout == "mecanum":

@@ -160,6 +160,13 @@ MOST_TOLD = 8
 """Wrong settings that are told of at once."""
 
 
+def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
+    """Of each wheel the id of its motor on the wire, and the sign, in the order of the wheels' numbers; `values`: of
+    all settings, by their keys."""
+    numbers = [number for number in NUMBERS if f"wheels.id_{number}" in values]
+    return [(int(values[f"wheels.id_{number}"]), int(values[f"wheels.sign_{number}"])) for number in numbers]
+
+
 class Settings:
     """A complete, checked set of values."""
 
@@ -302,12 +309,7 @@ class Settings:
     @property
     def speeds(self) -> int:
         """How many speeds a frame for the board has: one for each id on the wire."""
-        return layouts.SPEEDS.get(self.text("board.kind"), len(self.mounted()))
-
-    def mounted(self) -> list[tuple[int, int]]:
-        """Of each wheel the id of its motor on the wire, and the sign, in the order of the wheels' numbers."""
-        numbers = [number for number in NUMBERS if f"wheels.id_{number}" in self.values]
-        return [(int(self[f"wheels.id_{number}"]), int(self[f"wheels.sign_{number}"])) for number in numbers]
+        return layouts.SPEEDS.get(self.text("board.kind"), len(mounted_wheels(self.values)))
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""

@@ -6,20 +6,19 @@ are what it says of itself, for people to read; nothing depends on their truth.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from failstop.messages import layout, records
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import claim
-from failstop.shm.cell import LatestReader
+from failstop.shm.cell import Entry, LatestReader
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from typing import Any
-
-    from failstop.shm.cell import Entry
 
     News = tuple["Slot", str, tuple[Any, ...]]
     """A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
@@ -93,7 +92,7 @@ class Slot:
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record of this name, once."""
+        """The newest record of this name, unless it was returned before."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None

@@ -6,8 +6,8 @@ from __future__ import annotations
 from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.procs.loop import MS
 
-MS = 1_000_000
 AHEAD_NS = 20 * MS
 """A record may be written after the turn that reads it began. What is stamped further ahead comes from a clock that is
 not this machine's, and would stay fresh for as long as it is ahead."""

@@ -21,7 +21,7 @@ from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.kinematics import Chassis, Velocity, WheelSpeeds
 from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
-from failstop.procs.gate.remarks import LeftOff, disabled_by_death
+from failstop.procs.gate.remarks import DriverLosses, disabled_by_death
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
 REST = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class GateCore:
         self.speeds = kinematics.rest
         self.notes: list[Note] = []
         """Notes for people, in order; the shell, which passes them on, empties the list."""
-        self._left_off = LeftOff(now_ns)
+        self._losses = DriverLosses(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
         self._drivers: dict[int, Command] = {}
@@ -140,7 +140,7 @@ class GateCore:
             return None
         if parted or not self.enabled or self._driver_death == _STAY:
             if driving and driving.session == session and any(self.velocity):
-                self.notes += self._left_off.gone(driver, now_ns, parted=parted)
+                self.notes += self._losses.gone(driver, now_ns, parted=parted)
             return None
         if self._driver_death == _LATCH:
             return causes.DRIVER_DIED(driver.who)
@@ -224,7 +224,7 @@ class GateCore:
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
         if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
-            self.notes += self._left_off.silent(silent, now_ns)
+            self.notes += self._losses.silent(silent, now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
         before = self.velocity
         if reason or driving is None:

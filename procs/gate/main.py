@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from time import monotonic_ns
 
 from failstop.files import instance, place
@@ -15,7 +16,7 @@ from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
 from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
-from failstop.procs.gate.remarks import Said
+from failstop.procs.gate.remarks import SelfReports
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
@@ -27,8 +28,6 @@ from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from failstop.procs.gate.clients import News
 
 PUBLISH_NS = 75_000_000
@@ -53,12 +52,12 @@ class Gate:
         self._next_tick, self._due, self._arm_due = (self.loop.timer() for _ in range(3))
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
-        self._rest = Rest(context, self.loop, self._next_tick, (self._due, self._arm_due), self.period_ns)
+        self._rest = Rest(context, self.loop, self._next_tick, self.period_ns)
         self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
-        self._said = Said(now_ns)
+        self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._each_tick = bool(settings.servos() or settings.interlocks())
@@ -135,7 +134,7 @@ class Gate:
         now_ns = monotonic_ns()
         decided, still = self.requests.reset_decided(), self._epoch_word.get() == self.epoch
         if still and not decided and self._rest.beats_alone(ready, now_ns):
-            self.heartbeat.beat(now_ns, self.epoch)
+            self.heartbeat.beat(now_ns)
             return
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
@@ -163,7 +162,7 @@ class Gate:
         self._rest.follow(now_ns, busy=busy, rests=self._rests(now_ns))
         self._publish(now_ns)
         self.requests.write()
-        self.heartbeat.beat(now_ns, self.epoch)
+        self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
         """True while every other tick is enough: whoever comes, or wants something else, rings, and a death is told."""
@@ -205,6 +204,7 @@ class Gate:
     def _tick(self, now_ns: int) -> None:
         """The periodic part."""
         self._ticking = True  # a command is stepped to at its end, once
+        self._rest.ticked(now_ns)
         self._hear_clients(now_ns)
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
@@ -218,7 +218,6 @@ class Gate:
         self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
-        self._rest.ticked(now_ns, rests=self._rests(now_ns))
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""

@@ -79,7 +79,7 @@ def disabled_by_death(driver: Command) -> Note:
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
-class LeftOff:
+class DriverLosses:
     """News of a source that drove and left off: the wheels stand, and nothing is latched. News of a person's end has a
     budget of its own: it must not hide the news of a program that fails."""
 
@@ -110,7 +110,7 @@ class LeftOff:
         return [Note(kind, f"{driver.who} {text}", {"who": driver.who, "source": driver.source, **fields})]
 
 
-class Said:
+class SelfReports:
     """The last words of each session, what it sees and what is wrong: for people, nothing depends on their truth."""
 
     def __init__(self, now_ns: int) -> None:

@@ -11,13 +11,12 @@ from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
 from failstop.procs.gate.remarks import Budget, of_request
+from failstop.shm.cell import LatestReader
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
-
-    from failstop.shm.cell import LatestReader
 
 UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)

@@ -61,7 +61,7 @@ class Sources:
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """The source's new command; a stamp from the future counts as now."""
+        """Keep a source's new command; a time stamp from the future counts as now."""
         command.t_ns = min(command.t_ns, now_ns)
         self._commands[command.source] = command
         self._asked_ns = -1

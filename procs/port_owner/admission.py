@@ -33,17 +33,13 @@ from __future__ import annotations
 
 from collections import deque
 
+from failstop.board.interface import Board
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_MOVE
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.loop import NEVER
+from failstop.procs.loop import MS, NEVER
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
-
-MS = 1_000_000
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
@@ -108,7 +104,7 @@ class Admission:
         return None
 
     def stopped(self, epoch: int) -> None:
-        """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""
+        """Remember a stop of the port owner's own in this epoch: the supervisor answers it with a newer one."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
 
@@ -140,7 +136,7 @@ class ServoBus:
         return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
-        """It was written; True when a servo moves by it."""
+        """Account for a frame that was written; True when a servo moves by it."""
         self._free_ns = max(self._free_ns, now_ns) + self._board.servo_ns(frame)
         moves = frame[_COMMAND_AT] == SERVO_MOVE
         if moves:

@@ -12,21 +12,19 @@ from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
-from failstop.procs.loop import NEVER, READ, Loop
+from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
-from failstop.procs.port_owner import admission, requests, schedule
+from failstop.procs.port_owner import admission, requests
 from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
-from failstop.procs.port_owner.asking import Asking
 from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
-from failstop.procs.port_owner.schedule import Repeats
+from failstop.procs.schedule import REFRESH, REPEAT, Repeats
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
-MS = 1_000_000
 TICK_NS = 33 * MS
 """A third of what it may be silent for (policy/processes.py). What it has to notice sooner rings, or is a timer."""
 OTHER_BACKLOG = 128
@@ -63,7 +61,6 @@ class PortOwner:
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
         self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
-        self.pings = Asking(context, self.loop, self.wire, self.port.hears_ns)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
@@ -100,7 +97,8 @@ class PortOwner:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        self._hear_requests(ready, now_ns)
+        if self._requests.asked(ready, now_ns):
+            self._stop_request(now_ns)
         bell.clear_rung(self._bells, ready)
         self._hear_causes()
         self._answer_deaths(ready, now_ns)
@@ -113,9 +111,9 @@ class PortOwner:
         self._take_port(ready, now_ns)
         self._repeat(now_ns)
         self.port.follow(now_ns)
-        self.pings.follow(now_ns)
+        self.port.ask(now_ns)
         self.port.watch(heard=self._telemetry.runs())
-        self.heartbeat.beat(now_ns, self.epoch)
+        self.heartbeat.beat(now_ns)
         return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
@@ -144,16 +142,12 @@ class PortOwner:
         self._take_held()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
-        self.pings.stopped(written_ns)
+        self.port.pings.stopped(written_ns)
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
         self._moving_word.set(0)
         return written_ns
-
-    def _hear_requests(self, ready: dict[int, int], now_ns: int) -> None:
-        if self._requests.asked(ready, now_ns):
-            self._stop_request(now_ns)
 
     def _stop_request(self, now_ns: int) -> None:
         self.wire.burst()
@@ -199,13 +193,14 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
+        """Stop after a sleep of the machine: commands and frames are older than they look, and the robot may have been
+        moved."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
+        """Stop at the moment when a lease runs out, not at a tick after it. Without motion there is nothing to stop."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -256,7 +251,7 @@ class PortOwner:
             self._burst()
 
     def _forward_arm(self) -> None:
-        """As for motion, one after the other; the first that has to wait holds up those behind it."""
+        """Write the arm's frames in order, each decided on as motion is; the first that must wait holds up the rest."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -267,14 +262,14 @@ class PortOwner:
                     break
             self.bus.waiting.popleft()
             if verdict != admission.ADMIT:
-                self._obey(verdict, now_ns)
+                self._refuse(verdict, now_ns)
             elif due_ns != NEVER:
                 self._write_arm(move)
             due_ns = NEVER
         self._arm_due.set(due_ns)
 
     def _write_arm(self, move: DatedFrame) -> None:
-        """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
+        """Write a frame for the servos, with the word `moving` set meanwhile alone: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
@@ -288,7 +283,7 @@ class PortOwner:
             and self.bus.wrote(move[0], now_ns)
         ):
             self._arm_moved = True
-            self.repeats.motion()
+            self.repeats.end()
             self._requests.wake()
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
@@ -301,7 +296,7 @@ class PortOwner:
         beat_ns = self._supervisor_beat.get()
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
-    def _obey(self, verdict: int | Cause, now_ns: int) -> None:
+    def _refuse(self, verdict: int | Cause, now_ns: int) -> None:
         """Act on a frame that is not written."""
         if verdict == admission.STAND_STILL:
             self._burst()
@@ -321,7 +316,7 @@ class PortOwner:
         if verdict == admission.ADMIT:
             self._write_motion(motion)
         else:
-            self._obey(verdict, now_ns)
+            self._refuse(verdict, now_ns)
 
     def _take_held(self) -> DatedFrame | None:
         """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
@@ -331,9 +326,9 @@ class PortOwner:
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
-        """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
-        raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
-        starved here, for however long, may live."""
+        """Set the word `moving`, then look at epoch and time once more, then write: whoever reads that nothing moves,
+        having raised the epoch or not, knows that no frame is about to be written that would not be good then. So a
+        port owner that is starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
@@ -348,7 +343,7 @@ class PortOwner:
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
-            self.repeats.motion()
+            self.repeats.end()
             self._requests.wake()  # from here on the next request counts at once
         elif frame == self.board.stop:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
@@ -367,7 +362,6 @@ class PortOwner:
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)
             self.port.adopt(sent, now_ns)
-            self.pings.wait(self.port.hears_ns)
             self._stopped(monotonic_ns())
             self.port.begin(now_ns)
 
@@ -378,9 +372,9 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         self.repeats.wait(self.wire.free_ns)
-        if (due := self.repeats.take(now_ns)) == schedule.REPEAT:
+        if (due := self.repeats.take(now_ns)) == REPEAT:
             self.wire.burst()
-        elif due == schedule.REFRESH:
+        elif due == REFRESH:
             self.wire.frame(self.board.refresh)
 
 

@@ -7,15 +7,14 @@ is written: nobody may enable motion before.
 
 from __future__ import annotations
 
-from failstop.board.port import waiting_bytes
-from failstop.messages import records
-from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE
+from time import monotonic_ns
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
-    from failstop.procs.port_owner.port_writer import PortWriter
+from failstop.board.port import waiting_bytes
+from failstop.messages import layout, records
+from failstop.procs.context import Context
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
+from failstop.procs.port_owner.port_writer import PortWriter
+from failstop.procs.schedule import Pings
 
 AGAIN_NS = 20_000_000
 """After so long it is told again what the kernel did not take whole."""
@@ -25,11 +24,11 @@ class OpenPort:
     """Its number, and what others are told of it."""
 
     def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
-        own = context.own
-        self._loop, self._wire = loop, wire
+        own, board = context.own, context.board
+        self._loop, self._wire, self._board = loop, wire, board
         self.number, self._path = context.port_number, context.settings.text("device.path")
-        self._opening = context.board.port.opening
-        self._deaf_ns = context.board.port.deaf_ns
+        self._opening = board.port.opening
+        self._deaf_ns = board.port.deaf_ns
         self._record = own.latest_writer("port")
         self._received = own.ring_writer("received")
         self._supervisor_bell = context.bell("supervisor_bell")
@@ -40,9 +39,15 @@ class OpenPort:
         """When the board hears. A port that the process before this one has used was not opened again."""
         self._untold = () if told == records.PORT_OPEN else self._opening
         """Frames that the board is to be told before the port counts as open."""
+        period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
+        due = loop.timer() if board.pings else Timer()
+        self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
+        self._asked_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._ping_backlog = 2 * len(board.burst)
+        """Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 
     def begin(self, now_ns: int) -> None:
-        """The first burst is written."""
+        """Go on after the first burst: the port counts as open once the board hears and was told."""
         if self._wire.lost or self.hears_ns <= now_ns:
             self._hear(now_ns)
         else:
@@ -58,7 +63,7 @@ class OpenPort:
             self._hears.set(now_ns + AGAIN_NS)
 
     def _told(self) -> bool:
-        """Whether the kernel has taken all that the board is to be told."""
+        """Tell the board what is left to tell; True once the kernel has taken all of it."""
         wire = self._wire
         for frame in self._untold:
             if not wire.frame(frame, len(frame) * len(self._untold)) or wire.unsent:
@@ -83,6 +88,22 @@ class OpenPort:
         self._wire.adopt(fd)
         self._untold = self._opening
         self.hears_ns = now_ns + self._deaf_ns
+        self.pings.wait(self.hears_ns)
+
+    def ask(self, now_ns: int) -> None:
+        """Write the next ping, if it is due. The time that shared memory has of it is that before the write: an answer
+        never seems to come before its question."""
+        pings = self.pings
+        if not pings.due(now_ns):
+            return
+        asked_ns = monotonic_ns()
+        if self._wire.free_ns > asked_ns:
+            pings.wait(self._wire.free_ns)
+        elif self._wire.frame(self._board.pings[pings.index], backlog=self._ping_backlog):
+            self._asked_words[pings.index].set(asked_ns)
+            pings.sent(asked_ns)
+        else:
+            pings.failed(now_ns)
 
     def serve(self, ready: dict[int, int]) -> None:
         """Keep what the board sent, finish what the kernel did not take, notice that it is gone."""
@@ -109,7 +130,7 @@ class OpenPort:
         self._watched = wanted
 
     def lose(self) -> None:
-        """Let it go."""
+        """Close the port, and watch it no longer."""
         if self._watched[0] == self._wire.fd:
             self._loop.forget(self._wire.fd)
         self._watched = (-1, 0)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import select
 
+from failstop.board.interface import Board
 from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import ALREADY, StopPort
 from failstop.messages import box
 from failstop.shm.cell import RingWriter
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.loop import NEVER, READ
+from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.loop import Loop
 
 REST_NS = 20_000_000
 

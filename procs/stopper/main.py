@@ -55,7 +55,7 @@ class Stopper:
         self._bells = (context.bell("bell"), context.early.bell)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._parent = Parent(context, self.loop, 1)
-        self.held = HeldPort(context, self.loop, self._parent.control, self._port, HANGUP)
+        self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
@@ -71,14 +71,15 @@ class Stopper:
         bell.clear_rung(self._bells, ready)
         self._answer_deaths(ready, now_ns)
         self._write_due(now_ns)
-        self.held.follow(ready)
+        self.held.follow(ready, lost=self._port.lost)
         if not self._parent.orphaned_ns:
             self._follow_port_owner(now_ns)
-        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        self.heartbeat.beat(now_ns)
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """The port owner's at once. It has the first go at the supervisor's, which is the end of this process too."""
+        """Stop for the port owner's death at once. At the supervisor's, the end of this process too, it has the first
+        go."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()

@@ -11,7 +11,7 @@ import msgpack
 from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NEXT_STEP, NO_FIELDS, Fields, Note, pack
+from failstop.messages.packing import NO_FIELDS, Fields, Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
@@ -134,7 +134,7 @@ class Telemetry:
         self._bias_flags = (False, False)
         self._attach(context)
         self._watch_others(context)
-        self._publish_still(self._still)
+        self._tell_still(self._still, was_still=False)
         self._inherit(context.own)
         now_ns = monotonic_ns()
         self._gate.read(now_ns)
@@ -145,7 +145,7 @@ class Telemetry:
         own = context.own
         latest = ("imu", "bias", "odometry", "battery", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
-        rings = ("buttons", "causes", "pad_requests", "notes", "servos")
+        rings = ("causes", "pad_requests", "notes", "servos")
         self._rings = {name: own.ring_writer(name) for name in rings}
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
@@ -230,7 +230,7 @@ class Telemetry:
         self._tell_pad_mode()
         for text, step in self._files.notes():
             self._note("disk", text, step=step)
-        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        self.heartbeat.beat(now_ns)
 
     def _follow_gate(self, now_ns: int) -> None:
         """Follow the gate's state with everything that depends on it."""
@@ -247,18 +247,8 @@ class Telemetry:
         """The port owner, which does not read, is told of a loss; half a frame from before it has no other half."""
         if self._port.lost:
             self._port_owner_bell.ring()
-        if self._port.follow(ready):
+        if self._port.held.follow(ready, lost=self._port.lost):
             self._hearing.reset()
-
-    def _publish_still(self, judge: StillJudge | ReadBack) -> None:
-        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
-        # lack of a verdict never with a time.
-        if not judge.judged_ns:
-            self._judged_word.set(0)
-            self._barrier()
-        self._still_word.set(judge.still_ns)
-        self._barrier()
-        self._judged_word.set(judge.judged_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the records that come with no frame of the board."""
@@ -279,8 +269,7 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        whole, what = (f"{text}{NEXT_STEP}{step}", len(text)) if step else (text, 0)
-        self._rings["notes"].put(Note(kind, whole, fields, level, what).pack())
+        self._rings["notes"].put(Note(kind, text, fields, level, step).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
@@ -324,7 +313,14 @@ class Telemetry:
         self._note_gyro(note)
 
     def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
-        self._publish_still(judge)
+        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
+        # lack of a verdict never with a time.
+        if not judge.judged_ns:
+            self._judged_word.set(0)
+            self._barrier()
+        self._still_word.set(judge.still_ns)
+        self._barrier()
+        self._judged_word.set(judge.judged_ns)
         if was_still != (judge.still_ns > 0):
             self.supervisor_bell.ring()
 
@@ -374,7 +370,6 @@ class Telemetry:
         self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
         self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
         if news.cause:
-            self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
             text = f"{news.cause}; last frames: {self._pad.recent()}"
             self._note("pad", text, {"reason": str(news.cause)})
 
@@ -390,7 +385,6 @@ class Telemetry:
     def _on_key(self, sample: Value, t_ns: int) -> None:
         key, event = sample
         self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
-        self._rings["buttons"].put(pack({"kind": "key", "key": key, "event": event}), t_ns)
 
 
 def run(context: Context) -> int:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from failstop.board import port
+from failstop.procs.context import Context
 from failstop.procs.handover import Control, HeldPort
-from failstop.procs.loop import EDGE, HANGUP, READ
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
+from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
 """Bytes that may have waited for as long as this count as older, whatever they are: an old answer is none to a newer
-ping (procs/port_owner/schedule.py), an old stick of the gamepad commands nothing."""
+ping (procs/schedule.py), an old stick of the gamepad commands nothing."""
 
 PROVED_NS = 3_000_000_000
 """So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
@@ -31,8 +27,7 @@ class HeardPort:
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
-        self._held = HeldPort(context, loop, control, self, READ | EDGE)
-        self.follow = self._held.follow
+        self.held = HeldPort(context, loop, control, self.adopt, READ | EDGE)
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
@@ -43,16 +38,12 @@ class HeardPort:
         while self._read():
             pass
 
-    def close(self) -> None:
-        """Let it go."""
-        self.adopt(-1)
-
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
         """Once a turn: have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end
         alone."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
-        self._held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
+        self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def take(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Once a turn: what has come since the last, and when."""

@@ -6,9 +6,7 @@ For a board without an IMU, and better than an IMU.
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from collections.abc import Sequence
 
 AT_REST = 1e-6
 """A speed below this is none, in whatever unit."""

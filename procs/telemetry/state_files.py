@@ -52,11 +52,11 @@ class StateFiles:
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
-        self._jobs: SimpleQueue[Job | None] = SimpleQueue()
+        self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
         """The last attempt that failed, and why; the thread's own."""
-        self.running = False
+        self._running = False
 
     def read(self, what: str, name: str) -> str:
         """A file's text; empty when there is none. At the start only: it does not go through the thread."""
@@ -83,26 +83,21 @@ class StateFiles:
         """Lines for the journal since the last call, each with the step to take; empty: none."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
-    def close(self) -> None:
-        """Let the thread end once it has written what waits; `running` says when. No job may follow before."""
-        if self.running:
-            self._jobs.put(None)
-
     def _put(self, what: str, write: Callable[[], None]) -> None:
-        if not self.running:
+        if not self._running:
             try:
                 _thread.stack_size(THREAD_STACK_BYTES)
                 _thread.start_new_thread(self._work, ())
             except RuntimeError as error:
                 self._say(what, f"no thread to write it: {error}")
                 return
-            self.running = True
+            self._running = True
         if self._jobs.qsize() < MOST_JOBS:
             self._jobs.put((what, write))
 
     def _work(self) -> None:
-        while job := self._jobs.get():
-            what, write = job
+        while True:
+            what, write = self._jobs.get()
             try:
                 write()
             except OSError as error:
@@ -110,7 +105,6 @@ class StateFiles:
             else:
                 if self._failing.pop(what, ""):
                     self._notes.put((f"{what} is written again", ""))
-        self.running = False
 
     def _say(self, what: str, why: str) -> None:
         if self._failing.get(what) != why:

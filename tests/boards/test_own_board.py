@@ -20,7 +20,7 @@ from failstop.lab.boards.line import model_of
 from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, mounted_wheels
 from failstop.supervisor.fit import checked_board
 from tests.support import commands
 from tests.support.boards import own_folder
@@ -60,7 +60,7 @@ def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:
 
 def test_it_takes_two_speeds(folder: str) -> None:
     settings = Settings({"board.kind": folder})
-    assert (settings.text("wheels.layout"), settings.mounted()) == ("differential", [(0, 1), (1, 1)])
+    assert (settings.text("wheels.layout"), mounted_wheels(settings.values)) == ("differential", [(0, 1), (1, 1)])
     with pytest.raises(SettingError, match="has no servos"):
         Settings({"board.kind": folder, "joints.base.servo": 1})
 

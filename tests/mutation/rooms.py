@@ -26,7 +26,7 @@ ROOMS = {
         ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
     ),
     "port_owner": Room(
-        ("procs/peer.py", "procs/port_owner/*.py"),
+        ("procs/peer.py", "procs/schedule.py", "procs/port_owner/*.py"),
         (
             "tests/procs/test_admission.py",
             "tests/procs/test_port_owner*.py",

@@ -7,7 +7,7 @@ from math import isnan, nan
 import pytest
 
 from failstop.messages import records
-from failstop.procs.gate.remarks import MOST_AT_ONCE, Said
+from failstop.procs.gate.remarks import MOST_AT_ONCE, SelfReports
 from tests.support.gate_scene import NAMESPACE
 from tests.support.stage import Dummy
 
@@ -292,7 +292,7 @@ def test_the_assertions_of_a_session_are_read_with_their_time(service: Service) 
 
 
 def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> None:
-    said = Said(0)
+    said = SelfReports(0)
     assert said.follow([], 0) is None
     for t_ns, wrong, told in (
         (5, "", [("nav (pid 7) says: all well", "")]),
@@ -311,7 +311,7 @@ def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> No
 
 
 def test_a_client_that_says_ever_new_things_is_told_of_now_and_then() -> None:
-    said = Said(0)
+    said = SelfReports(0)
     told = [said.follow([(11, 0, "nav", turn, str(turn), "")], 0) or [] for turn in range(200)]
     assert sum(map(len, told)) == MOST_AT_ONCE
     assert said.table() == [(0, 199, "199", "")]

@@ -52,6 +52,11 @@ def test_a_steady_drive_is_looked_after_at_every_other_tick_and_its_lease_at_eac
     assert most_apart_ns(looks) == 2 * PERIOD_NS
     assert len(looks) <= 0.6 * len(beats)
     assert REFRESH_NS <= most_apart_ns(sent) <= REFRESH_NS + PERIOD_NS
+    for _ in range(2):
+        scene.ask_for(records.ENABLE)
+        scene.clients[0].ring()
+        scene.wake()
+        assert scene.answered()[0] == records.DONE, "news is heard at a beat too"
     scene.command(-0.2)
     scene.turn()
     _, looks, sent = drive(scene, -0.2, 0.2)

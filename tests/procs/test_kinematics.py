@@ -14,7 +14,7 @@ from failstop.board import codec
 from failstop.board.kinds import board_of
 from failstop.policy.kinematics import Chassis, Velocity, from_settings
 from failstop.policy.layouts import LAYOUTS, WHEEL_NAMES
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, mounted_wheels
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
 RIM_M = pi * DIAMETER_M
@@ -161,7 +161,7 @@ def test_no_fixed_wheel_goes_sideways() -> None:
 def test_zero_is_the_stop_frame_in_every_mounting(layout: str) -> None:
     """Zeros of either sign."""
     settings = Settings({"wheels.layout": layout})
-    count, board = len(settings.mounted()), board_of(*settings.board())
+    count, board = len(mounted_wheels(settings.values)), board_of(*settings.board())
     for signs in product((1, -1), repeat=count):
         mounting = {f"wheels.sign_{number}": sign for number, sign in enumerate(signs, 1)}
         mounting |= {f"wheels.id_{number}": wire_id for number, wire_id in enumerate((3, 1, 0, 2)[:count], 1)}
@@ -176,7 +176,7 @@ def test_zero_is_the_stop_frame_in_every_mounting(layout: str) -> None:
 @every_base
 def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
     before = Settings({"board.kind": board, "wheels.layout": layout})
-    for index, (wire_id, sign) in enumerate(before.mounted()):
+    for index, (wire_id, sign) in enumerate(mounted_wheels(before.values)):
         was = from_settings(before).wheels_rps(0.2, 0.1, 0.5)
         now = base(layout, board, {f"wheels.sign_{index + 1}": -sign}).wheels_rps(0.2, 0.1, 0.5)
         assert now == tuple(-old if at == wire_id else old for at, old in enumerate(was))
@@ -187,7 +187,7 @@ def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
 def test_each_wheel_goes_to_its_wire_id(board: str, layout: str) -> None:
     settings = Settings({"board.kind": board, "wheels.layout": layout})
     default = from_settings(settings).wheels_rps(0.2, 0.1, 0.5)
-    by_wheel = [default[wire_id] for wire_id, _ in settings.mounted()]
+    by_wheel = [default[wire_id] for wire_id, _ in mounted_wheels(settings.values)]
     count = len(by_wheel)
     assert count in WHEEL_NAMES
     for ids in permutations(range(settings.speeds), count):

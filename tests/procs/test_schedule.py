@@ -8,7 +8,7 @@ import pytest
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.port_owner.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
+from failstop.procs.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
@@ -206,12 +206,12 @@ def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(
 
 def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) -> None:
     assert written(repeats, 0, 30) == [(20, REPEAT)]
-    repeats.motion()
+    repeats.end()
     assert repeats.next.ns == NEVER
     assert written(repeats, 30, 2_000) == []
     repeats.restart(BEGIN + 5_000 * MS)
     assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, REFRESH)]
-    repeats.motion()
+    repeats.end()
     assert repeats.take(BEGIN + 9_000 * MS) == 0
 
 

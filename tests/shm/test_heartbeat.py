@@ -31,10 +31,9 @@ def test_beats(name: str) -> None:
     beats.state(BEAT_RUNNING, 1_000)
     assert seen.running(77)
     assert not seen.running(78)
-    for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
-        beats.beat(now_ns, epoch=i * 100)
-        told = seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()
-        assert told == (now_ns, i, i * 100, worst_ns)
+    for now_ns, worst_ns in [(1_001, 1), (1_050, 49), (1_060, 49)]:
+        beats.beat(now_ns)
+        assert (seen.ns.get(), seen.worst_ns.get()) == (now_ns, worst_ns)
     assert seen.age_ns(1_100) == 40
     assert seen.age_ns(1_000) == 0
     beats.state(BEAT_STOPPING, 2_000)
@@ -47,10 +46,10 @@ def test_a_successor_starts_anew(name: str) -> None:
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
     beats.state(BEAT_RUNNING, 1_000)
-    beats.beat(9_000, epoch=12)
+    beats.beat(9_000)
     Heartbeat(own, 78, 0, 20_000)
     assert (seen.pid.get(), seen.state.get(), seen.rights.get(), seen.ns.get()) == (78, BEAT_STARTING, 0, 20_000)
-    assert (seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (0, 0, 0)
+    assert seen.worst_ns.get() == 0
     assert not seen.running(77)
     assert not seen.running(78)
 
@@ -60,7 +59,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
     own, seen = both(name)
     beats = Heartbeat(own, 77, 0, 1_000)
     beats.state(BEAT_RUNNING, 1_000)
-    beats.beat(9_000, epoch=12)
+    beats.beat(9_000)
     order: list[int] = []
 
     class Recording(segment.Segment):

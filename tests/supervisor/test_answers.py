@@ -12,11 +12,12 @@ from failstop.board.burst import BURST
 from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy import causes
+from failstop.procs.schedule import ZERO_EVERY_NS
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor.blackbox import START_NS
 from failstop.supervisor.children import KILLED
-from failstop.supervisor.main import ALONE_EVERY_NS, STOP_ANSWER_NS
+from failstop.supervisor.main import STOP_ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
 from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS
 from tests.support.stage import MS
@@ -304,7 +305,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(alone: Scene) -
     assert status.fault == "", "a port that is gone is nobody's fault"
     alone.port.fd = fd
     alone.wire.port.drain()
-    alone.pass_time(ALONE_EVERY_NS)
+    alone.pass_time(ZERO_EVERY_NS)
     assert status.fault == "", "written at last"
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.messages import layout, records
+from failstop.procs.schedule import ZERO_EVERY_NS
 from failstop.shm.heartbeat import BEAT_STARTING
-from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import LOOK_NS, SHARE_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import DEVICE, Scene
@@ -201,14 +201,15 @@ def test_the_link_of_a_port_that_is_gone_is_unproven(scene: Scene) -> None:
 def test_the_supervisor_repeats_the_stop_while_the_port_owner_has_no_port(scene: Scene) -> None:
     """At its pace, from the burst of the opener on."""
     lose(scene)
-    turn(scene, ALONE_EVERY_NS)
+    turn(scene, ZERO_EVERY_NS)
     come_back(scene)
     opened_ns = scene.now_ns
     assert turn(scene) == BURST
-    assert turn(scene, opened_ns + ALONE_EVERY_NS - 1 - scene.now_ns) == b""
+    assert turn(scene, opened_ns + ZERO_EVERY_NS - 1 - scene.now_ns) == b""
     assert turn(scene, 1) == BURST
     scene.has_port(layout.PORT_OWNER, 2)
-    assert turn(scene, ALONE_EVERY_NS) == b"", "it says zero itself"
+    assert turn(scene, ZERO_EVERY_NS) == b"", "it says zero itself"
+    assert scene.supervisor.loop.due_ns() > scene.now_ns, "and no timer of a repeat keeps the loop awake"
 
 
 def test_a_port_that_has_gone_again_before_anybody_heard_of_it_is_lost_again(scene: Scene) -> None:

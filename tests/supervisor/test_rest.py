@@ -21,15 +21,17 @@ def scene() -> Scene:
 
 
 def rest(scene: Scene) -> tuple[int, dict[int, int]]:
-    """How often it has beaten while it rested, and what was ready then."""
-    loops = scene.word("beat_loops")
-    before = loops.get()
+    """How long after the begin of its rest it has beaten last (ns; 0: it has not), and what was ready then."""
+    beat, begun_ns = scene.word("beat_ns"), scene.now_ns
+    before_ns = beat.get()
     ready = scene.supervisor.rest()
-    return loops.get() - before, ready
+    return beat.get() - begun_ns if beat.get() > before_ns else 0, ready
 
 
 def test_the_supervisor_rests_while_nothing_has_happened(scene: Scene) -> None:
-    assert rest(scene) == (BEATS_ALONE, {})
+    begun_ns = scene.now_ns
+    assert rest(scene) == (BEATS_ALONE * AT_REST_NS, {})
+    assert scene.now_ns - begun_ns > BEATS_ALONE * AT_REST_NS
 
 
 @pytest.mark.parametrize(("who", "word"), [("gate", ""), ("gate", "busy"), ("port_owner", "moving")])

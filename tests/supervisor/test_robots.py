@@ -7,7 +7,7 @@ import pytest
 from failstop.policy.layouts import BOARDS, LAYOUTS, SPEEDS, WHEEL_NAMES
 from failstop.policy.robots import LAYOUT_OF, ROBOTS, UNDRIVEN, USUAL_ROBOT
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, mounted_wheels
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -93,7 +93,7 @@ def test_what_a_robot_does_not_have_is_refused_by_name(case: str) -> None:
 @pytest.mark.parametrize("kind", [*BOARDS, "/a/folder"])
 def test_a_robot_is_told_of_no_wheel_that_it_has_not(kind: str) -> None:
     settings = Settings({"board.kind": kind})
-    count = len(settings.mounted())
+    count = len(mounted_wheels(settings.values))
     assert count == SPEEDS.get(kind, 2)
     numbered = {int(key[-1]) for key in settings.flat() if key.startswith(("wheels.sign_", "wheels.id_"))}
     assert numbered == set(range(1, count + 1))

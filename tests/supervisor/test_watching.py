@@ -252,11 +252,11 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(noticed: str) 
     assert scene.told()["written_us"] == (6.0 if noticed == layout.PORT_OWNER else 7.0)
 
 
-def test_the_supervisor_s_beat_tells_the_epoch_that_it_has_raised(scene: Scene) -> None:
+def test_the_supervisor_beats_at_the_turn_in_which_it_raises_the_epoch(scene: Scene) -> None:
     scene.gate_stops()
     scene.pass_time(MS)
     assert scene.word("beat_ns").get() == scene.now_ns
-    assert scene.word("beat_epoch").get() == scene.supervisor.epoch == 2
+    assert scene.word("epoch").get() == scene.supervisor.epoch == 2
 
 
 def test_a_supervisor_only_tells_that_it_was_held_up_while_nothing_could_move(whole: Scene) -> None:

@@ -209,19 +209,6 @@ def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
     assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_JOBS
 
 
-def test_closing_writes_what_waits_and_ends_the_thread(stage: Stage, files: Any) -> None:
-    files.close()
-    states = [files.running]
-    for _ in range(50):
-        files.append("log", "log.csv", HEADER, "1,2\n")
-        states.append(files.running)
-    assert states == [False] + [True] * 50
-    files.close()
-    stage.clock.now_ns += 1
-    assert not files.running
-    assert stage.read_text(LOG).count("1,2\n") == 50
-
-
 def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
     stage.machine.at_seam = refused("thread", RuntimeError("can't start new thread"))
     files.append("log", "log.csv", HEADER, "1,2\n")

@@ -27,6 +27,6 @@ def table() -> str:
     """The kinds as a Markdown table."""
     rows = ["| kind | level | its fields (`FAILSTOP_...`) | MESSAGE_ID |", "|---|---|---|---|"]
     for kind in EVENT_KINDS:
-        fields = ", ".join(f"`{field.upper()}`" for field in kind.fields)
+        fields = ", ".join(f"`{field.upper()}`" for field in kind.fields.split())
         rows.append(f"| `{kind.name}` | {kind.level} | {fields} | `{kind.message_id}` |")
     return "\n".join(rows)

@@ -8,6 +8,7 @@ moves again.
 
 from __future__ import annotations
 
+from failstop.board.interface import Board
 from failstop.board.servos import HIGHEST_POSITION
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
@@ -16,10 +17,6 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.reader import QUIET_NS, ServoReader
 from failstop.procs.gate.arm.stream import Space, Stream
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0

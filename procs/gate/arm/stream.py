@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from math import inf
 
+from failstop.board.interface import Board
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Board
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""

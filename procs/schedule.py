@@ -35,16 +35,17 @@ class Repeats:
         due.set(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """A stop was just written."""
+        """Begin the repeats of a stop that was just written."""
         self._bursts = len(self._after_ns)
         self._due.set(*(now_ns + after for after in (*self._after_ns, ZERO_EVERY_NS)))
 
-    def motion(self) -> None:
-        """Motion was written: an earlier stop is over and must not cut into it. No zeros before the next."""
+    def end(self) -> None:
+        """Motion was written, or is another process's to write: a stop must not cut into it. No zeros before the next
+        stop."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
-        """Nothing is written before this: of a process that was held up, several repeats would touch."""
+        """Put repeats off until then: those that a held-up process owes would touch each other on the line."""
         self._due.wait(until_ns)
 
     def take(self, now_ns: int) -> int:
@@ -81,14 +82,14 @@ class Pings:
         return self._count > 0 and self._due.due(now_ns)
 
     def sent(self, now_ns: int) -> None:
-        """It was written."""
+        """Plan the next ping, since the ping `index` was written."""
         self._sent_ns = now_ns
         self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
         self.index = (self.index + 1) % self._count
 
     def wait(self, until_ns: int) -> None:
-        """Nothing may be asked before, or nobody would hear it."""
+        """Put the next ping off until then, as nobody would hear one before."""
         self._sent_ns = max(self._sent_ns, until_ns - PING_GAP_NS)
         self._due.set(max(self._due.ns, until_ns))
 
