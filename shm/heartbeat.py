@@ -40,13 +40,13 @@ class HeartbeatReader:
 class Heartbeat:
     """The writing side. Only the segment's own process beats; a successor starts again."""
 
-    __slots__ = ("_last_ns", "_loops", "_words", "_worst_ns")
+    __slots__ = ("_loops", "_words", "_worst_ns", "last_ns")
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
         self._loops = 0
         self._worst_ns = 0
-        self._last_ns = now_ns
+        self.last_ns = now_ns
         for word in (words.loops, words.worst_ns, words.epoch):
             word.set(0)
         words.state.set(BEAT_STARTING)
@@ -57,8 +57,8 @@ class Heartbeat:
 
     def beat(self, now_ns: int, epoch: int) -> None:
         """One turn of the loop."""
-        words, gap_ns = self._words, now_ns - self._last_ns
-        self._last_ns = now_ns
+        words, gap_ns = self._words, now_ns - self.last_ns
+        self.last_ns = now_ns
         if gap_ns > self._worst_ns:
             self._worst_ns = gap_ns
             words.worst_ns.set(gap_ns)
