@@ -39,7 +39,7 @@ class Heartbeat:
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
         self._worst_ns = 0
-        self._last_ns = now_ns
+        self.last_ns = now_ns
         words.worst_ns.set(0)
         words.state.set(BEAT_STARTING)
         words.rights.set(rights)
@@ -49,8 +49,8 @@ class Heartbeat:
 
     def beat(self, now_ns: int) -> None:
         """Tell of one turn of the loop."""
-        words, gap_ns = self._words, now_ns - self._last_ns
-        self._last_ns = now_ns
+        words, gap_ns = self._words, now_ns - self.last_ns
+        self.last_ns = now_ns
         if gap_ns > self._worst_ns:
             self._worst_ns = gap_ns
             words.worst_ns.set(gap_ns)

@@ -16,7 +16,7 @@ from failstop.board.interface import SUPERVISOR_ROW
 from failstop.messages import layout, records
 from failstop.notify import Notify
 from failstop.policy import causes
-from failstop.policy.processes import SUPERVISOR_PRIORITY
+from failstop.policy.processes import HANG_NS, SUPERVISOR_PRIORITY
 from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
 from failstop.procs import rights, starved
 from failstop.procs.loop import MS, READ
@@ -44,12 +44,9 @@ STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
-ticks less than the shortest deadline."""
+"""After a silence of its own this long it judges nobody by theirs. Two ticks less than the shortest deadline."""
 CLIENT_SILENT_NS = 150_000_000
 """A client that beats ten times a second, and was silent for this long, was held up."""
-HELD_UP_NS = 250_000_000
-"""After a gap this long the supervisor stops the robot: nothing was watching it."""
 HEAR_NS = 300_000_000
 """How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
 ping may be 50 ms away (schedule.py)."""
@@ -199,7 +196,7 @@ class Supervisor:
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
-        if gap_ns < HELD_UP_NS or not self.status.ever:
+        if gap_ns < HANG_NS or not self.status.ever:
             return []
         cause = explained(causes.HELD_UP(gap_ns // MS), suspended_ns)
         if self._motion():

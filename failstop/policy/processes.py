@@ -9,6 +9,8 @@ SUPERVISOR_PRIORITY = 30
 the supervisor: it is needed when they have died, and its death must not hold up those who answer it."""
 
 MS = 1_000_000
+HANG_NS = 250 * MS
+"""No wheel turns on after this: the stopper notices it of the port owner, supervisor and port owner each of itself."""
 
 
 class Process(Data):

@@ -11,6 +11,7 @@ from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
+from failstop.policy.processes import HANG_NS, MS
 from failstop.procs.context import Context
 from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
@@ -205,6 +206,8 @@ class PortOwner:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
             self.stop(now_ns, lapse)
+        elif (silent_ns := now_ns - self.heartbeat.last_ns) >= HANG_NS:
+            self.stop(now_ns, causes.HANGS(layout.PORT_OWNER, silent_ns // MS))
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them forever.
             self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))

@@ -16,6 +16,7 @@ from time import monotonic_ns
 from failstop.board.interface import STOPPER_ROW
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout
+from failstop.policy.processes import HANG_NS
 from failstop.procs import starved
 from failstop.procs.context import Context
 from failstop.procs.handover import HeldPort
@@ -29,8 +30,6 @@ LONGEST_SLEEP_NS = 100_000_000
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
-HANG_NS = 250_000_000
-"""A port owner silent for this long hangs. The supervisor fences it sooner; this is for when it does not."""
 STALLED_NS = 200_000_000
 """A stopper that itself was silent for this long judges nobody by it: the whole service was frozen."""
 

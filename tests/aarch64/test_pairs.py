@@ -10,8 +10,8 @@ import pytest
 from failstop.board.servos import bus_servo_move
 from failstop.lab.machine.kernel import Machine
 from failstop.messages import layout, records
+from failstop.policy.processes import HANG_NS
 from failstop.procs.gate.requests import Request
-from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.cell import cell_bytes
 from tests.support import gate_scene, port_scene, stopper_scene
 from tests.support.stage import MS, PortMachine

@@ -17,7 +17,7 @@ import failstop
 from failstop.files import instance
 from failstop.lab.machine.robot import COMMAND_EVERY_S
 from failstop.lab.simulate.scenarios import Play
-from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS
+from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Rest
 from failstop.lab.trial import Trial, write_settings
 
 CLICKED = 0x20
@@ -64,6 +64,11 @@ class Processes:
         """The scenario, from a service that is ready."""
         with contextlib.suppress(failstop.FailstopError):
             self._play(self)  # type: ignore[arg-type]
+
+    @staticmethod
+    def branch(rest: Rest) -> Rest:
+        """The rest of the scenario alone."""
+        return rest
 
     def _keep_running(self) -> None:
         """Start the service when there is none, as systemd does."""

@@ -7,6 +7,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
+from failstop.policy.processes import HANG_NS
 from failstop.procs.loop import READ
 from failstop.shm import heartbeat
 from tests.support.port_scene import MOTION, TICK, Scene
@@ -132,6 +133,14 @@ def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
     assert scene.next_ns() == scene.clock() + 10 * MS, "it wakes just then"
     assert scene.turn(10 * MS - 1, alive=False) == b""
     assert scene.turn(1, alive=False) == BURST
+
+
+def test_a_silence_of_its_own_while_moving_is_a_stop_though_nobody_else_noticed(scene: Scene) -> None:
+    scene.drive()
+    assert scene.turn(HANG_NS - 1) == b""
+    assert scene.answer(HANG_NS) == (BURST, ["port_owner hangs: 250 ms silent"])
+    scene.turn(HANG_NS)
+    assert scene.reasons() == []
 
 
 def test_silence_without_motion_is_nothing_and_motion_does_not_begin_on_it(scene: Scene) -> None:

@@ -7,9 +7,9 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
-from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.procs import starved
-from failstop.procs.stopper.main import HANG_NS, STALLED_NS
+from failstop.procs.stopper.main import STALLED_NS
 from failstop.shm import heartbeat
 from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene

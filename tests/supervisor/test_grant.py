@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.messages.layout import GATE
-from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
+from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY
 from failstop.policy.settings import BY_KEY, Settings
-from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor import status
 from tests.support.supervisor_scene import Scene

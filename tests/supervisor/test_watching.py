@@ -9,10 +9,10 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.messages import layout
 from failstop.policy import causes
-from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.procs.loop import NEVER
 from failstop.supervisor.children import GIVEN_UP, STARTING_NS
-from failstop.supervisor.main import CLIENT_SILENT_NS, EXCUSE_NS, HELD_UP_NS, TICK_NS
+from failstop.supervisor.main import CLIENT_SILENT_NS, EXCUSE_NS, TICK_NS
 from failstop.supervisor.process_table import GATE_AGAIN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
@@ -167,7 +167,7 @@ def test_the_supervisor_stops_five_times_a_second_while_no_port_owner_runs(scene
 
 def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene) -> None:
     whole.enabled()
-    whole.pass_time(HELD_UP_NS)
+    whole.pass_time(HANG_NS)
     assert whole.supervisor.epoch == 2
     assert whole.cause() == (2, "supervisor was held up for 250 ms")
     assert not any(child.fence for child in whole.supervisor.children)
@@ -178,9 +178,9 @@ def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scen
     [
         (EXCUSE_NS - 1, True, False, 1),
         (EXCUSE_NS, True, True, 1),
-        (HELD_UP_NS - 1, True, True, 1),
-        (HELD_UP_NS, False, True, 1),
-        (HELD_UP_NS, True, True, 2),
+        (HANG_NS - 1, True, True, 1),
+        (HANG_NS, False, True, 1),
+        (HANG_NS, True, True, 2),
     ],
 )
 def test_a_supervisor_is_held_up_from_a_gap_on(
@@ -200,7 +200,7 @@ def suspended(scene: Scene) -> None:
     scene.me.continued = True
 
 
-@pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HELD_UP_NS])
+@pytest.mark.parametrize("gap_ns", [EXCUSE_NS, HANG_NS])
 def test_a_suspended_supervisor_knows_what_others_take_for_a_hang(scene: Scene, gap_ns: int) -> None:
     scene.supervisor.status.ever = True
     scene.enabled()
@@ -220,7 +220,7 @@ def test_a_supervisor_tells_that_it_was_suspended_while_nothing_could_move(scene
     scene.supervisor.status.ever = True
     scene.pass_time()
     suspended(scene)
-    scene.pass_time(HELD_UP_NS)
+    scene.pass_time(HANG_NS)
     ((kind, _, text, fields),) = scene.said()
     assert (kind, text, fields) == ("suspended", "supervisor was suspended for 0.2 s by a signal", {"silent_ms": 250})
     assert scene.supervisor.processes.starved_record() == NOT_STARVED
@@ -261,7 +261,7 @@ def test_the_supervisor_beats_at_the_turn_in_which_it_raises_the_epoch(scene: Sc
 
 def test_a_supervisor_only_tells_that_it_was_held_up_while_nothing_could_move(whole: Scene) -> None:
     whole.enabled(epoch=7)  # long ago: another stop has ended it
-    whole.pass_time(HELD_UP_NS)
+    whole.pass_time(HANG_NS)
     assert whole.supervisor.epoch == 1
     assert whole.starved() == [("supervisor", 250, 1)]
     assert not any(child.fence for child in whole.supervisor.children)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 
 from failstop.api.errors import FailstopError
 from failstop.lab.commands import matching
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
+failstop simulate --part 3/16     # of that a sixteenth
 failstop simulate --whole         # every call
 failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
@@ -34,6 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(parser)
     add("--whole", action="store_true", help="every call, not one of each line of code")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
+    add("--part", type=_part, default=(0, 1), metavar="K/N", help="the K-th of N parts of it")
     add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
     add("--fault", metavar="NAME", help="with --call: the fault")
     add("--seeds", type=float, metavar="SECONDS", help="runs that are drawn, for so much time of each processor")
@@ -72,9 +74,9 @@ def main(arguments: Namespace) -> int:
         return _seeds(arguments.seed or 0, arguments.seeds, arguments.jobs, chosen, board)
     if arguments.seed is not None:
         return _seed(arguments.seed, chosen, board)
-    whole = len(names) == len(known)
+    whole = len(names) == len(known) and arguments.part[1] == 1
     total, begun_s = campaign.Result(), time.monotonic()
-    todo = campaign.plans(names, 0 if arguments.whole else 1, board)
+    todo = campaign.plans(names, 0 if arguments.whole else 1, board)[arguments.part[0] :: arguments.part[1]]
     for done, (plan, result) in enumerate(campaign.results(todo, arguments.jobs), 1):
         total.merge(result)
         took_s = time.monotonic() - begun_s
@@ -87,6 +89,13 @@ def main(arguments: Namespace) -> int:
         marks.missing(total.marks, traits) if whole else [],
         told_marks=arguments.marks,
     )
+
+
+def _part(text: str) -> tuple[int, int]:
+    number, _, parts = text.partition("/")
+    if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
+        raise ArgumentTypeError(f"{text} is not a part: write 3/16 for the third of sixteen")
+    return int(number) - 1, int(parts)
 
 
 def _controls(board: str) -> int:
@@ -137,8 +146,8 @@ def _report(total: Result, took_s: float, missing: list[str], *, told_marks: boo
             print(f"{count:>9}  {name}")
     for name in missing:
         print(f"not reached: {name}")
-    rate = total.runs / max(took_s, 1e-9)
-    print(
-        f"\n{total.runs} runs at {total.calls} calls in {took_s:.0f} s ({rate:.0f} a second): {len(total.wrong)} wrong"
-    )
+    rate = total.runs / max(total.used_s, 1e-9)
+    counts = f"{total.runs} runs at {total.calls} calls, and {total.equal} that are the same as one of them"
+    times = f"{took_s:.0f} s, {total.used_s:.0f} s of a processor ({rate:.0f} a second of it)"
+    print(f"\n{counts}: {len(total.wrong)} wrong, in {times}")
     return int(bool(total.wrong or missing))

@@ -20,9 +20,8 @@ from failstop.lab.faults.fault import (
 )
 from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
-from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
-from failstop.procs.stopper.main import HANG_NS
 
 AT_ONCE_MS = 5.0
 NO_ANSWER_MS = 10.0

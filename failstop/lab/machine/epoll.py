@@ -38,6 +38,7 @@ class Epoll(Node):
         opened.in_epolls.remove((self, fd))
 
     def told(self, fd: int) -> None:
+        Node.news += 1
         self.maybe[fd] = None
         self.notify()
 
@@ -56,6 +57,7 @@ class Epoll(Node):
 
     def take(self) -> list[tuple[int, int]]:
         """Descriptors that are ready; one that is watched for its edge alone is told of once."""
+        Node.news += 1
         found = []
         for fd in tuple(self.maybe):
             opened, events = self.wanted[fd]
@@ -67,6 +69,7 @@ class Epoll(Node):
         return found
 
     def mask(self, opened: Open) -> int:
+        Node.news += 1
         for fd in tuple(self.maybe):
             held, events = self.wanted[fd]
             if held.mask() & (events & 0xFFFF | ERR | HUP):

@@ -23,6 +23,8 @@ class Node:
 
     kind = stat.S_IFREG
     count = 0
+    news = 0
+    """How often an epoll heard of something or was asked."""
 
     def __init__(self, mode: int = 0o600, uid: int = 0, gid: int = 0) -> None:
         Node.count += 1
@@ -197,8 +199,11 @@ class Fifo(Node):
         self.data = bytearray()
         self.openers: list[Thread] = []
         """Those whose open waits for the other end."""
+        self.looks = 0
+        """How often it was asked for its state, or changed."""
 
     def open(self, opened: Open) -> None:
+        self.looks += 1
         openers, self.openers = self.openers, []
         for thread in openers:
             thread.process.machine.wake(thread)
@@ -208,6 +213,7 @@ class Fifo(Node):
         return sum(opened.flags & 3 in modes for opened in self.opened)
 
     def mask(self, opened: Open) -> int:
+        self.looks += 1
         mask = 0
         if opened.flags & 3 != os.O_WRONLY:
             mask |= IN if self.data else 0
@@ -218,6 +224,7 @@ class Fifo(Node):
         return mask
 
     def read(self, opened: Open, most: int) -> bytes:
+        self.looks += 1
         if not self.data:
             if self.ends(os.O_WRONLY, os.O_RDWR):
                 raise BlockingIOError(errno.EAGAIN, "empty")
@@ -227,6 +234,7 @@ class Fifo(Node):
         return found
 
     def write(self, opened: Open, data: bytes) -> int:
+        self.looks += 1
         if not self.ends(os.O_RDONLY, os.O_RDWR):
             raise BrokenPipeError(errno.EPIPE, "nobody reads")
         if len(self.data) + len(data) > PIPE_BYTES:
@@ -236,6 +244,7 @@ class Fifo(Node):
         return len(data)
 
     def closed(self, opened: Open) -> None:
+        self.looks += 1
         self.notify()
 
 

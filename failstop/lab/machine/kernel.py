@@ -36,8 +36,6 @@ LAND_NS = 100_000
 """From a kill to the end of a write that the victim was in: it is done, and then the process dies."""
 FIRST_PID = 100
 FOREVER_NS = 1 << 61
-
-
 running_machines: weakref.WeakSet[Machine] = weakref.WeakSet()
 """The machines that have not ended."""
 
@@ -54,6 +52,8 @@ class Machine:
         self.start_ns = SPAWN_NS if step_ns else 0
         """From a spawn to the first line of the program: an interpreter starts."""
         self.slept_ns = 0
+        self.sleep_looks = self.starved_looks = self.switches = 0
+        """How often a clock was read that goes on in a sleep, a held process was asked for why, a thread went on."""
         self.unix_ns = 1_700_000_000_000_000_000
         """The time of day when the clock stood at zero."""
         self.seed = seed
@@ -72,7 +72,7 @@ class Machine:
         self.hub = getcurrent()
         self.inline: Thread | None = None
         """The thread that runs inline, in the hub itself."""
-        self._runnable: deque[Thread] = deque()
+        self.runnable: deque[Thread] = deque()
         self._timers: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
         self._next_pid = FIRST_PID
@@ -93,7 +93,7 @@ class Machine:
                 thread.greenlet.throw(Death)
         self.root = Directory()
         self.programs.clear()
-        self._runnable.clear()
+        self.runnable.clear()
         self._timers.clear()
 
     def finalizer(self, body: Callable[..., object]) -> Callable[..., None]:
@@ -121,8 +121,8 @@ class Machine:
                 return False
             if self._timers and self._timers[0][0] <= self.now_ns:
                 heapq.heappop(self._timers)[2]()
-            elif self._runnable:
-                self._switch(self._runnable.popleft())
+            elif self.runnable:
+                self._switch(self.runnable.popleft())
             elif self._timers:
                 if self._timers[0][0] > end_ns:
                     self.now_ns = end_ns
@@ -144,6 +144,7 @@ class Machine:
             thread.ready = True
             return
         self.current = thread
+        self.switches += 1
         thread.greenlet.switch()
         self.current = self.inline
 
@@ -174,7 +175,7 @@ class Machine:
         self._threads += 1
         thread = Thread(process, body, self._threads)
         process.threads.append(thread)
-        self._runnable.append(thread)
+        self.runnable.append(thread)
         return thread
 
     def finish(self, thread: Thread, body: Callable[[], object]) -> None:
@@ -236,20 +237,20 @@ class Machine:
     def _timed_out(self, thread: Thread, token: int) -> None:
         if thread.waiting and thread.token == token:
             thread.waiting = False
-            self._runnable.append(thread)
+            self.runnable.append(thread)
 
     def wake(self, thread: Thread, *, for_signal: bool = False) -> None:
         """Let a thread that waits look again."""
         if thread.waiting:
             thread.waiting = False
             thread.woken = not for_signal
-            self._runnable.append(thread)
+            self.runnable.append(thread)
 
     def give_way(self, to: Process | None = None) -> None:
         """Let every other runnable thread run first, or those of one process alone."""
         thread = self.caller()
-        first = [each for each in self._runnable if to is None or each.process is to]
-        self._runnable = deque((*first, thread, *(each for each in self._runnable if each not in first)))
+        first = [each for each in self.runnable if to is None or each.process is to]
+        self.runnable = deque((*first, thread, *(each for each in self.runnable if each not in first)))
         self._leave(thread)
         if thread.process.dead:
             raise Death
@@ -269,9 +270,9 @@ class Machine:
         thread = Thread(made, lambda: body(made), made.pid)
         made.threads.append(thread)
         if after_ns:
-            self.at(self.now_ns + after_ns, lambda: self._runnable.append(thread))
+            self.at(self.now_ns + after_ns, lambda: self.runnable.append(thread))
         else:
-            self._runnable.append(thread)
+            self.runnable.append(thread)
         self.told("started", made, name)
         return made
 
@@ -383,7 +384,7 @@ class Machine:
     def resume(self, process: Process) -> None:
         process.held_until_ns, process.resumed_ns = 0, self.now_ns
         process.starved = False
-        self._runnable.extend(process.parked)
+        self.runnable.extend(process.parked)
         process.parked = []
 
     def call(self, name: str, *about: Any) -> Process:

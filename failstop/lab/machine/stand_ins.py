@@ -158,6 +158,7 @@ def make_starved(calls: Calls) -> ModuleType:
     def look(pid: int, heart: object, deadline_ns: int, bell: object) -> bool:
         calls.process("stat")
         process = calls.machine.processes.get(pid)
+        calls.machine.starved_looks += bool(process and process.held_until_ns)
         return bool(process and process.starved)
 
     return Module("failstop.procs.starved", calls, look=look, LONGEST_NS=LONGEST_NS)
@@ -171,6 +172,7 @@ def make_thread_state(calls: Calls) -> ModuleType:
         process = calls.machine.processes.get(pid)
         if process is None or process.dead:
             return "Z"
+        calls.machine.starved_looks += bool(process.held_until_ns)
         return "S" if not process.held_until_ns else "R" if process.starved else "T"
 
     return Module("failstop.shm.thread_state", calls, state_of=state_of)

@@ -130,6 +130,7 @@ class Time(Module):
     perf_counter = monotonic
 
     def time_ns(self) -> int:
+        self._machine.sleep_looks += 1
         return self._machine.unix_ns + self.monotonic_ns() + self._machine.slept_ns
 
     def time(self) -> float:
@@ -140,6 +141,7 @@ class Time(Module):
 
     def clock_gettime_ns(self, clock: int) -> int:
         if clock == time.CLOCK_BOOTTIME:
+            self._machine.sleep_looks += 1
             return self.monotonic_ns() + self._machine.slept_ns
         if clock == time.CLOCK_MONOTONIC:
             return self.monotonic_ns()

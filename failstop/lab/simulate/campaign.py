@@ -15,22 +15,27 @@ import signal
 import traceback
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
+from failstop.lab.simulate.equal import HELD, Equal
 from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.places import BEFORE, Places
-from failstop.lab.simulate.scenarios import SCENARIOS
-from failstop.lab.simulate.stage import Stage
+from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
+from failstop.lab.simulate.stage import Rest, Stage
 from failstop.policy.layouts import BOARDS
 
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
+ALONE = ("",)
+"""Plan.branches of a scenario whose begin is another plan's."""
 SHARES = 2
 """Into so many parts the calls of a scenario are divided: each part runs the scenario twice before its first fault."""
+BRANCHED = 16
+"""As many, of what many scenarios begin with."""
 
 
 def of_board(kind: str) -> str:
@@ -53,6 +58,10 @@ class JudgedRun:
     story: list[tuple[int, str]] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
     board: str = BOARDS[0]
+    why_asked: bool = True
+    """Somebody asked why a process that was held is silent."""
+    branched: bool = True
+    """It came to the end of what many scenarios begin with."""
 
     def text(self) -> str:
         """The run as people read it, in ms from its begin."""
@@ -70,6 +79,10 @@ class Result:
     """The result of a campaign."""
 
     runs: int = 0
+    equal: int = 0
+    """Runs that were not played, since each is the same as one that was (equal.py)."""
+    used_s: float = 0.0
+    """Of a processor."""
     calls: int = 0
     wrong: list[JudgedRun] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
@@ -84,6 +97,8 @@ class Result:
     def merge(self, other: Result) -> None:
         """The result of another share."""
         self.runs += other.runs
+        self.equal += other.equal
+        self.used_s += other.used_s
         self.calls += other.calls
         self.wrong += other.wrong
         self.marks.update(other.marks)
@@ -104,6 +119,9 @@ class Plan:
     fault: str = ""
     first: bool = False
     """The campaign ends with the first run that is wrong."""
+    branches: tuple[str, ...] = ()
+    """Of a plan for what so many scenarios begin with, the plan's own first: a run that comes to its end is forked for
+    each of them, one that does not is the same in all. Without a first name: the scenario alone, from there on."""
     board: str = BOARDS[0]
     """Its kind, as the setting board.kind."""
 
@@ -115,6 +133,10 @@ class Explorer:
         self._plan = plan
         self._seen: Counter[tuple[str, str]] = Counter()
         self._count = 0
+        self._looks = 0
+        self._branched = False
+        self._runs: list[JudgedRun] = []
+        """In a fork: those of the scenarios that it was forked for in turn."""
         self._to: int | None = None
         """In a fork: where its run is reported."""
         self.run = JudgedRun(plan.scenario, board=plan.board)
@@ -131,6 +153,8 @@ class Explorer:
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
         before.machine.end()
+        self._equal = Equal(self.stage)
+        self.stage.branch = self._branch
         self.stage.machine.at_seam = self._only if plan.only else self._fork_here
         gc.collect()
         gc.freeze()
@@ -139,7 +163,7 @@ class Explorer:
             self.stage.run()
             run = self._judged()
             if self._to is not None:
-                _send(self._to, run)
+                _send(self._to, [*self._runs, run])
         except BaseException:
             if self._to is None:
                 raise
@@ -152,6 +176,27 @@ class Explorer:
         self.stage.machine.end()
         return self.result
 
+    def _branch(self, rest: Rest) -> Rest:
+        """What this process plays behind the begin that many scenarios share."""
+        plan, self._branched = self._plan, True
+        if plan.branches in ((), ALONE):
+            return rest
+        if self._to is None:
+            self.stage.machine.at_seam = None  # each scenario's own plan goes on from here
+            return rest
+        for name in plan.branches[1:]:
+            signal.alarm(RUN_S)
+            reader, writer = os.pipe()
+            child = os.fork()
+            if not child:
+                os.close(reader)
+                signal.alarm(RUN_S)
+                self._to, self._runs, self.run.scenario = writer, [], name
+                return DRIVEN[name]
+            os.close(writer)
+            self._runs += _received(child, reader, replace(self.run, scenario=name))
+        return rest
+
     def _new_stage(self) -> Stage:
         plan = self._plan
         return Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches, kind=plan.board)
@@ -160,6 +205,8 @@ class Explorer:
         run, witness = self.run, self.stage.witness
         run.violations, run.causes, run.story = witness.violations, witness.causes, witness.story
         run.marks = dict(self.stage.marks.counts)
+        run.branched = self._branched
+        run.why_asked = self.stage.machine.starved_looks > self._looks
         return run
 
     def _fork_here(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
@@ -170,6 +217,8 @@ class Explorer:
         self._seen[thread.process.name, where] += 1
         if plan.most and self._seen[thread.process.name, where] > plan.most:
             return
+        if plan.branches == ALONE and not self._branched:
+            return
         if self._count % plan.share[1] != plan.share[0]:
             return
         self.result.calls += 1
@@ -177,6 +226,9 @@ class Explorer:
             if self.stage.machine.at_seam is None:
                 return
             if plan.fault not in ("", fault):
+                continue
+            if self._equal.tried(fault, thread):
+                self.result.equal += 1
                 continue
             reader, writer = os.pipe()
             child = os.fork()
@@ -207,28 +259,38 @@ class Explorer:
     def _begin(self, fault: str, where: str) -> None:
         self.stage.machine.at_seam = None
         self.run = JudgedRun(self._plan.scenario, fault, self._count, where, board=self._plan.board)
+        self._looks = self.stage.machine.starved_looks
         self.stage.witness.tell(f"FAULT: {fault}, at {where}")
 
     def _collect(self, child: int, reader: int, run: JudgedRun) -> None:
-        data = b""
-        while piece := os.read(reader, 1 << 16):
-            data += piece
-        os.close(reader)
-        _, status = os.waitpid(child, 0)
-        if data:
-            run = JudgedRun(**json.loads(data))
-        else:
-            run.violations = [f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"]
-        self.result.add(run)
-        if self._plan.first and run.violations:
+        runs = _received(child, reader, run)
+        for each in runs:
+            self.result.add(each)
+        if not runs[-1].branched:
+            self.result.equal += max(0, len(self._plan.branches) - 1)
+        if runs[-1].fault == HELD:
+            self._equal.why_asked = any(run.why_asked for run in runs)
+        if self._plan.first and any(run.violations for run in runs):
             self.stage.machine.at_seam = None
 
 
-def _send(to: int, run: JudgedRun) -> None:
+def _received(child: int, reader: int, run: JudgedRun) -> list[JudgedRun]:
+    """What a fork reports; where it has come to no end, this run, with why."""
+    data = b""
+    while piece := os.read(reader, 1 << 16):
+        data += piece
+    os.close(reader)
+    _, status = os.waitpid(child, 0)
+    if data:
+        return [JudgedRun(**each) for each in json.loads(data)]
+    return [replace(run, violations=[f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"])]
+
+
+def _send(to: int, runs: list[JudgedRun]) -> None:
     """The end of a fork."""
-    if not run.violations:
-        run.story = []
-    data = json.dumps(vars(run)).encode()
+    for run in runs:
+        run.story = run.story if run.violations else []
+    data = json.dumps([vars(run) for run in runs]).encode()
     while data:
         data = data[os.write(to, data) :]
     os._exit(0)
@@ -236,7 +298,10 @@ def _send(to: int, run: JudgedRun) -> None:
 
 def explore(plan: Plan) -> Result:
     """The result of a plan, in this process."""
-    return Explorer(plan).explore()
+    begun = os.times()[:4]
+    result = Explorer(plan).explore()
+    result.used_s = sum(os.times()[:4]) - sum(begun)
+    return result
 
 
 def one(plan: Plan) -> JudgedRun:
@@ -247,9 +312,16 @@ def one(plan: Plan) -> JudgedRun:
 
 
 def plans(names: Iterable[str], most: int, board: str = BOARDS[0]) -> list[Plan]:
-    """Those of whole scenarios, in shares; the longest scenario, which is declared last, begins."""
-    shares = [(share, SHARES) for share in range(SHARES)]
-    return [Plan(name, share, most, board=board) for name in reversed(list(names)) for share in shares]
+    """Those of whole scenarios, in shares; what takes longest begins."""
+    names = list(names)
+    alike = tuple(name for name in names if name in DRIVEN)
+    found: list[tuple[str, tuple[str, ...], int]] = [(alike[0], alike, BRANCHED)] if alike else []
+    found += [(name, ALONE if name in alike else (), SHARES) for name in reversed(names)]
+    return [
+        Plan(name, (share, shares), most, board=board, branches=branches)
+        for name, branches, shares in found
+        for share in range(shares)
+    ]
 
 
 def results(todo: list[Plan], jobs: int) -> Iterator[tuple[Plan, Result]]:

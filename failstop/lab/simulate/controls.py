@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from failstop.lab.machine.loading import Patches
 from failstop.lab.simulate.campaign import Plan, explore
+from failstop.lab.simulate.equal import HELD
 from failstop.lab.simulate.seeds import seeds, used_s
 from failstop.policy.layouts import BOARDS
 
@@ -26,6 +27,8 @@ STOP_PORT_MODULE = "failstop.board.stop_port"
 
 CUT_AND_ASKED = "short write, while somebody asks for a stop"
 NOT_REPEATED = ("failstop.board.described", "tuple(row[1:] for row in wire.stop.repeats_ns)", "((), (), ())")
+
+OWN_SILENCE = (PORT_OWNER_MODULE, ">= HANG_NS:", ">= 1000 * HANG_NS:")
 
 NOT_EXPRESSED = {
     "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
@@ -98,12 +101,13 @@ CONTROLS = (
     Mutant(
         "the stopper does not fence",
         "stopper_alone_runs",
-        ((STOPPER_MODULE, "            life.kill()\n", ""),),
+        ((STOPPER_MODULE, "            life.kill()\n", ""), OWN_SILENCE),
     ),
+    Mutant("the port owner does not notice its own silence", "stopper_alone_runs", (OWN_SILENCE,), HELD),
     Mutant(
         "the stopper does not notice a silence",
         "port_owner_and_supervisor_hang",
-        ((STOPPER_MODULE, "HANG_NS = 250_000_000", "HANG_NS = 250_000_000_000"),),
+        ((STOPPER_MODULE, "self._excused_ns) + HANG_NS", "self._excused_ns) + 1000 * HANG_NS"),),
     ),
     Mutant(
         "fencing writes before it kills",

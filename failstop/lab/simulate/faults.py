@@ -88,15 +88,20 @@ def _refusals(call: str, opened: Open | None) -> tuple[int, ...]:
     return (SHORT_OF[call],) if call in SHORT_OF else ()
 
 
-def ask_beside(stage: Stage) -> None:
-    """Another program's bytes are in the stop pipe, where there is one that is read."""
+def stop_pipe(stage: Stage) -> Fifo | None:
+    """The stop pipe, where there is one that is read."""
     here = stage.machine.root.names["run"]
     for part in ("failstop", "failstop", "stop"):
         here = getattr(here, "names", {}).get(part)  # type: ignore[assignment]
-    if isinstance(here, Fifo) and here.ends(0, 2):
+    return here if isinstance(here, Fifo) and here.ends(0, 2) else None
+
+
+def ask_beside(stage: Stage) -> None:
+    """Another program's bytes are in the stop pipe, where there is one that is read."""
+    if pipe := stop_pipe(stage):
         stage.witness.asked()
-        here.data += b"beside\n"
-        here.notify()
+        pipe.data += b"beside\n"
+        pipe.notify()
 
 
 def _held(stage: Stage, process: Process, ns: int, *, starved: bool = False) -> None:

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, Traits
-from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Stage
+from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Rest, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
+DRIVEN: dict[str, Rest] = {}
+"""Of the scenarios that begin alike, by driving(): what comes then, with the program that drives."""
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
 SLOW_MPS = 0.01
@@ -46,6 +48,20 @@ def driving(stage: Stage, seconds: float = 0.04) -> Any:
     return robot
 
 
+def driven(rest: Rest, name: str = "", told: str = "", needs: tuple[str, ...] = ()) -> Rest:
+    """Declare a scenario that begins by driving(), with the settings of most: a fault before its rest is tried for all
+    of them at once (campaign.py)."""
+
+    def play(stage: Stage) -> None:
+        robot = driving(stage)
+        stage.branch(rest)(stage, robot)
+
+    name = name or rest.__name__
+    scenario(play, name, told or rest.__doc__ or "", needs=needs)
+    DRIVEN[name] = rest
+    return rest
+
+
 @scenario
 def drive_and_stop(stage: Stage) -> None:
     """Enable, drive, stop, reset, enable, drive, disable."""
@@ -60,49 +76,45 @@ def drive_and_stop(stage: Stage) -> None:
 FROM_THE_START.add(drive_and_stop)
 
 
-@scenario
-def drive(stage: Stage) -> None:
+@driven
+def drive(stage: Stage, robot: Any) -> None:
     """Drive, and nothing else: what stops it is the fault alone."""
-    driving(stage, 0.2)
+    stage.drive(robot, 0.16)
 
 
-def _death(name: str) -> Play:
-    def play(stage: Stage) -> None:
-        robot = driving(stage)
+def _death(name: str) -> Rest:
+    def rest(stage: Stage, robot: Any) -> None:
         stage.kill(name)
         stage.drive(robot, 0.04)
 
-    return play
+    return rest
 
 
-def _silence(name: str, ms: int) -> Play:
-    def play(stage: Stage) -> None:
-        robot = driving(stage)
+def _silence(name: str, ms: int) -> Rest:
+    def rest(stage: Stage, robot: Any) -> None:
         stage.freeze(name, ms)
         stage.drive(robot, ms / 1000 + 0.04)
 
-    return play
+    return rest
 
 
 for _name in ("supervisor", "port_owner", "gate", "telemetry", "stopper"):
-    scenario(_death(_name), f"{_name}_dies", f"The {_name.replace('_', ' ')} is killed while it drives.")
+    driven(_death(_name), f"{_name}_dies", f"The {_name.replace('_', ' ')} is killed while it drives.")
 for _name, _ms in {"supervisor": 120, "port_owner": 160, "gate": 120, "telemetry": 560, "stopper": 320}.items():
-    scenario(_silence(_name, _ms), f"{_name}_hangs", f"The {_name.replace('_', ' ')} is silent for {_ms} ms.")
+    driven(_silence(_name, _ms), f"{_name}_hangs", f"The {_name.replace('_', ' ')} is silent for {_ms} ms.")
 
 
-@scenario
-def port_owner_and_supervisor_hang(stage: Stage) -> None:
+@driven
+def port_owner_and_supervisor_hang(stage: Stage, robot: Any) -> None:
     """Both are silent, and the stopper is the one that notices."""
-    robot = driving(stage)
     stage.hold_again("supervisor", 60, 640)
     stage.freeze("port_owner", 700)
     stage.drive(robot, 0.9)
 
 
-@scenario
-def stopper_alone_runs(stage: Stage) -> None:
+@driven
+def stopper_alone_runs(stage: Stage, robot: Any) -> None:
     """Nothing but the stopper runs for a while; supervisor and gate wake before the port owner, and judge nobody."""
-    robot = driving(stage)
     for name in ("supervisor", "gate"):
         stage.hold_again(name, 70, 187)
     stage.freeze("port_owner", 260)
@@ -110,9 +122,18 @@ def stopper_alone_runs(stage: Stage) -> None:
 
 
 @scenario
-def port_owner_hangs_shortly(stage: Stage) -> None:
+def port_owner_starves_and_hangs(stage: Stage) -> None:
+    """Nothing may move, and the machine does not run the port owner, which is spared for that; then it hangs."""
+    stage.connect()
+    stage.freeze("port_owner", 200, starved=True)
+    stage.time.sleep(0.15)
+    stage.freeze("port_owner", 200)
+    stage.time.sleep(0.3)
+
+
+@driven
+def port_owner_hangs_shortly(stage: Stage, robot: Any) -> None:
     """The port owner is silent for hardly longer than the supervisor waits."""
-    robot = driving(stage)
     stage.freeze("port_owner", 112)
     stage.drive(robot, 0.2)
 
@@ -174,32 +195,27 @@ def _telemetry_dies_often(stage: Stage) -> None:
 scenario(_telemetry_dies_often, "telemetry_dies_often", settings={"restart.deaths": 3})
 
 
-@scenario
-def replug(stage: Stage) -> None:
+@driven
+def replug(stage: Stage, robot: Any) -> None:
     """The board is unplugged while it drives, and is back."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
     stage.unplug()
     stage.time.sleep(0.03)
     stage.replug()
     stage.time.sleep(0.03)
 
 
-@scenario
-def port_does_not_drain(stage: Stage) -> None:
+@driven
+def port_does_not_drain(stage: Stage, robot: Any) -> None:
     """The port keeps what is written to it, then passes it on."""
-    robot = driving(stage)
     stage.block_port()
     stage.drive(robot, 0.2)
     stage.free_port()
     stage.time.sleep(0.03)
 
 
-@scenario
-def reset_races_stop(stage: Stage) -> None:
+@driven
+def reset_races_stop(stage: Stage, robot: Any) -> None:
     """A reset is under way when another stop is asked for."""
-    robot = driving(stage)
     stage.stop(robot)
     stage.time.sleep(0.1)
     robot.reset()
@@ -226,19 +242,17 @@ def two_programs(stage: Stage) -> None:
     robot.wait_for("latched", 1.0)
 
 
-def _key(stage: Stage) -> None:
-    robot = driving(stage)
+def _key(stage: Stage, robot: Any) -> None:
     stage.press(1)
     robot.wait_for("latched", 1.0)
 
 
-scenario(_key, "key", "A key of the board is pressed while it drives.", needs=(HAS_KEYS,))
+driven(_key, "key", "A key of the board is pressed while it drives.", needs=(HAS_KEYS,))
 
 
-@scenario
-def stop_pipe(stage: Stage) -> None:
+@driven
+def stop_pipe(stage: Stage, robot: Any) -> None:
     """Somebody's bytes come to the stop pipe."""
-    robot = driving(stage)
     stage.write_to_pipe(b"x")
     robot.wait_for("latched", 1.0)
 
@@ -255,44 +269,37 @@ def _driver_dies(stage: Stage) -> None:
 scenario(_driver_dies, "driver_dies", settings={"gate.driver_death": "latch"})
 
 
-@scenario
-def supervisor_suspended(stage: Stage) -> None:
+@driven
+def supervisor_suspended(stage: Stage, robot: Any) -> None:
     """The supervisor is suspended by a signal, and goes on."""
-    robot = driving(stage)
     stage.suspend("supervisor", 150)
     stage.drive(robot, 0.2)
 
 
-@scenario
-def pipe_is_removed(stage: Stage) -> None:
+@driven
+def pipe_is_removed(stage: Stage, robot: Any) -> None:
     """Somebody takes the stop pipe away: the service ends, and a new one is started."""
-    robot = driving(stage)
     stage.remove_pipe()
     stage.drive(robot, 1.2)
 
 
-@scenario
-def board_falls_silent(stage: Stage) -> None:
+@driven
+def board_falls_silent(stage: Stage, robot: Any) -> None:
     """The board does not hear any more while it drives."""
-    robot = driving(stage)
     stage.deafen()
     stage.drive(robot, 1.3)
 
 
-@scenario
-def machine_sleeps(stage: Stage) -> None:
+@driven
+def machine_sleeps(stage: Stage, robot: Any) -> None:
     """The machine sleeps while it drives."""
-    robot = driving(stage)
     stage.sleep_machine(20.0)
     stage.drive(robot, 0.04)
 
 
-@scenario
-def service_ends(stage: Stage) -> None:
+@driven
+def service_ends(stage: Stage, robot: Any) -> None:
     """The service is told to end while it drives."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.04)
     stage.end_service()
 
 

@@ -20,6 +20,7 @@ from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 from failstop.policy.layouts import BOARDS
 
+Rest = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 """Of the scenarios that need some."""
 NEEDS: dict[Callable[[Stage], object], frozenset[str]] = {}
@@ -70,6 +71,8 @@ class Stage:
         self.take(play)
         self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
         """How much later who waits there hears of the loss of the port."""
+        self.branch: Callable[[Rest], Rest] = lambda rest: rest
+        """Asked at the end of what many scenarios begin with: what is to come then (scenarios.py, DRIVEN)."""
         self._begun = False
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
@@ -157,11 +160,11 @@ class Stage:
         """SIGKILL a process of the service."""
         self.robot.kill(name)
 
-    def freeze(self, name: str, ms: int) -> None:
-        """Run nothing of a process for so long."""
+    def freeze(self, name: str, ms: int, *, starved: bool = False) -> None:
+        """Run nothing of a process for so long; `starved`: for want of a processor."""
         if found := self.robot.named(name):
             self.witness.held(found, ms * MS)
-            self.machine.hold(found, ms * MS)
+            self.machine.hold(found, ms * MS, starved=starved)
 
     def unplug(self) -> None:
         self.witness.tell("the plug is pulled")

@@ -68,7 +68,8 @@ class Witness:
         """The service ends as it was told to: its processes die for that."""
         self._forbidden = "no program has asked for motion yet"
         """Why no frame may turn the wheels now; empty: one may."""
-        self._asked = 0
+        self.asked_for_motion = 0
+        """So often a program has asked for motion."""
         self._asking = False
         """A program has asked and has no answer yet."""
         self._fastest_rps = 0.0
@@ -103,7 +104,7 @@ class Witness:
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
         self._board.catch_up()
-        self._asked += 1
+        self.asked_for_motion += 1
         self._asking = True
         self._forbidden, self._late = "", False
         self._stops = {}
@@ -137,7 +138,9 @@ class Witness:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
         goes first."""
         self.tell(why)
-        self._judge_in(within_ns, why, self._asked, reached=True, after_ns=self._wire_ns - self._machine.now_ns)
+        self._judge_in(
+            within_ns, why, self.asked_for_motion, reached=True, after_ns=self._wire_ns - self._machine.now_ns
+        )
 
     def _judge_in(
         self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0, late: bool = False
@@ -145,7 +148,7 @@ class Witness:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why."""
 
         def due() -> None:
-            if self._asked != asked:
+            if self.asked_for_motion != asked:
                 return
             self._board.catch_up()
             turn = any(self._board.model.wheels)

@@ -1,0 +1,69 @@
+"""Runs that a campaign counts and does not play: each is the same as one that it plays, call by call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from failstop.lab.machine.process import Thread
+from failstop.lab.simulate.equal import ASKED, HELD, SLEEPS, STARVED, Equal
+from failstop.lab.simulate.faults import faults
+from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.stage import Stage
+
+pytestmark = pytest.mark.slow
+SCENARIO = "drive"
+SAMPLES = 4
+Calls = list[tuple[str, str, int]]
+
+
+def pairs(fault: str) -> list[tuple[int, int]]:
+    """The calls of an unfaulted run that are told equal, each with the one that it equals."""
+    stage = Stage(SCENARIOS[SCENARIO])
+    equal, found, number, last = Equal(stage), [], 0, 0
+
+    def look(thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        nonlocal number, last
+        number += 1
+        if stage.explored and fault in dict(faults(stage, thread, call, about)):
+            if equal.tried(fault, thread):
+                found.append((last, number))
+            else:
+                last = number
+
+    stage.machine.at_seam = look
+    stage.run()
+    return found
+
+
+def played(at: int, fault: str) -> tuple[Calls, list[str], int]:
+    """Every call of the run with its time, what was wrong, and how often somebody asked why a process is silent."""
+    stage, calls = Stage(SCENARIOS[SCENARIO]), Calls()
+
+    def record(thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        calls.append((thread.process.name, call, stage.machine.now_ns))
+        if len(calls) == at:
+            dict(faults(stage, thread, call, about))[fault]()
+
+    stage.machine.at_seam = record
+    stage.run()
+    return calls, stage.witness.violations, stage.machine.starved_looks
+
+
+@pytest.mark.parametrize("fault", [SLEEPS, ASKED])
+def test_a_fault_that_nobody_can_have_noticed_since_is_the_same_fault(fault: str) -> None:
+    told = pairs(fault)
+    assert len(told) > 50
+    for first, second in told[:: len(told) // SAMPLES]:
+        assert played(first, fault) == played(second, fault)
+
+
+def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -> None:
+    told = pairs(SLEEPS)
+    asked = []
+    for _, number in told[:: len(told) // SAMPLES]:
+        held, starved = played(number, HELD), played(number, STARVED)
+        asked.append(held[2] > 0)
+        assert held == starved or asked[-1]
+    assert not all(asked)
