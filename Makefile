@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site gate-page screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -97,10 +97,21 @@ vm-arm64: $(VENV)/.dev
 docs: $(VENV)/.dev
 	$(BIN)/python -m failstop.lab.pages
 
+# The whole service as one page for a browser (docs/touch.md), with Pyodide from the npm registry.
+PYODIDE := build/pyodide/node_modules/pyodide
+gate-page: $(VENV)/.dev $(PYODIDE)
+	@$(BIN)/python -m failstop.lab.browser.build $(PYODIDE) build/gate-page/index.html
+
+$(PYODIDE): Makefile
+	@command -v npm >/dev/null || { echo "no npm, which fetches Pyodide: install it (Debian and Ubuntu: apt install npm)"; exit 1; }
+	@npm install --silent --no-save --prefix build/pyodide pyodide@0.29.5
+	@touch $@
+
 # The pages as a site, in build/site; a link that leads nowhere is an error.
-site: $(VENV)/.dev
+site: $(VENV)/.dev gate-page
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/zensical build --clean --strict
+	mkdir -p build/site/robot && cp build/gate-page/index.html build/site/robot/
 
 # The pictures of terminals that README and docs show, of what the commands print now.
 screens: $(VENV)/.dev
@@ -130,7 +141,7 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@touch $@
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
-web: $(VENV)/.dev
+web: $(VENV)/.dev gate-page
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium
 	$(BIN)/pytest --numprocesses 0 tests/web
 

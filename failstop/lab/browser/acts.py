@@ -1,0 +1,98 @@
+"""Acts: the buttons and switches of the page, each with what it does to the robot."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, SUPERVISOR, TELEMETRY
+
+PRESS, SWITCH = "press", "switch"
+KILLED, HELD = "kill-", "hang-"
+
+
+class Act(NamedTuple):
+    """A button, or a switch that is on at first and may be turned off."""
+
+    name: str
+    group: str
+    label: str
+    kind: str = PRESS
+    off: str = ""
+    """Of a switch: the label while it is off."""
+
+
+ASK, DRIVER, SENSES, PROCESSES, BOARD, MACHINE = GROUPS = (
+    "Ask",
+    "Driver",
+    "Sensor and interlock",
+    "Processes",
+    "Board",
+    "Machine",
+)
+STAY = (GATE, PORT_OWNER, TELEMETRY, STOPPER, SUPERVISOR)
+ACTS = (
+    Act("enable", ASK, "enable"),
+    Act("reset", ASK, "reset"),
+    Act("disable", ASK, "disable"),
+    Act("stop", ASK, "ask for a stop"),
+    Act("stop-pipe", ASK, "garbage in the stop pipe"),
+    Act("commands", DRIVER, "commands 0.2 m/s", SWITCH, "silent"),
+    Act("driver", DRIVER, "runs", SWITCH, "suspended (SIGSTOP)"),
+    Act("driver-killed", DRIVER, "kill it; another commands at once"),
+    Act("driver-nan", DRIVER, "command what is not a number"),
+    Act("driver-second", DRIVER, "a second publisher of cmd_vel"),
+    Act("driver-gamepad", DRIVER, "command zero as the gamepad"),
+    Act("sensor", SENSES, "obstacle sensor delivers", SWITCH, "obstacle sensor silent"),
+    Act("interlock", SENSES, "interlock asserted", SWITCH, "interlock lost"),
+    *(
+        act
+        for name in STAY
+        for act in (
+            Act(f"{HELD}{name}", PROCESSES, f"{name.replace('_', ' ')} runs", SWITCH, "hangs (SIGSTOP)"),
+            Act(f"{KILLED}{name}", PROCESSES, "kill"),
+        )
+    ),
+    Act("plug", BOARD, "plugged in", SWITCH, "unplugged"),
+    Act("hears", BOARD, "hears", SWITCH, "deaf"),
+    Act("drains", BOARD, "takes bytes", SWITCH, "takes no bytes"),
+    Act("obeys", BOARD, "obeys", SWITCH, "wheels turn on"),
+    Act("key", BOARD, "press its stop key"),
+    Act("pad", BOARD, "press a button of its gamepad"),
+    Act("sleep", MACHINE, "sleep for 20 s, and wake"),
+    Act("freeze", MACHINE, "freeze everything for 0.3 s"),
+    Act("clock", MACHINE, "step the wall clock by an hour"),
+    Act("end", MACHINE, "stop the service (SIGTERM)"),
+)
+ACT_BY_NAME = {act.name: act for act in ACTS}
+SWITCHES = tuple(act.name for act in ACTS if act.kind == SWITCH)
+
+STEP = "+"
+"""A tenth of a second passes."""
+BRIEFLY = 15 * (STEP,)
+ROWS: dict[str, tuple[str, ...]] = {
+    **{f"{fault}-{name}": (f"{fault}-{name}",) for fault in ("kill", "hang") for name in STAY},
+    "hang-supervisor-continued": ("hang-supervisor", STEP, STEP, "hang-supervisor"),
+    "kill-gate+telemetry": ("kill-gate", "kill-telemetry"),
+    "kill-supervisor+stopper": ("kill-supervisor", "kill-stopper"),
+    "kill-supervisor+port_owner": ("kill-supervisor", "kill-port_owner"),
+    "hang-gate+stopper": ("hang-gate", "hang-stopper"),
+    "kill-port_owner-hang-supervisor": ("kill-port_owner", "hang-supervisor"),
+    "client-killed": ("driver-killed",),
+    "client-hung": ("driver",),
+    "client-nan": ("driver-nan",),
+    "client-second": ("driver-second",),
+    "client-gamepad": ("driver-gamepad",),
+    "service-stopped": ("end",),
+    "stop-pipe-garbage": ("stop-pipe",),
+    "pad-button": ("pad",),
+    "board-key": ("key",),
+    "scan-silent": ("sensor",),
+    "interlock-lost": ("interlock",),
+    "usb-drop": ("plug", STEP, STEP, "plug"),
+    "board-not-draining": ("drains", *BRIEFLY, "drains"),
+    "board-deaf": ("hears", *BRIEFLY, "hears"),
+    "suspended": ("sleep",),
+    "frozen": ("freeze",),
+    "clock-stepped": ("clock",),
+}
+"""Rows of the fault table (lab/faults/table.py), each by the acts that make its fault."""

@@ -1,0 +1,96 @@
+"""Build: the page as one file that needs no network: Python for the browser, failstop's modules and the page's own.
+
+`python -m failstop.lab.browser.build PYODIDE FILE`; `make gate-page` installs the first from the npm registry.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import io
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgpack
+
+import failstop
+
+PACKAGE = Path(failstop.__file__).parent
+PAGE = Path(__file__).parent / "page"
+STYLE = PACKAGE / "web" / "page" / "page.css"
+"""The operator's page's."""
+LEFT_OUT = ("fleet", "ros2", "lab/case", "lab/commands", "lab/faults", "lab/pages", "lab/prove", "lab/simulate")
+"""Folders of the package that nothing on the page asks for."""
+UNUSED = ("pydoc_data/", "unittest/", "idlelib/", "tkinter/", "ensurepip/", "sqlite3/", "xmlrpc/", "lib2to3/", "turtle")
+"""Parts of Python's library that nothing on the page asks for."""
+
+
+def modules() -> Iterator[tuple[Path, str]]:
+    """(file, name in the archive) of each module that the page imports from."""
+    for path in sorted(PACKAGE.glob("**/*.py")):
+        inside = path.relative_to(PACKAGE).as_posix()
+        if not inside.startswith(LEFT_OUT):
+            yield path, f"failstop/{inside}"
+    for room in ("procs", "shm", "supervisor"):  # links, which glob does not follow everywhere
+        for path in sorted((PACKAGE / room).glob("**/*.py")):
+            yield path, f"failstop/{room}/{path.relative_to(PACKAGE / room).as_posix()}"
+    for path in sorted(Path(msgpack.__file__).parent.glob("*.py")):
+        yield path, f"msgpack/{path.name}"
+    yield Path(__file__).parent / "stacks.py", "greenlet.py"
+
+
+def archive() -> bytes:
+    """The modules, as a zip that is equal for equal modules."""
+    files = {name: path.read_bytes() for path, name in modules()}
+    return zipped(files)
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """A zip without times, not compressed: the page's packing does that."""
+    into = io.BytesIO()
+    with zipfile.ZipFile(into, "w") as made:
+        for name, data in files.items():
+            made.writestr(zipfile.ZipInfo(name), data)
+    return into.getvalue()
+
+
+def library(path: Path) -> bytes:
+    """Python's library, without what is not used."""
+    with zipfile.ZipFile(path) as found:
+        return zipped({name: found.read(name) for name in found.namelist() if not name.startswith(UNUSED)})
+
+
+def packed(data: bytes) -> str:
+    """Bytes as the page unpacks them."""
+    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode()
+
+
+def page(pyodide: Path) -> str:
+    """The whole page."""
+    parts = {
+        "style": STYLE.read_text() + (PAGE / "robot.css").read_text(),
+        "wasm": packed((pyodide / "pyodide.asm.wasm").read_bytes()),
+        "library": packed(library(pyodide / "python_stdlib.zip")),
+        "modules": packed(archive()),
+        "machine": packed((pyodide / "pyodide.asm.js").read_bytes()),
+        "pyodide": packed((pyodide / "pyodide.js").read_bytes()),
+        "script": (PAGE / "robot.js").read_text(),
+    }
+    text = (PAGE / "robot.html").read_text()
+    for name, part in parts.items():
+        text = text.replace(f"/*{name}*/", part)
+    return text
+
+
+def main(pyodide: str, file: str) -> None:
+    """Write the page."""
+    text = page(Path(pyodide))
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    Path(file).write_text(text)
+    print(f"{file}: {len(text) / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,78 @@
+"""Stacks: the part of `greenlet` that the simulated machine uses, for Python in a browser.
+
+A browser suspends a WebAssembly stack at a promise (JavaScript Promise Integration), and Pyodide keeps Python's own
+state for each: a greenlet is such a stack. The page's archive has this module as `greenlet`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pyodide.code import run_js
+from pyodide.ffi import create_proxy, run_sync
+
+_begin = run_js("(body) => { body.callPromising().catch(console.error).finally(() => body.destroy()); }")
+_gate = run_js("() => { let open; const gate = new Promise((go) => { open = go; }); gate.open = open; return gate; }")
+
+
+class GreenletExit(BaseException):
+    """The end of a greenlet, without a report."""
+
+
+class greenlet:
+    """A stack of its own. Its `parent` goes on at its end."""
+
+    def __init__(self, run: Callable[[], object] | None = None, parent: greenlet | None = None) -> None:
+        self._body = run
+        self.parent = parent
+        self._begun = self._ended = False
+        self._gate: Any = None
+        """Opens when it is switched to."""
+        self._thrown: BaseException | None = None
+
+    def switch(self) -> None:
+        """Go on there; returns when somebody switches back. Raises what was thrown there."""
+        global _current
+        me, _current = _current, self
+        if me is self:
+            return
+        me._gate = _gate()
+        if self._begun:
+            self._gate.open()
+        else:
+            self._begun = True
+            _begin(create_proxy(self._run))
+        run_sync(me._gate)
+        if me._thrown:
+            thrown, me._thrown = me._thrown, None
+            raise thrown
+
+    def throw(self, kind: type[BaseException]) -> None:
+        """Raise it there, where the greenlet waits; one that has not begun ends."""
+        if self._begun and not self._ended:
+            self._thrown = kind()
+            self.switch()
+        self._begun = self._ended = True
+
+    def _run(self) -> None:
+        global _current
+        assert self._body
+        assert self.parent
+        try:
+            self._body()
+        except GreenletExit:
+            pass
+        finally:
+            self._ended = True
+            _current = self.parent
+            self.parent._gate.open()
+
+
+_current = greenlet()
+_current._begun = True
+
+
+def getcurrent() -> greenlet:
+    """The greenlet that runs."""
+    return _current
