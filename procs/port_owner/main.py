@@ -11,7 +11,7 @@ from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
-from failstop.policy.processes import HANG_NS, MS
+from failstop.policy.processes import HANG_NS
 from failstop.procs.context import Context
 from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.procs.peer import Parent, Peer
