@@ -34,9 +34,8 @@ def span(seconds: float) -> str:
 def printable(text: str) -> str:
     """A text of somebody else's on one line of a terminal: what controls a terminal or turns the direction of writing
     is shown as its code, as `\\x1b` or `\\u202e`."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if text.isprintable() else "".join(shown)
 
 
 def clock(unix_s: float, now_s: float = 0.0) -> str:

@@ -43,7 +43,7 @@ def ended_before_a_slow_broker(broker: Mosquitto, end: threading.Thread) -> None
 def test_a_robot_that_ended_in_order_is_offline_and_stays_it(
     coming: str, ending: Robot, listener: Listener, broker: Mosquitto, request: pytest.FixtureRequest
 ) -> None:
-    """Whatever else the broker has for it: bytes for a connection that is closed already would make it lost."""
+    """Bytes for a connection that is closed already would make it lost."""
     broker.signal(signal.SIGSTOP)
     if coming == "stops":
         for _ in range(2):

@@ -109,8 +109,10 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: BridgeTrial, planne
 
 
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: BridgeTrial, planner: Node) -> None:
-    assert send(planner, goal(point(0, 0.0), point(2, 0.1)))
-    assert not send(scene.node("ear"), goal(point(1, 0.0))), "it hears the feedback from now on"
+    ear = scene.node("ear")
+    assert not send(ear, goal(point(1, 0.0), joint="none")), "it hears the feedback from now on"
+    assert send(planner, goal(point(0, 0.0), point(4, 0.1)))
+    assert not send(ear, goal(point(1, 0.0)))
     assert planner.ask("outcome")["status"] == 4
 
 

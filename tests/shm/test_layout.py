@@ -96,7 +96,7 @@ def test_each_client_slot_has_its_reply() -> None:
 
 def test_every_process_has_a_whole_heartbeat() -> None:
     beats = {name for name in SEGMENT_BY_NAME["supervisor"].records if name.startswith("beat_")}
-    assert len(beats) == 8
+    assert len(beats) == 6
     for process in PROCESS_NAMES:
         assert beats <= set(SEGMENT_BY_NAME[process].records)
 
