@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.process import Thread
-from failstop.lab.simulate.equal import ASKED, HELD, SLEEPS, STARVED, Equal
+from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
 from failstop.lab.simulate.faults import faults
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
@@ -51,7 +51,7 @@ def played(at: int, fault: str) -> tuple[Calls, list[str], int]:
     return calls, stage.witness.violations, stage.machine.starved_looks
 
 
-@pytest.mark.parametrize("fault", [SLEEPS, ASKED])
+@pytest.mark.parametrize("fault", [SLEEPS, ASKS])
 def test_a_fault_that_nobody_can_have_noticed_since_is_the_same_fault(fault: str) -> None:
     told = pairs(fault)
     assert len(told) > 50
@@ -63,7 +63,7 @@ def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -
     told = pairs(SLEEPS)
     asked = []
     for _, number in told[:: len(told) // SAMPLES]:
-        held, starved = played(number, HELD), played(number, STARVED)
+        held, starved = played(number, IS_HELD), played(number, IS_STARVED)
         asked.append(held[2] > 0)
         assert held == starved or asked[-1]
     assert not all(asked)
