@@ -9,8 +9,8 @@ import pytest
 from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
 from failstop.lab.simulate.faults import faults
-from failstop.lab.simulate.scenarios import SCENARIOS
-from failstop.lab.simulate.stage import Stage
+from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
+from failstop.lab.simulate.stage import Continuation, Stage
 
 pytestmark = pytest.mark.slow
 SCENARIO = "drive"
@@ -67,3 +67,24 @@ def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -
         asked.append(held[2] > 0)
         assert held == starved or asked[-1]
     assert not all(asked)
+
+
+def begin(name: str) -> Calls:
+    """Every call of a scenario up to where it leaves what many begin with."""
+    stage, calls, until = Stage(SCENARIOS[name]), Calls(), []
+
+    def leave(rest: Continuation) -> Continuation:
+        until.append(len(calls))
+        return lambda stage, robot: None
+
+    stage.branch = leave
+    stage.machine.at_seam = lambda thread, call, about: calls.append((thread.process.name, call, stage.machine.now_ns))
+    stage.play()
+    return calls[: until[0]]
+
+
+def test_the_scenarios_that_are_tried_as_one_begin_with_the_same_calls() -> None:
+    first, *others = DRIVEN
+    expected = begin(first)
+    assert len(expected) > 500
+    assert [name for name in others if begin(name) != expected] == []
