@@ -34,6 +34,7 @@ campaigns: $(VENV)/.dev
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
 	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
 	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py
+	$(BIN)/failstop simulate
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint

@@ -78,8 +78,9 @@ FROM_THE_START.add(drive_and_stop)
 
 @driven
 def drive(stage: Stage, robot: Any) -> None:
-    """Drive, and nothing else: what stops it is the fault alone."""
+    """Drive, and nothing else: what stops it is the fault alone, or the end of the program."""
     stage.drive(robot, 0.16)
+    robot.close()
 
 
 def _death(name: str) -> Continuation:
