@@ -35,6 +35,7 @@ campaigns: $(VENV)/.dev
 	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
 	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py \
 	  tests/setup tests/probe tests/ros2/test_probe.py
+	$(BIN)/failstop simulate
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint

@@ -17,7 +17,7 @@ import failstop
 from failstop.files import instance
 from failstop.lab.machine.robot import COMMAND_EVERY_S
 from failstop.lab.simulate.scenarios import Play
-from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Rest
+from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Continuation
 from failstop.lab.trial import Trial, write_settings
 
 CLICKED = 0x20
@@ -66,7 +66,7 @@ class Processes:
             self._play(self)  # type: ignore[arg-type]
 
     @staticmethod
-    def branch(rest: Rest) -> Rest:
+    def branch(rest: Continuation) -> Continuation:
         """The rest of the scenario alone."""
         return rest
 

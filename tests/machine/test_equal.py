@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from failstop.lab.machine.process import Thread
-from failstop.lab.simulate.equal import ASKED, HELD, SLEEPS, STARVED, Equal
+from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
 from failstop.lab.simulate.faults import faults
-from failstop.lab.simulate.scenarios import SCENARIOS
-from failstop.lab.simulate.stage import Stage
+from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
+from failstop.lab.simulate.stage import Continuation, Stage
 
 pytestmark = pytest.mark.slow
 SCENARIO = "drive"
@@ -51,7 +51,7 @@ def played(at: int, fault: str) -> tuple[Calls, list[str], int]:
     return calls, stage.witness.violations, stage.machine.starved_looks
 
 
-@pytest.mark.parametrize("fault", [SLEEPS, ASKED])
+@pytest.mark.parametrize("fault", [SLEEPS, ASKS])
 def test_a_fault_that_nobody_can_have_noticed_since_is_the_same_fault(fault: str) -> None:
     told = pairs(fault)
     assert len(told) > 50
@@ -63,7 +63,28 @@ def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -
     told = pairs(SLEEPS)
     asked = []
     for _, number in told[:: len(told) // SAMPLES]:
-        held, starved = played(number, HELD), played(number, STARVED)
+        held, starved = played(number, IS_HELD), played(number, IS_STARVED)
         asked.append(held[2] > 0)
         assert held == starved or asked[-1]
     assert not all(asked)
+
+
+def begin(name: str) -> Calls:
+    """Every call of a scenario up to where it leaves what many begin with."""
+    stage, calls, until = Stage(SCENARIOS[name]), Calls(), []
+
+    def leave(rest: Continuation) -> Continuation:
+        until.append(len(calls))
+        return lambda stage, robot: None
+
+    stage.branch = leave
+    stage.machine.at_seam = lambda thread, call, about: calls.append((thread.process.name, call, stage.machine.now_ns))
+    stage.play()
+    return calls[: until[0]]
+
+
+def test_the_scenarios_that_are_tried_as_one_begin_with_the_same_calls() -> None:
+    first, *others = DRIVEN
+    expected = begin(first)
+    assert len(expected) > 500
+    assert [name for name in others if begin(name) != expected] == []

@@ -21,11 +21,11 @@ from typing import Any
 from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
-from failstop.lab.simulate.equal import HELD, Equal
+from failstop.lab.simulate.equal import IS_HELD, Equal
 from failstop.lab.simulate.faults import faults, line_of
 from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
-from failstop.lab.simulate.stage import Rest, Stage
+from failstop.lab.simulate.stage import Continuation, Stage
 from failstop.policy.layouts import BOARDS
 
 RUN_S = 60
@@ -176,8 +176,8 @@ class Explorer:
         self.stage.machine.end()
         return self.result
 
-    def _branch(self, rest: Rest) -> Rest:
-        """What this process plays behind the begin that many scenarios share."""
+    def _branch(self, rest: Continuation) -> Continuation:
+        """The continuation that this process plays behind the begin which many scenarios share."""
         plan, self._branched = self._plan, True
         if plan.branches in ((), ALONE):
             return rest
@@ -268,14 +268,14 @@ class Explorer:
             self.result.add(each)
         if not runs[-1].branched:
             self.result.equal += max(0, len(self._plan.branches) - 1)
-        if runs[-1].fault == HELD:
+        if runs[-1].fault == IS_HELD:
             self._equal.why_asked = any(run.why_asked for run in runs)
         if self._plan.first and any(run.violations for run in runs):
             self.stage.machine.at_seam = None
 
 
 def _received(child: int, reader: int, run: JudgedRun) -> list[JudgedRun]:
-    """What a fork reports; where it has come to no end, this run, with why."""
+    """The runs that a fork reports; where it has come to no end, this run, with the reason."""
     data = b""
     while piece := os.read(reader, 1 << 16):
         data += piece

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from failstop.lab.machine.loading import Patches
 from failstop.lab.simulate.campaign import Plan, explore
-from failstop.lab.simulate.equal import HELD
+from failstop.lab.simulate.equal import IS_HELD
 from failstop.lab.simulate.seeds import seeds, used_s
 from failstop.policy.layouts import BOARDS
 
@@ -103,7 +103,7 @@ CONTROLS = (
         "stopper_alone_runs",
         ((STOPPER_MODULE, "            life.kill()\n", ""), OWN_SILENCE),
     ),
-    Mutant("the port owner does not notice its own silence", "stopper_alone_runs", (OWN_SILENCE,), HELD),
+    Mutant("the port owner does not notice its own silence", "stopper_alone_runs", (OWN_SILENCE,), IS_HELD),
     Mutant(
         "the stopper does not notice a silence",
         "port_owner_and_supervisor_hang",

@@ -8,7 +8,7 @@ from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.faults import stop_pipe
 from failstop.lab.simulate.stage import Stage
 
-SLEEPS, ASKED, HELD, STARVED = "machine sleeps", "somebody asks for a stop", "held", "starved"
+SLEEPS, ASKS, IS_HELD, IS_STARVED = "machine sleeps", "somebody asks for a stop", "held", "starved"
 
 
 class Equal:
@@ -28,7 +28,7 @@ class Equal:
 
     def tried(self, fault: str, thread: Thread) -> bool:
         """Whether this fault at this call is one that was tried before."""
-        if fault == STARVED:
+        if fault == IS_STARVED:
             return not self.why_asked
         noticed = self._noticed_by(fault, thread)
         before, self._noticed[fault] = self._noticed.get(fault, ()), noticed
@@ -38,7 +38,7 @@ class Equal:
         since_asked = self._stage.witness.asked_for_motion
         if fault == SLEEPS:
             return since_asked, self._machine.sleep_looks
-        if fault == ASKED and (pipe := stop_pipe(self._stage)):
+        if fault == ASKS and (pipe := stop_pipe(self._stage)):
             others = self._machine.switches, len(self._machine.runnable), Node.news
             return since_asked, thread.number, *others, pipe.number, pipe.looks
         return ()

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, Traits
-from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Rest, Stage
+from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
-DRIVEN: dict[str, Rest] = {}
+DRIVEN: dict[str, Continuation] = {}
 """Of the scenarios that begin alike, by driving(): what comes then, with the program that drives."""
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
@@ -48,7 +48,7 @@ def driving(stage: Stage, seconds: float = 0.04) -> Any:
     return robot
 
 
-def driven(rest: Rest, name: str = "", told: str = "", needs: tuple[str, ...] = ()) -> Rest:
+def driven(rest: Continuation, name: str = "", told: str = "", needs: tuple[str, ...] = ()) -> Continuation:
     """Declare a scenario that begins by driving(), with the settings of most: a fault before its rest is tried for all
     of them at once (campaign.py)."""
 
@@ -78,11 +78,12 @@ FROM_THE_START.add(drive_and_stop)
 
 @driven
 def drive(stage: Stage, robot: Any) -> None:
-    """Drive, and nothing else: what stops it is the fault alone."""
+    """Drive, and nothing else: what stops it is the fault alone, or the end of the program."""
     stage.drive(robot, 0.16)
+    robot.close()
 
 
-def _death(name: str) -> Rest:
+def _death(name: str) -> Continuation:
     def rest(stage: Stage, robot: Any) -> None:
         stage.kill(name)
         stage.drive(robot, 0.04)
@@ -90,7 +91,7 @@ def _death(name: str) -> Rest:
     return rest
 
 
-def _silence(name: str, ms: int) -> Rest:
+def _silence(name: str, ms: int) -> Continuation:
     def rest(stage: Stage, robot: Any) -> None:
         stage.freeze(name, ms)
         stage.drive(robot, ms / 1000 + 0.04)

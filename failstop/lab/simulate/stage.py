@@ -20,7 +20,7 @@ from failstop.lab.simulate import marks
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 from failstop.policy.layouts import BOARDS
 
-Rest = Callable[["Stage", Any], object]
+Continuation = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
 """Of the scenarios that need some."""
 NEEDS: dict[Callable[[Stage], object], frozenset[str]] = {}
@@ -71,7 +71,7 @@ class Stage:
         self.take(play)
         self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
         """How much later who waits there hears of the loss of the port."""
-        self.branch: Callable[[Rest], Rest] = lambda rest: rest
+        self.branch: Callable[[Continuation], Continuation] = lambda rest: rest
         """Asked at the end of what many scenarios begin with: what is to come then (scenarios.py, DRIVEN)."""
         self._begun = False
         self._granted_ns = FOREVER_NS
