@@ -43,12 +43,10 @@ def running(look: Look) -> list[Finding]:
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     motion = f"stopped: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
     found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, motion {motion}")
-    if not state.device.imu and look.board.observed_by == BY_IMU:
-        found += ok("no IMU (board.imu is off): nothing observes whether the wheels stand after a stop")
-    elif state.imu is None and state.device.imu:
-        found += warn(
-            "no IMU has reported: nothing observes the wheels", "", 'a robot without one has board.imu = "off"'
-        )
+    if state.imu is None and look.board.observed_by == BY_IMU:
+        text = "no IMU reports: nothing observes whether the wheels stand"
+        off = ok(f"{text} (board.imu is off)")
+        found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
     wrong = state.arm.wrong if state.arm else ()
     return found + [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {look.name}")]
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
+from failstop.board.kinds import is_described, wire_of
 from failstop.files import instance
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stopped import Stopped as Stopped
@@ -176,6 +177,8 @@ class Trial:
             write_settings(settings, {"board.kind": kind})
             options = (*options, "--config", settings)
         self.service = Service(self.name, self.link, self.state, options)
+        if is_described(kind):
+            self.service.ready_s += wire_of(kind).port.deaf_ns / 1e9
         self._robot: Robot | None = None
         self.fault_s = 0.0
         self._running_again_s: float | None = None

@@ -9,7 +9,7 @@ from typing import Any
 from failstop.api import steps
 from failstop.api.state import State, Stop
 from failstop.messages import box
-from failstop.policy.proofs import NOT_SENT, wheels_seen
+from failstop.policy.proofs import NO_IMU, NOT_SENT, wheels_seen
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 
@@ -145,7 +145,7 @@ def status(state: State) -> dict[str, Any]:
 def _seen(stop: Stop) -> str:
     """Say whether the wheels were seen standing."""
     if stop.observed_s is None:
-        return "not seen still yet"
+        return "not seen still yet" if stop.observed_by else NO_IMU
     return f"observed after {stop.observed_s * 1e3:.0f} ms" if stop.observed_s else wheels_seen(0.0, stop.observed_by)
 
 
@@ -175,7 +175,7 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> tu
         return (False, "asked for a stop; the service has not told of it yet") if final else None
     if stop.written_s is None:
         return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
-    if stop.observed_s is None and not final:
+    if (stop.observed_s if stop.observed_by else stop.acknowledged_s) is None and not final:
         return None
     told = [f"written after {stop.written_s * 1e3:.1f} ms" if stop.sent else NOT_SENT]
     told.append(

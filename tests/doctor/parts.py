@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from failstop.api.snapshot import State
+from failstop.api.snapshot import Imu, State
 from failstop.board.rrc.board import BOARD
 from failstop.doctor.look import Look
 from failstop.doctor.machine import PROCESSORS
@@ -18,7 +18,11 @@ from failstop.version import VERSION
 from tests.support.states import process, state, stop
 
 NODE = Node("/dev/ttyACM0", "/dev/ttyACM0", pseudo=False, group="dialout", modem_ignored=True, accessible=True)
-STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESS_NAMES)}, last_stop=stop())
+STATE = state(
+    processes={name: process(pid=100 + at) for at, name in enumerate(PROCESS_NAMES)},
+    last_stop=stop(),
+    imu=Imu(1, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)),
+)
 SERVICE = (STATE, VERSION, "")
 NOBODY = (None, "", "")
 """No service."""

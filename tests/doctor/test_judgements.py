@@ -178,6 +178,14 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
     assert [text for text, *_ in said(given, check)] == [says]
 
 
+@pytest.mark.parametrize(("kind", "fitted", "level"), [("rrc", True, WARN), ("rrc", False, OK), ("ugv", True, "")])
+def test_an_imu_that_would_observe_the_wheels_and_is_not_there_is_told(kind: str, fitted: bool, level: str) -> None:
+    """A board that reports its wheels needs none."""
+    device = but(PORT, imu=fitted)
+    found = CHECKS["service"](look(service=serving(imu=None, device=device), told=of(kind)))
+    assert [row.level for row in found if "no IMU reports" in row.text] == [level] * bool(level)
+
+
 def test_a_service_of_another_version_is_told_from_this_command() -> None:
     [(text, *_)] = said(look(service=(STATE, "0.0.9", "")), "service")
     assert text.startswith(f"'failstop' runs (pid 100, user failstop, failstop 0.0.9, this command is {VERSION}), ")

@@ -164,6 +164,12 @@ def test_the_proof_of_a_stop_grows() -> None:
         True,
         "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet",
     )
+    blind = states.latched(asked_for, last_stop=states.stop(observed_s=None, observed_by=""))
+    assert report.proof(before, blind) == (
+        True,
+        "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, "
+        "not observed: the robot has no IMU",
+    )
     seen = states.latched(asked_for, last_stop=states.stop())
     assert report.proof(before, seen) == (
         True,

@@ -107,7 +107,7 @@ def test_what_stands_in_the_way() -> None:
 def test_the_three_levels_of_a_stop() -> None:
     stop = states.stop(acknowledged_s=None, observed_s=None)
     assert face.stop_of(stop) == {
-        "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": ""
+        "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": "", "unseen": ""
     }  # fmt: skip
     assert face.stop_of(None) is None
 
