@@ -88,7 +88,7 @@ class Card:
         if never:
             return f"It does NOT stop in {len(never)} of {len(self.tried)} failures: it drove on for {NEVER_S:g} s."
         late = "It stops LATE: after up to" if self.slowest_s >= BAD_S else "It stops: within"
-        return f"{late} {self.slowest_s:.2f} s in each of {len(self.tried)} failures."
+        return f"{late} {self.slowest_s:.2f} s; failures tried: {len(self.tried)}."
 
     @property
     def slowest_s(self) -> float:
