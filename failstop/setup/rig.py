@@ -32,6 +32,8 @@ from failstop.files import instance
 from failstop.messages import layout, segments
 from failstop.setup.talk import Left
 
+RIG = "setup-"
+"""The beginning of its service's name."""
 READY_S = 15.0
 END_S = 5.0
 FREE_S = 5.0
@@ -101,7 +103,7 @@ class Rig:
         self._board = board_of(*settings.board())
         self._hearing = self._board.hearing()
         self._device = device
-        self.name = f"setup-{os.getpid()}"
+        self.name = f"{RIG}{os.getpid()}"
         self._folder = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._robot: Robot | None = None
