@@ -20,7 +20,7 @@ from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
 from failstop.setup.draft import Draft
-from failstop.setup.talk import AGAIN, YES, Left, Talk, one_of, option, yes_or_no
+from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, yes_or_no
 from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
@@ -44,6 +44,9 @@ QUESTIONS = {
     "replace": "replace: a file that is there",
 }
 """Every question, with what its option says."""
+ROWS_SAY = "see the rows above: a loose plug, or a size that is not so"
+REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then make it once more"}
+"""By the verdict of a stand test that did not pass."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPPED = "the wheels are stopped"
 NOTHING = "nothing is written"
@@ -92,10 +95,14 @@ def _converse(talk: Talk, name: str) -> None:
     Settings(dict(settings))
     finish.watchdog(talk, kind)
     evidence = finish.proof(talk, settings, device, name)
-    if evidence and not evidence["passed"]:
-        talk.warn(f"The stand test said {evidence['verdict']}.", "see the rows above; most are a loose plug or a size")
-        if not talk.agreed("unproved", "Write the settings all the same? (yes, no)", "no"):
-            raise Left("the robot is not proved")
+    while evidence and not evidence["passed"]:
+        talk.warn(f"The stand test said {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
+        if talk.silent or not talk.agreed("repeat", "Make it once more? (yes, no)", YES):
+            break
+        evidence = finish.proof(talk, settings, device, name)
+    proved = not evidence or evidence["passed"]
+    if not (proved or talk.agreed("unproved", "Write the settings all the same? (yes, no)", NO)):
+        raise Left("the robot is not proved")
     path = finish.write(talk, finish.text(settings, robot, evidence), name)
     talk.draft.forget()
     finish.doctor(talk, path, device, name)

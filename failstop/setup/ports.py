@@ -14,6 +14,7 @@ from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permissio
 from failstop.doctor.system import System
 from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
+from failstop.setup.rig import RIG
 from failstop.setup.talk import Left, NotAnAnswer, Talk
 
 UNPLUG = "unplug"
@@ -23,6 +24,7 @@ BY_ID = "/dev/serial/by-id"
 COMES_S = 10.0
 """How long a board that is plugged in may take to be there."""
 LOOK_S = 0.1
+ENDS_S = 5.0
 RASPBERRY = "Raspberry Pi"
 
 
@@ -144,12 +146,21 @@ def hindrances(path: str, system: System) -> list[Finding]:
     return [*said, *(row for row in found if row.level not in (OK, SKIP))]
 
 
+def _let_end(path: str, system: System) -> None:
+    """Wait for the service of a setup that was killed: it is stopping the wheels."""
+    until_s = time.monotonic() + ENDS_S
+    real = os.path.realpath(path)
+    while any(holder.instance.startswith(RIG) for holder in system.holders(real)[0]) and time.monotonic() < until_s:
+        time.sleep(LOOK_S)
+
+
 def step(talk: Talk, system: System) -> str:
     """The first step: the port. Raises Left."""
     talk.step(1, "The port")
     path = choose(talk, system)
     try:
         serious = False
+        _let_end(path, system)
         for row in hindrances(path, system):
             talk.warn(f"{row.text[0].upper()}{row.text[1:]}", row.fix or row.advice)
             serious = serious or row.level == "fail"

@@ -32,6 +32,8 @@ from failstop.files import instance
 from failstop.messages import layout, segments
 from failstop.setup.talk import Left
 
+RIG = "setup-"
+"""The beginning of its service's name."""
 READY_S = 15.0
 END_S = 5.0
 FREE_S = 5.0
@@ -40,8 +42,8 @@ LEVER_M = 0.125
 """A power of two: forward and turn cancel on one side to the last bit, at every moment of their ramps."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
-ENABLES = 3
-"""A busy machine may have motion disabled, with nothing latched."""
+BLOCKED_S = 1.0
+"""On a busy machine the gate tells of an enable a moment after it was granted."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 POWER = "if a wheel turns, use the POWER SWITCH"
 _PR_SET_PDEATHSIG = 1
@@ -101,7 +103,7 @@ class Rig:
         self._board = board_of(*settings.board())
         self._hearing = self._board.hearing()
         self._device = device
-        self.name = f"setup-{os.getpid()}"
+        self.name = f"{RIG}{os.getpid()}"
         self._folder = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._robot: Robot | None = None
@@ -158,17 +160,18 @@ class Rig:
         self._hearing.reset()
         self.turned = {}
         places: dict[int, list[float]] = {}
-        blocked, left = "", ENABLES
+        blocked, moved_s = "", time.monotonic()
         until_s = time.monotonic() + seconds
         try:
             while time.monotonic() < until_s:
                 answer = self._robot.drive(*velocity, manual=True)
                 blocked = answer.why if isinstance(answer, Blocked) else ""
-                if blocked and isinstance(answer, Blocked) and answer.block == Block.DISABLED and left:
-                    left -= 1
-                    self._robot.enable()
-                elif blocked:
+                if not blocked:
+                    moved_s = time.monotonic()
+                elif time.monotonic() - moved_s > BLOCKED_S:
                     break
+                elif isinstance(answer, Blocked) and answer.block == Block.DISABLED:
+                    self._robot.enable()
                 time.sleep(REPEAT_S)
                 for entry in iter(view.next, None):
                     for kind, said in self._hearing.feed(entry[2]):

@@ -114,7 +114,7 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
     texts, data, picture = (Path(path) for path in card.save(str(tmp_path / "card")))
     assert tuple(path.suffix for path in (texts, data, picture)) == FORMATS
     assert {len(line) for line in texts.read_text().splitlines()} == {80}
-    assert "1 times of 2" in card.verdict
+    assert "NOT stop in 1 of 2" in card.verdict
     assert "never" in picture.read_text()
     ElementTree.fromstring(picture.read_text())
     assert [row["never"] for row in json.loads(data.read_text())["rows"]] == [True, False, False]

@@ -47,12 +47,12 @@ def test_it_is_left_by_every_fault_with_a_remedy_and_taken_up_again(place: Path)
             person.reads("give --board ugv")
             assert person.ends() == 1
         board.deaf(True)
-        with Person(place, *given, "--board", KIND) as person:
+        with Person(place, "--afresh", *given, "--board", KIND) as person:
             person.reads("it does not hear; look at the board's power; its cable, whose TX and RX cross")
             assert person.ends() == 1
         board.deaf(False)
         wiring = Wiring(board, WHEELS)
-        with Person(place, *given) as person:  # two wheels with one id, then Ctrl-C while a wheel turns
+        with Person(place, "--afresh", *given) as person:  # two wheels with one id, then Ctrl-C while a wheel turns
             person.says("Type yes:", "yes")
             person.says("Id 0: which wheel, which way?", "left+")
             person.says("Id 1: which wheel, which way?", "left-")

@@ -86,10 +86,14 @@ class Card:
         if not self.tried:
             return "Nothing was tried."
         if never:
-            count = "every time" if len(never) == len(self.tried) else f"{len(never)} times of {len(self.tried)}"
-            return f"It does NOT stop: {count} the wheels turned on for {NEVER_S:g} s."
-        slowest = max(row.stands_s or 0.0 for row in self.tried)
-        return f"It stops: within {slowest:.2f} s, each of {len(self.tried)} times."
+            return f"It does NOT stop in {len(never)} of {len(self.tried)} failures: it drove on for {NEVER_S:g} s."
+        late = "It stops LATE: after up to" if self.slowest_s >= BAD_S else "It stops: within"
+        return f"{late} {self.slowest_s:.2f} s; failures tried: {len(self.tried)}."
+
+    @property
+    def slowest_s(self) -> float:
+        """Of the rows that stopped."""
+        return max((row.stands_s or 0.0 for row in self.tried), default=0.0)
 
     def heads(self) -> list[tuple[str, str]]:
         """The things that were probed."""
@@ -147,8 +151,9 @@ class Card:
             ]
         y += 26
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
-        stops = bool(self.tried) and all(row.stands_s is not None for row in self.tried)
-        parts.append(_said(MARGIN, y + 36, self.verdict, colour=GREEN if stops else RED, size=20, weight="bold"))
+        never = not self.tried or any(row.stands_s is None for row in self.tried)
+        colour = RED if never else AMBER if self.slowest_s >= BAD_S else GREEN
+        parts.append(_said(MARGIN, y + 36, self.verdict, colour=colour, size=20, weight="bold"))
         parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
         height = y + 86
         frame = f'<rect width="{WIDTH}" height="{height}" rx="14" fill="#ffffff" stroke="#d0d7de"/>'

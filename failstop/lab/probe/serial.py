@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import select
 import signal
 import struct
 import subprocess
@@ -19,6 +20,7 @@ from failstop.board.port import has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
+from failstop.lab.probe.watcher import HERE
 from failstop.lab.prove import shake
 from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.sight import SeenSample
@@ -32,6 +34,8 @@ STILL_S = 2.0
 ASK_S = 0.02
 TURN_S = 0.002
 STARTS_S = 15.0
+HERE_S = 1.0
+"""Between two words to the watcher."""
 PLUG_S = 60.0
 ROWS = {
     "sigkill": "its driver is killed (SIGKILL)",
@@ -65,6 +69,7 @@ class SerialProbe:
         self._driver: subprocess.Popen[str] | None = None
         self._watcher: subprocess.Popen[str] | None = None
         self._gone_ns = 0
+        self._here_s = 0.0
 
     @property
     def by(self) -> str:
@@ -125,8 +130,11 @@ class SerialProbe:
         assert self._watcher.stdout
         self._watcher.stdin.write(f"{line}\n")
         self._watcher.stdin.flush()
-        if not self._watcher.stdout.readline():
+        answer = self._watcher.stdout.readline().strip()
+        if not answer:
             raise FailstopError("the watcher has ended: if a wheel turns, use the POWER SWITCH")
+        if answer == "late":
+            raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
 
     def look(self) -> None:
         """Take in what the board says. A port that goes away is let go."""
@@ -150,7 +158,10 @@ class SerialProbe:
 
     def _until(self, seconds: float, found: Callable[[], bool] = lambda: False) -> bool:
         until_s = time.monotonic() + seconds
-        while time.monotonic() < until_s:
+        while (now_s := time.monotonic()) < until_s:
+            if now_s >= self._here_s:
+                self._here_s = now_s + HERE_S
+                self._here()
             self.look()
             if found():
                 return True
@@ -178,6 +189,13 @@ class SerialProbe:
         if not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._by_key = True
+
+    def _here(self) -> None:
+        """Tell the watcher that this process runs."""
+        assert self._watcher
+        assert self._watcher.stdin
+        self._watcher.stdin.write(f"{HERE}\n")
+        self._watcher.stdin.flush()
 
     def _rest_ns(self) -> int | None:
         if self._board.observed_by == BY_IMU:
@@ -257,8 +275,11 @@ class SerialProbe:
         words += [str(int(line.dtr)), str(int(line.rts)), self._frame.hex(), str(PERIOD_S)]
         self._driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_parent)
         self._tell(f"drive {self._driver.pid}")
-        assert self._driver.stdout
-        if not self._driver.stdout.readline():
+        said = self._driver.stdout
+        assert said
+        if not self._until(STARTS_S, lambda: bool(select.select([said], [], [], 0)[0])):
+            raise FailstopError(f"the driver did not start within {STARTS_S:g} s")
+        if not said.readline():
             raise FailstopError(f"the driver could not open {self._path}")
 
     def _finish(self) -> None:

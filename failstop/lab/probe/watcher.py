@@ -1,8 +1,9 @@
 """Watcher: a process of its own that stops the wheels when the probe is done, falls silent, or is killed.
 
 `python -m failstop.lab.probe.watcher PORT KIND`: standard input is its lifeline. Each line is `drive PID` (this process
-drives now), or `stop`; it answers every line by one. When the line ends, or nothing has come for SILENT_S, it kills
-what drives and writes the board's stop until the port has taken it, waiting for a port that is gone. It has a session
+drives now), `stop`, or `here`; it answers the first two by a line: done, or late where it has stopped the wheels by
+itself. When nothing has come for SILENT_S while something drives, it kills that and writes the board's stop; when the
+line ends, too, waiting for a port that is gone until it has taken the stop. It has a session
 of its own: Ctrl-C and a closed terminal do not reach it.
 """
 
@@ -19,8 +20,9 @@ from failstop import stopping
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 
-SILENT_S = 12.0
-"""Longer than a row may turn the wheels."""
+SILENT_S = 5.0
+"""A probe that has said nothing for so long hangs, or is not run."""
+HERE = "here"
 WAITS_S = 300.0
 """How long it tries to have the port, at its end."""
 WRITES = 5
@@ -33,15 +35,22 @@ class Watcher:
     def __init__(self, path: str, kind: str) -> None:
         self._path, self._board = path, board_of(kind, 1.0, 0.0)
         self._pid = 0
+        self._late = False
+        """The wheels were stopped without an order, since the last answer."""
 
     def run(self) -> None:
         """Until the lifeline ends."""
         rest = b""
-        while select.select([0], [], [], SILENT_S)[0] and (data := os.read(0, 4096)):
+        while True:
+            if not select.select([0], [], [], SILENT_S if self._pid else None)[0]:
+                self._late = True
+                self.stop(0.0)
+                continue
+            if not (data := os.read(0, 4096)):
+                break
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
                 self._take(line.decode())
-                print("done", flush=True)
         self.stop(WAITS_S)
 
     def _take(self, line: str) -> None:
@@ -50,6 +59,9 @@ class Watcher:
             self._pid = int(what)
         elif verb == "stop":
             self.stop(0.0)
+        if verb != HERE:
+            print("late" if self._late else "done", flush=True)
+            self._late = False
 
     def stop(self, wait_s: float) -> None:
         """Kill what drives, and write the stop. A board takes several: one alone may be lost on its way."""
