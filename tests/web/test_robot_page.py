@@ -14,12 +14,12 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from failstop.lab.browser.acts import ROWS
 from tests.support.robot_page import play
 
-FILE = Path(__file__).parents[2] / "build" / "gate-page" / "index.html"
+FILE = Path(__file__).parents[2] / "build" / "browser" / "index.html"
 pytestmark = [
     pytest.mark.page,
     pytest.mark.timeout(1200),
     pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it"),
-    pytest.mark.skipif(not FILE.exists(), reason="no page: make gate-page builds it"),
+    pytest.mark.skipif(not FILE.exists(), reason="no page: make browser builds it"),
 ]
 PHONE, DESK = (390, 844), (1440, 900)
 STARTED_S = 300.0
@@ -30,7 +30,9 @@ class Clicks:
     """The page by its buttons, in a tab of its own: time passes by the step's button alone."""
 
     def __init__(self, browser: Browser) -> None:
-        self.tab: Tab = browser.tab(FILE.as_uri(), wide=PHONE[0], high=PHONE[1])
+        self.tab: Tab = browser.tab(wide=PHONE[0], high=PHONE[1])
+        self.tab.answer_s = STARTED_S
+        self.tab.open(FILE.as_uri())
         self.tab.until("globalThis.started_ms", "the service to start", STARTED_S)
         self._click("[data-speed='0']")
 

@@ -12,8 +12,11 @@ from typing import Any
 from pyodide.code import run_js
 from pyodide.ffi import create_proxy, run_sync
 
-_begin = run_js("(body) => { body.callPromising().catch(console.error).finally(() => body.destroy()); }")
-_gate = run_js("() => { let open; const gate = new Promise((go) => { open = go; }); gate.open = open; return gate; }")
+_begin = run_js(
+    "(body) => Promise.resolve().then(() => body.callPromising()).catch(console.error).finally(() => body.destroy())"
+)
+"""Begins a stack once the caller's is suspended: Python's frames of the two are then never linked."""
+_gate = run_js("() => Promise.withResolvers()")
 
 
 class GreenletExit(BaseException):
@@ -39,11 +42,11 @@ class greenlet:
             return
         me._gate = _gate()
         if self._begun:
-            self._gate.open()
+            self._gate.resolve()
         else:
             self._begun = True
             _begin(create_proxy(self._run))
-        run_sync(me._gate)
+        run_sync(me._gate.promise)
         if me._thrown:
             thrown, me._thrown = me._thrown, None
             raise thrown
@@ -66,7 +69,7 @@ class greenlet:
         finally:
             self._ended = True
             _current = self.parent
-            self.parent._gate.open()
+            self.parent._gate.resolve()
 
 
 _current = greenlet()
