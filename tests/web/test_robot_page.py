@@ -4,6 +4,7 @@ builds the page first."""
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ pytestmark = [
     pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it"),
     pytest.mark.skipif(not FILE.exists(), reason="no page: make browser builds it"),
 ]
+PICTURES = os.environ.get("FAILSTOP_PICTURES", "")
+"""The folder for pictures of the page, where somebody wants to look at it."""
 PHONE, DESK = (390, 844), (1440, 900)
 STARTED_S = 300.0
 """Some seconds of one core, of a machine that others use too."""
@@ -79,3 +82,5 @@ def test_nothing_is_wider_than_the_screen_and_nothing_is_fetched(page: Clicks, w
     page.tab.size(wide, high, touch=wide < high)
     assert page.tab.run("document.documentElement.scrollWidth") <= wide
     assert page.tab.run("performance.getEntriesByType('resource').length") == 0
+    if PICTURES:
+        page.tab.picture(Path(PICTURES) / f"robot-{wide}.png")

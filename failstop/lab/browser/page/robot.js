@@ -58,7 +58,7 @@ function draw(now) {
   text("why", now.cause ? now.cause.text : now.face.enabled ? "motion enabled" : "motion disabled");
   $("said").replaceChildren(...now.why.flatMap(([label, what]) => [node("dt", label), node("dd", what)]));
   text("answer", now.answer);
-  text("wheels", now.wheels.map((speed) => speed.toFixed(2)).join("   "));
+  text("wheels", `wheels: ${now.wheels.map((speed) => speed.toFixed(2)).join(", ")} rps`);
   $("wire").replaceChildren(...now.wire.toReversed().map(([t, who, what, count, bytes]) => {
     const line = node("li", "", {className: what === "motion" ? "" : "zeros"});
     line.append(node("time", seconds(t)), node("span", ""), node("code", bytes));
