@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site gate-page screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site browser screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -100,8 +100,8 @@ docs: $(VENV)/.dev
 
 # The whole service as one page for a browser (docs/touch.md), with Pyodide from the npm registry.
 PYODIDE := build/pyodide/node_modules/pyodide
-gate-page: $(VENV)/.dev $(PYODIDE)
-	@$(BIN)/python -m failstop.lab.browser.build $(PYODIDE) build/gate-page/index.html
+browser: $(VENV)/.dev $(PYODIDE)
+	@$(BIN)/python -m failstop.lab.browser.build $(PYODIDE) build/browser/index.html
 
 $(PYODIDE): Makefile
 	@command -v npm >/dev/null || { echo "no npm, which fetches Pyodide: install it (Debian and Ubuntu: apt install npm)"; exit 1; }
@@ -109,10 +109,10 @@ $(PYODIDE): Makefile
 	@touch $@
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
-site: $(VENV)/.dev gate-page
+site: $(VENV)/.dev browser
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/zensical build --clean --strict
-	mkdir -p build/site/robot && cp build/gate-page/index.html build/site/robot/
+	mkdir -p build/site/robot && cp build/browser/index.html build/site/robot/
 
 # The pictures of terminals that README and docs show, of what the commands print now.
 screens: $(VENV)/.dev
@@ -142,7 +142,7 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@touch $@
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
-web: $(VENV)/.dev gate-page
+web: $(VENV)/.dev browser
 	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium
 	$(BIN)/pytest --numprocesses 0 tests/web
 

@@ -107,6 +107,8 @@ class Tab:
         self._number = 0
         self.errors: list[str] = []
         """Errors that scripts threw."""
+        self.answer_s = START_S
+        """The time in which the page must answer: a script of its own may keep it busy."""
         self.connection: WebSocketClientConnection = self._wait(
             lambda: websocket_connect(url, max_message_size=1 << 28), START_S
         )
@@ -132,7 +134,7 @@ class Tab:
         """One method of the protocol. Raises BrowserError."""
         self.tell(method, **parameters)
         while True:
-            text = self._wait(self.connection.read_message, START_S)
+            text = self._wait(self.connection.read_message, self.answer_s)
             if text is None:
                 raise BrowserError(f"{method}: the browser is gone")
             found = json.loads(text)

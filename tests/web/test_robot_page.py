@@ -4,6 +4,7 @@ builds the page first."""
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,15 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from failstop.lab.browser.acts import ROWS
 from tests.support.robot_page import play
 
-FILE = Path(__file__).parents[2] / "build" / "gate-page" / "index.html"
+FILE = Path(__file__).parents[2] / "build" / "browser" / "index.html"
 pytestmark = [
     pytest.mark.page,
     pytest.mark.timeout(1200),
     pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it"),
-    pytest.mark.skipif(not FILE.exists(), reason="no page: make gate-page builds it"),
+    pytest.mark.skipif(not FILE.exists(), reason="no page: make browser builds it"),
 ]
+PICTURES = os.environ.get("FAILSTOP_PICTURES", "")
+"""The folder for pictures of the page, where somebody wants to look at it."""
 PHONE, DESK = (390, 844), (1440, 900)
 STARTED_S = 300.0
 """Some seconds of one core, of a machine that others use too."""
@@ -30,7 +33,9 @@ class Clicks:
     """The page by its buttons, in a tab of its own: time passes by the step's button alone."""
 
     def __init__(self, browser: Browser) -> None:
-        self.tab: Tab = browser.tab(FILE.as_uri(), wide=PHONE[0], high=PHONE[1])
+        self.tab: Tab = browser.tab(wide=PHONE[0], high=PHONE[1])
+        self.tab.answer_s = STARTED_S
+        self.tab.open(FILE.as_uri())
         self.tab.until("globalThis.started_ms", "the service to start", STARTED_S)
         self._click("[data-speed='0']")
 
@@ -77,3 +82,5 @@ def test_nothing_is_wider_than_the_screen_and_nothing_is_fetched(page: Clicks, w
     page.tab.size(wide, high, touch=wide < high)
     assert page.tab.run("document.documentElement.scrollWidth") <= wide
     assert page.tab.run("performance.getEntriesByType('resource').length") == 0
+    if PICTURES:
+        page.tab.picture(Path(PICTURES) / f"robot-{wide}.png")

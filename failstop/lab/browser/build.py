@@ -1,13 +1,15 @@
 """Build: the page as one file that needs no network: Python for the browser, failstop's modules and the page's own.
 
-`python -m failstop.lab.browser.build PYODIDE FILE`; `make gate-page` installs the first from the npm registry.
+`python -m failstop.lab.browser.build PYODIDE FILE`; `make browser` installs the first from the npm registry.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
+import importlib
 import io
+import json
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -23,8 +25,17 @@ STYLE = PACKAGE / "web" / "page" / "page.css"
 """The operator's page's."""
 LEFT_OUT = ("fleet", "ros2", "lab/case", "lab/commands", "lab/faults", "lab/pages", "lab/prove", "lab/simulate")
 """Folders of the package that nothing on the page asks for."""
+LINUX = ("_socket", "fcntl", "mmap", "os", "resource", "select", "signal", "socket", "termios", "time")
+"""Modules whose numbers the simulated machine takes from Python's own."""
 UNUSED = ("pydoc_data/", "unittest/", "idlelib/", "tkinter/", "ensurepip/", "sqlite3/", "xmlrpc/", "lib2to3/", "turtle")
 """Parts of Python's library that nothing on the page asks for."""
+
+
+def numbers() -> str:
+    """The module `linux`: what Linux's modules have in numbers, for those that are not, or not whole, in a browser."""
+    found = {name: importlib.import_module(name) for name in LINUX}
+    values = {name: {k: int(v) for k, v in vars(found[name]).items() if isinstance(v, int)} for name in LINUX}
+    return f"VALUES = {values!r}\n"
 
 
 def modules() -> Iterator[tuple[Path, str]]:
@@ -39,12 +50,13 @@ def modules() -> Iterator[tuple[Path, str]]:
     for path in sorted(Path(msgpack.__file__).parent.glob("*.py")):
         yield path, f"msgpack/{path.name}"
     yield Path(__file__).parent / "stacks.py", "greenlet.py"
+    yield Path(__file__).parent / "start.py", "start.py"
 
 
 def archive() -> bytes:
     """The modules, as a zip that is equal for equal modules."""
     files = {name: path.read_bytes() for path, name in modules()}
-    return zipped(files)
+    return zipped({**files, "linux.py": numbers().encode()})
 
 
 def zipped(files: dict[str, bytes]) -> bytes:
@@ -76,6 +88,7 @@ def page(pyodide: Path) -> str:
         "modules": packed(archive()),
         "machine": packed((pyodide / "pyodide.asm.js").read_bytes()),
         "pyodide": packed((pyodide / "pyodide.js").read_bytes()),
+        "lock": json.dumps({"info": json.loads((pyodide / "pyodide-lock.json").read_text())["info"], "packages": {}}),
         "script": (PAGE / "robot.js").read_text(),
     }
     text = (PAGE / "robot.html").read_text()

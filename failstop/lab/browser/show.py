@@ -199,7 +199,7 @@ class Show:
         if found := self.robot.named(SUPERVISOR):
             self.machine.kill(found, SIGTERM)
 
-    # What it shows.
+    # The page's view of it.
 
     def turn(self, seconds: float) -> None:
         """Let time pass."""
@@ -235,7 +235,7 @@ class Show:
         return state
 
     def shown(self) -> dict[str, Any]:
-        """What the page shows now: the operator's page's words, those of `failstop why`, the wire and the wheels."""
+        """Values that the page draws: words of the operator's page and of `failstop why`, the wire and the wheels."""
         state, now_s = self._read(), self.robot.time.time()
         events = self._follower.events if self._follower else []
         face = self._face.absent(self._note) if state is None else self._face.face(state, events, now_s)

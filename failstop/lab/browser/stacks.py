@@ -6,14 +6,29 @@ state for each: a greenlet is such a stack. The page's archive has this module a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from typing import Any
 
 from pyodide.code import run_js
 from pyodide.ffi import create_proxy, run_sync
 
-_begin = run_js("(body) => { body.callPromising().catch(console.error).finally(() => body.destroy()); }")
-_gate = run_js("() => { let open; const gate = new Promise((go) => { open = go; }); gate.open = open; return gate; }")
+_begin = run_js(
+    "(body) => Promise.resolve().then(() => body.callPromising()).catch(console.error).finally(() => body.destroy())"
+)
+"""Begins a stack once the caller's is suspended: Python's frames of the two are then never linked."""
+_swap = run_js("""
+(() => {
+  const gates = new Map();
+  return (me, other) => {
+    const gate = Promise.withResolvers();
+    if (me) gates.set(me, gate.resolve);
+    gates.get(other)?.();
+    gates.delete(other);
+    return gate;
+  };
+})()""")
+"""Opens the gate of one stack, by its number; returns that of another, which is to wait. 0: none waits."""
+_numbers = itertools.count(1)
 
 
 class GreenletExit(BaseException):
@@ -27,8 +42,7 @@ class greenlet:
         self._body = run
         self.parent = parent
         self._begun = self._ended = False
-        self._gate: Any = None
-        """Opens when it is switched to."""
+        self._number = next(_numbers)
         self._thrown: BaseException | None = None
 
     def switch(self) -> None:
@@ -37,13 +51,11 @@ class greenlet:
         me, _current = _current, self
         if me is self:
             return
-        me._gate = _gate()
-        if self._begun:
-            self._gate.open()
-        else:
+        gate = _swap(me._number, self._number)
+        if not self._begun:
             self._begun = True
             _begin(create_proxy(self._run))
-        run_sync(me._gate)
+        run_sync(gate.promise)
         if me._thrown:
             thrown, me._thrown = me._thrown, None
             raise thrown
@@ -66,7 +78,7 @@ class greenlet:
         finally:
             self._ended = True
             _current = self.parent
-            self.parent._gate.open()
+            _swap(0, self.parent._number)
 
 
 _current = greenlet()

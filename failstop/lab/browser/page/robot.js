@@ -25,7 +25,7 @@ async function python() {
     const [data, type] = files[String(url).slice(FROM.length)];
     return new Response(data, {headers: {"content-type": type}});
   };
-  return loadPyodide({indexURL: FROM, stdLibURL: `${FROM}library.zip`, lockFileContents: {info: {}, packages: {}}, checkAPIVersion: false});
+  return loadPyodide({indexURL: FROM, stdLibURL: `${FROM}library.zip`, lockFileContents: JSON.parse($("lock").textContent), checkAPIVersion: false});
 }
 
 function node(kind, text, more = {}) {
@@ -58,7 +58,7 @@ function draw(now) {
   text("why", now.cause ? now.cause.text : now.face.enabled ? "motion enabled" : "motion disabled");
   $("said").replaceChildren(...now.why.flatMap(([label, what]) => [node("dt", label), node("dd", what)]));
   text("answer", now.answer);
-  text("wheels", now.wheels.map((speed) => speed.toFixed(2)).join("   "));
+  text("wheels", `wheels: ${now.wheels.map((speed) => speed.toFixed(2)).join(", ")} rps`);
   $("wire").replaceChildren(...now.wire.toReversed().map(([t, who, what, count, bytes]) => {
     const line = node("li", "", {className: what === "motion" ? "" : "zeros"});
     line.append(node("time", seconds(t)), node("span", ""), node("code", bytes));
@@ -119,8 +119,8 @@ addEventListener("keydown", (event) => {
   const began = performance.now();
   const py = await python();
   py.unpackArchive(await unpack("modules"), "zip", {extractDir: "/failstop"});
-  await py.runPythonAsync("import sys; sys.path.insert(0, '/failstop')\nfrom failstop.lab.browser.show import Show, table\nshow = Show()");
-  build(JSON.parse(py.globals.get("table")()));
+  await py.runPythonAsync("import sys; sys.path.insert(0, '/failstop')\nfrom start import acts, show");
+  build(JSON.parse(py.globals.get("acts")));
   show = py.globals.get("show");
   await ask(async () => { await turn(300); await look(); });
   globalThis.started_ms = Math.round(performance.now() - began);
