@@ -87,6 +87,8 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
     assert not person.wide(80)
     made = config.load(str(place / "etc/failstop/failstop.toml"))
     words = {0: "left", 1: "right"} if len(wheels) == 2 else {0: "fl", 1: "rl", 2: "fr", 3: "rr"}
-    found = {id_: f"{words[at]}{'+' if sign > 0 else '-'}" for at, (id_, sign) in enumerate(mounted_wheels(made.values))}
+    found = {
+        id_: f"{words[at]}{'+' if sign > 0 else '-'}" for at, (id_, sign) in enumerate(mounted_wheels(made.values))
+    }
     assert found == wheels
     assert not (place / "state/setup.json").exists()
