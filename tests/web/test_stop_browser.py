@@ -147,6 +147,7 @@ def test_a_state_from_before_a_stop_that_comes_after_the_word_of_it_ends_nothing
     tab.run("addEventListener('face', ({detail}) => { window.face = detail; })")
     tab.run("window.over = 0; addEventListener('unstopped', () => { over++; })")
     trial.robot.estop("one that is shown")
+    wait_for("the latch", lambda: trial.robot.state.estop)
     driving(trial)
     tab.until("window.face && face.enabled && face.stop")
     tab.run("dispatchEvent(new Event('stopping'))")
