@@ -6,6 +6,7 @@ from math import radians
 
 import pytest
 
+from failstop.policy.settings import Settings
 from tests.support.simulated import Simulated
 
 NO_IMU = "not observed: the robot has no IMU"
@@ -52,4 +53,4 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
 
 @pytest.mark.parametrize(("kind", "imu"), [("arduino", False), ("hoverboard", False), ("ugv", True)])
 def test_of_each_board_it_is_known(kind: str, imu: bool) -> None:
-    assert Simulated(kind=kind).robot.state.device.imu is imu
+    assert Settings({"board.kind": kind}).on("board.imu") is imu
