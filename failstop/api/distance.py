@@ -24,7 +24,7 @@ NO_PROCESS = "the cable is out or the machine is frozen"
 
 
 class Reaction(NamedTuple):
-    """What fails, and how long the wheels are told to turn after that."""
+    """A thing that fails, and for how long the wheels are told to turn after that."""
 
     what: str
     seconds: float

@@ -132,7 +132,7 @@ def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]
 
 
 def check(path: str) -> str:
-    """What a pack proves of itself, in words. Raises FailstopError for one that was changed, OSError."""
+    """Tell whether a pack is whole, and of its signature. Raises FailstopError for one that was changed, OSError."""
     text = Path(path).read_text("utf-8")
     found = RECORD.search(text)
     if not found:
