@@ -60,7 +60,7 @@ class Both:
 
 
 def writer_pauses(late: int, *, ordered: bool) -> tuple[int, int]:
-    """What the reader finds, who looks at B first, while the writer pauses behind its stores of A and B."""
+    """A reader looks at B and then at A while the writer pauses behind its stores of A and B."""
     both, found = Both(3, late), list[int]()
 
     def write(words: Any, mapped: Any) -> None:
@@ -76,7 +76,7 @@ def writer_pauses(late: int, *, ordered: bool) -> tuple[int, int]:
 
 
 def reader_pauses(early: int, *, ordered: bool) -> tuple[int, int]:
-    """What it finds, who looks at B and then at A, when both are stored while it pauses at B."""
+    """It looks at B and then at A, when both are stored while it pauses at B."""
     both, found = Both(1, 0, early), list[int]()
 
     def read(words: Any, mapped: Any) -> None:

@@ -33,9 +33,9 @@ REMEMBERED = 256
 """Stores of all processes that a load may not have seen yet: far more than there are in any pause."""
 RINGS, HEARS = ("write", "sendmsg", "spawn", "futex_wake", "kill"), ("read", "readv", "recvmsg", "pread")
 ALL, LAST, BUT_LAST, FIRST_HALF, SECOND_HALF = LATE = range(1, 6)
-"""Which stores are late, and of the last one which part."""
+"""The stores that are late, or a part of the last one."""
 EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST = EARLY = range(1, 6)
-"""Which loads are early, and of the first one which part."""
+"""The loads that are early, or a part of the first one."""
 
 
 @dataclass(eq=False)
@@ -75,7 +75,7 @@ class View:
     before: int = 0
     """Loads may be as old as this stamp, up to the next barrier; 0: they are new."""
     early: int = 0
-    """Which of them are, of EARLY."""
+    """Those of them that are, of EARLY."""
     loads: int = 0
     """How many there were since the pause."""
     seen: set[tuple[int, int]] = field(default_factory=set)
@@ -83,7 +83,7 @@ class View:
 
 
 class WeakMachine(Machine):
-    """A machine with such a memory. Until `odd` is set its memory has one order; `weak` makes it one at all."""
+    """A machine with such a memory, once weaken() was called. While nobody is at its seam, its memory has one order."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)
@@ -126,7 +126,7 @@ class WeakMachine(Machine):
         return found
 
     def load(self, mapped: Mapped, at: int, end: int) -> bytes:
-        """What the thread that runs reads there."""
+        """The bytes that the thread that runs reads there."""
         thread = self.caller()
         assert self.at_seam is not None
         self.at_seam(thread, "load", (mapped.node, at, end - at))
@@ -142,7 +142,7 @@ class WeakMachine(Machine):
         return now
 
     def _older(self, view: View, mapped: Mapped, at: int, end: int, now: bytes) -> bytes | None:
-        """What a load finds there that was made early; None: this one was not."""
+        """The bytes that a load finds there that was made early; None: this one was not."""
         view.loads += 1
         place = id(mapped.node), at
         again = place in view.seen
@@ -229,7 +229,7 @@ class WeakMachine(Machine):
         view.before, view.early, view.loads = stamp, which, 0
         view.seen.clear()
 
-    # What orders.
+    # Barriers.
 
     def order_all(self, thread: Thread, most: int | None = None) -> None:
         """A barrier; `most`: behind so many of the stores since the one before."""

@@ -39,10 +39,10 @@ MOVING, EPOCH = "port_owner.moving", "supervisor.epoch"
 
 
 @dataclass
-class Run:
+class ServiceRun:
     """The watched memory of one run of the service."""
 
-    records: dict[str, Record] = field(default_factory=dict)
+    records: dict[str, Watched] = field(default_factory=dict)
     """By name."""
     moving: tuple[int, int] | None = None
     """The port owner's last store of MOVING, and the store of EPOCH that it saw next; -1: it has not looked."""
@@ -51,11 +51,11 @@ class Run:
 
 
 @dataclass
-class Record:
+class Watched:
     """A watched place of one segment: when its stores were made, and what each reader saw last."""
 
     name: str
-    run: Run = field(repr=False)
+    run: ServiceRun = field(repr=False)
     made: list[int] = field(default_factory=list)
     seen: dict[int, int] = field(default_factory=dict)
     """By process: the newest store that it has seen; 0: none."""
@@ -66,18 +66,18 @@ class Order:
 
     def __init__(self, machine: WeakMachine, witness: Witness) -> None:
         self._machine, self._witness = machine, witness
-        self._files: dict[int, dict[int, Record]] = {}
+        self._files: dict[int, dict[int, Watched]] = {}
         """Of each file, by its Node's number: the watched places."""
-        self._runs: dict[str, Run] = {}
+        self._runs: dict[str, ServiceRun] = {}
         machine.on_store, machine.on_load = self._stored, self._loaded
 
-    def _record(self, mapped: Mapped, at: int) -> Record | None:
+    def _record(self, mapped: Mapped, at: int) -> Watched | None:
         found = self._files.get(mapped.node.number)
         if found is None:
             found = self._files[mapped.node.number] = self._watched(mapped)
         return found.get(at)
 
-    def _watched(self, mapped: Mapped) -> dict[int, Record]:
+    def _watched(self, mapped: Mapped) -> dict[int, Watched]:
         """The watched records of a file by their places: latest records have two cells, and are read from the first."""
         files = self._machine.root.folder("/dev/shm").names.items()
         path = next((path for path, file in files if file is mapped.node), "")
@@ -86,11 +86,11 @@ class Order:
         if spec is None:
             return {}
         wanted = {each for pair in PAIRS for each in (pair.first, pair.then)} | {MOVING}
-        found: dict[int, Record] = {}
-        own = self._runs.setdefault(path.rpartition(".")[0], Run())
+        found: dict[int, Watched] = {}
+        own = self._runs.setdefault(path.rpartition(".")[0], ServiceRun())
         for name, begin in spec.offsets.items():
             if (whole := f"{segment}.{name}") in wanted:
-                record = own.records[whole] = Record(whole, own)
+                record = own.records[whole] = Watched(whole, own)
                 size = spec.records[name].size()
                 found[begin] = found[begin + (size // 2 if spec.records[name].kind == "latest" else 0)] = record
         return found
@@ -120,7 +120,7 @@ class Order:
                 if then and before and saw < record.made[before - 1]:
                     self._witness.wrong(f"{process.name} has seen {pair.then}, and not the {pair.first} from before it")
 
-    def _judge_both(self, name: str, record: Record, saw: int) -> None:
+    def _judge_both(self, name: str, record: Watched, saw: int) -> None:
         """Neither process may miss the other's store."""
         run = record.run
         if name == "port_owner" and record.name == EPOCH and run.moving and run.moving[1] < 0:

@@ -29,7 +29,7 @@ SHORT_NS = [round(1_000 * 10 ** (step * 4 / (MEASURES - 1))) for step in range(M
 """For so long a thread pauses, 1 us to 10 ms."""
 SEEN_NS = [20 * each // 10 + 20_000 for each in SHORT_NS]
 """For so long it pauses where memory is seen in another order, up to 20 ms: a tick of all who look without a bell."""
-LONG_NS = [round(20 * MS * 75 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
+HELD_FOR_NS = [round(20 * MS * 75 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
 """For so long a process is held up, or a board gone: 20 ms to 1.5 s."""
 WEIGHTS = {"port_owner": 1.0, "supervisor": 0.6, "stopper": 0.6, "gate": 0.5, "telemetry": 0.3}
 """How often an event that is due at a process comes; at any other one 0.2."""
@@ -69,7 +69,12 @@ EARLIER = dict(
     )
 )
 LOWERED = "a thread runs behind all others"
-REFUSES, KEEPS, DEAF, GONE = "the port refuses", "the port does not drain", "the board is deaf", "the plug is pulled"
+REFUSES, KEEPS, BOARD_DEAF, PULLED = (
+    "the port refuses",
+    "the port does not drain",
+    "the board is deaf",
+    "the plug is pulled",
+)
 BESIDE = [f"{name} dies beside{hears}" for name in SERVICE_PROCESSES for hears in ("", ", and a thread hears")]
 GROUPS: dict[str, tuple[str, ...]] = {
     "pauses": (PAUSES,),
@@ -84,16 +89,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "cut": ("short write", "short write, while somebody asks for a stop"),
     "refused": ("EAGAIN", "EIO", "ENOSPC", "EMFILE"),
     "port": (REFUSES, KEEPS),
-    "board": (DEAF, GONE),
+    "board": (BOARD_DEAF, PULLED),
 }
 LIGHT = ("pauses", "memory", "order")
 MEMORY = ("memory",)
-KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
+DRAWN_KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
 """A tape has their numbers: a new one comes last."""
 GROUP_OF = {kind: group for group, kinds in GROUPS.items() for kind in kinds}
 Act = Callable[[int], object]
 Kinds = dict[str, Act]
-"""What may happen at a place, by its kind: called with its measure, it happens."""
+"""The events that may happen at a place, by their kinds: called with its measure, one happens."""
 
 
 @dataclass
@@ -162,8 +167,8 @@ class Schedule:
                 machine.order_all(thread)
 
     def kind(self, event: Event) -> str:
-        """Its kind, of KINDS."""
-        return KINDS[(self._tape.drawn[event.label] - 1) // MEASURES]
+        """Its kind, of DRAWN_KINDS."""
+        return DRAWN_KINDS[(self._tape.drawn[event.label] - 1) // MEASURES]
 
     def digest(self) -> int:
         """Of all that the board was told, when, and of the number of calls."""
@@ -210,7 +215,7 @@ class Schedule:
             place = f"{self._name(process)} {number}"
             if value := self._here.get(place):
                 kinds = dict(self._possible(thread, call, about))
-                if act := kinds.get(KINDS[(value - 1) // MEASURES]):
+                if act := kinds.get(DRAWN_KINDS[(value - 1) // MEASURES]):
                     self._happen(f"{self._round} {place}", value, act, thread, call, about)
 
     def _come(self, thread: Thread, call: str, about: tuple[Any, ...], number: int) -> None:
@@ -228,18 +233,18 @@ class Schedule:
         group = dice.choice(list(groups))
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
-        value = 1 + KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
+        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
         self._happen(f"{self._round} {self._name(process)} {number}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         self._tape.put(label, value)
         where = f"{thread.process.name} {call}{self._record(call, about)} {line_of(call, about)}"
         self.events.append(Event(label, "", where))
-        self._say(KINDS[(value - 1) // MEASURES])
+        self._say(DRAWN_KINDS[(value - 1) // MEASURES])
         act((value - 1) % MEASURES)
 
     def _say(self, text: str) -> None:
-        """What the newest event is."""
+        """Name the newest event in the story."""
         event, story = self.events[-1], self._stage.witness.story
         if event.fault:
             story.pop()
@@ -259,7 +264,7 @@ class Schedule:
         return f" of {segment}.{max((begin, name) for name, begin in spec.offsets.items() if begin <= at)[1]}"
 
     def _possible(self, thread: Thread, call: str, about: tuple[Any, ...]) -> Iterator[tuple[str, Act]]:
-        """What may happen at this call, by its kind."""
+        """The events that may happen at this call, by their kinds."""
         stage, machine, process = self._stage, self._machine, thread.process
 
         def pauses(measure: int, late: int = 0, early: int = 0) -> None:
@@ -286,12 +291,14 @@ class Schedule:
         port = stage.robot.board.port
         if process.name in SERVICE_PROCESSES and port and port.drains:
             yield REFUSES, lambda measure: self._refuse(SHORT_NS[measure])
-            yield KEEPS, lambda measure: self._keep(LONG_NS[measure])
-            yield DEAF, lambda measure: self._deafen(LONG_NS[measure])
-            yield GONE, lambda measure: self._pull(LONG_NS[measure])
+            yield KEEPS, lambda measure: self._keep(HELD_FOR_NS[measure])
+            yield BOARD_DEAF, lambda measure: self._deafen(HELD_FOR_NS[measure])
+            yield PULLED, lambda measure: self._pull(HELD_FOR_NS[measure])
 
     def _fault(self, thread: Thread, call: str, about: tuple[Any, ...], index: int, measure: int) -> None:
-        name, inject = next(itertools.islice(faults(self._stage, thread, call, about, LONG_NS[measure]), index, None))
+        name, inject = next(
+            itertools.islice(faults(self._stage, thread, call, about, HELD_FOR_NS[measure]), index, None)
+        )
         self._say(name)
         inject()
 
@@ -317,7 +324,7 @@ class Schedule:
         self._later(ns, lambda: None if port.gone else port.drain())
 
     def _deafen(self, ns: int) -> None:
-        self._say(f"{DEAF} for {ns / MS:g} ms")
+        self._say(f"{BOARD_DEAF} for {ns / MS:g} ms")
         stage, board = self._stage, self._stage.robot.board
 
         def over() -> None:
@@ -329,7 +336,7 @@ class Schedule:
         self._later(ns, over)
 
     def _pull(self, ns: int) -> None:
-        self._say(f"{GONE}, and is back under another number after {ns / MS:g} ms")
+        self._say(f"{PULLED}, and is back under another number after {ns / MS:g} ms")
         stage = self._stage
         stage.unplug()
         self._later(ns, lambda: None if stage.robot.board.port else stage.replug())

@@ -19,7 +19,7 @@ TELEMETRY_MODULE, CLIENT_MODULE, CELL_MODULE = (
     "failstop.shm.cell",
 )
 BARRIER = "self._barrier()\n"
-STARVED = (*MEMORY, "starved")
+WITH_STARVED = (*MEMORY, "starved")
 
 
 def without(module: str, before: str, after: str, barrier: str = BARRIER) -> Patches:
@@ -58,13 +58,13 @@ WEAK_CONTROLS = (
             "        self._moving_word.set(1)\n",
             "        now_ns = monotonic_ns()\n        frame = motion[0]\n",
         ),
-        STARVED,
+        WITH_STARVED,
     ),
     WeakControl(
         "moving: supervisor",
         "drive",
         without(SUPERVISOR_MODULE, "", "        if self._moving_word.get():\n"),
-        STARVED,
+        WITH_STARVED,
     ),
     WeakControl("ring: any writer", "drive_and_stop", PUT),
     WeakControl(
