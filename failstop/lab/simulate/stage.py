@@ -281,14 +281,21 @@ class Stage:
         if not self._begun:
             self.begin()
         if self._last:
-            self.machine.die(self._last, -9)
-            self._last = None
+            self._end_last(self._last)
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
         if not self.machine.run(lambda: player.dead, SCENARIO_NS + OPENINGS * self.traits.deaf_ns):
             if must_end:
                 self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
+
+    def _end_last(self, last: Process) -> None:
+        """The wheels stand before another scenario begins: else what it does is judged by this program's drive."""
+        machine, self._last = self.machine, None
+        seam, machine.at_seam = machine.at_seam, None
+        machine.die(last, -9)
+        machine.run(lambda: not any(self.robot.board.model.wheels), LIVE_NS)
+        machine.at_seam = seam
 
     def begin(self, warm_ns: int = 0) -> None:
         """Start the service, and let it run for so long."""
