@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site browser screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -62,9 +62,16 @@ soak: $(VENV)/.dev
 chaos: $(VENV)/.installed
 	$(BIN)/failstop chaos --count 10000 --json chaos.json $(if $(BOARD),--board $(BOARD))
 
-# Every single fault at every call of every scenario, on a simulated machine (docs/dev/simulation.md). BOARD: as for `board`.
+# For a night: every single fault at every call of every scenario, on a simulated machine, then drawn runs for SEEDS seconds of each
+# processor, from the seed of the day on (docs/dev/simulation.md). BOARD: as for `board`.
+SEEDS ?= 14400
 simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
+	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
+
+# A minute of drawn runs, from the seed of the day on: CI has it beside `make test`.
+seeds: $(VENV)/.dev
+	$(BIN)/failstop simulate --seeds 60 --day
 
 model:
 	model/check

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import os
 import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -9,6 +11,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from failstop.api.errors import FailstopError
 from failstop.lab.commands import matching
 from failstop.lab.sim.options import add_board
+from failstop.policy.layouts import BOARDS
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,9 +25,11 @@ failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # faults and orders by chance, a minute long
 failstop simulate --seed 537      # one of them again
+failstop simulate --tape FILE     # a failure, by the tape that was printed
 failstop simulate --controls      # parts of the protocol are taken out
 """
 CONTROL_S = 60.0
+SEEDS_A_DAY = 1_000_000
 STORIES = 3
 
 
@@ -40,6 +45,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--fault", metavar="NAME", help="with --call: the fault")
     add("--seeds", type=float, metavar="SECONDS", help="runs that are drawn, for so much time of each processor")
     add("--seed", type=int, metavar="N", help="this run alone, as a story; with --seeds: the first one")
+    add("--tape", metavar="TAPE", help="this tape alone, as it was printed, or a file with it")
+    add("--day", action="store_true", help="with --seeds: the first seed is the date")
     add("--controls", action="store_true", help="take parts of the protocol out, and see that each is missed")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
@@ -70,8 +77,11 @@ def main(arguments: Namespace) -> int:
     if arguments.controls:
         return _controls(board)
     chosen = names if arguments.scenario else None
+    if arguments.tape is not None:
+        return _tape(arguments.tape, chosen, board)
     if arguments.seeds is not None:
-        return _seeds(arguments.seed or 0, arguments.seeds, arguments.jobs, chosen, board)
+        today = int(time.strftime("%Y%m%d")) * SEEDS_A_DAY if arguments.day else 0
+        return _seeds(arguments.seed or today, arguments.seeds, arguments.jobs, chosen, board)
     if arguments.seed is not None:
         return _seed(arguments.seed, chosen, board)
     whole = len(names) == len(known) and arguments.part[1] == 1
@@ -99,10 +109,11 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _controls(board: str) -> int:
-    from failstop.lab.simulate import controls
+    from failstop.lab.simulate import controls, weak_controls
 
     gaps = 0
-    for found in controls.search(CONTROL_S, board):
+    weak = weak_controls.search_weak(CONTROL_S) if board == BOARDS[0] else ()
+    for found in itertools.chain(controls.search(CONTROL_S, board), weak):
         print(f"{found.row:<42} {found.by:<14} {found.took_s:6.1f} s  {found.faults} faults", flush=True)
         gaps += not found.story
     for row, why in controls.NOT_EXPRESSED.items():
@@ -119,7 +130,9 @@ def _seeds(first: int, seconds: float, jobs: int, names: list[str] | None, board
     for run in total.wrong[:STORIES]:
         print(f"{run.text()}\n")
     rate = total.events / max(total.took_s, 1e-9)
-    told = f"{total.runs} seeds, {total.events} faults ({rate:.0f} a second of a core)"
+    kinds = ", ".join(f"{count} {group}" for group, count in total.groups.most_common())
+    print(f"from seed {first}: {kinds}; {total.twice} runs made twice, the same to the byte")
+    told = f"{total.runs} seeds, {total.rounds} rounds, {total.events} faults ({rate:.0f} a second of a core)"
     print(f"{told}: {len(total.wrong)} wrong: {[run.seed for run in total.wrong]}")
     return int(bool(total.wrong))
 
@@ -130,6 +143,31 @@ def _seed(number: int, names: list[str] | None, board: str) -> int:
     nursery = Nursery(names, board=board)
     run = nursery.run(number)
     print((nursery.shrunk(run) if run.violations else run).text())
+    return int(bool(run.violations))
+
+
+def _tape(told: str, names: list[str] | None, board: str) -> int:
+    from failstop.lab.simulate.seeds import Nursery, commit
+
+    if not told.lstrip().startswith("{"):
+        try:
+            with open(told, encoding="utf-8") as file:
+                told = file.read()
+        except OSError as error:
+            raise FailstopError(
+                f"{told} can't be read: {error.strerror}; give the tape itself, or a file with it"
+            ) from None
+    try:
+        tape = json.loads(told)
+        draws = {str(label): int(value) for label, value in tape["draws"].items()}
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise FailstopError(
+            "this is no tape: take all between the quotes that `failstop simulate` has printed"
+        ) from None
+    run = Nursery(names, board=board).run(0, draws)
+    print(run.text())
+    if tape.get("commit") != commit():
+        print(f"the tape is of commit {tape.get('commit')}, this is {commit()}: its places may be others here")
     return int(bool(run.violations))
 
 

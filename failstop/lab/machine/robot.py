@@ -17,6 +17,7 @@ from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.files import Node, Null, Open, Regular
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader, Patches
+from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process, Replaced
 from failstop.lab.sim.model import Frame
@@ -98,11 +99,14 @@ class Robot:
         settings: dict[str, object] | None = None,
         patches: Patches = (),
         kind: str = BOARDS[0],
+        weak: bool = False,
     ) -> None:
-        """`kind`: as the setting board.kind. Raises ValueError."""
+        """`kind`: as the setting board.kind. `weak`: its memory may be seen in other orders. Raises ValueError."""
         Node.count = 0
-        self.machine = Machine(seed)
+        self.machine = WeakMachine(seed) if weak else Machine(seed)
         self.loader = Loader(self.machine, patches)
+        if isinstance(self.machine, WeakMachine):
+            self.machine.weaken(self.loader)
         self.time: Any = self.loader.system["time"]
         self.board = BoardPort(self.machine, imu_hz, kind)
         self.stderr = Null()

@@ -1,37 +1,50 @@
-"""Seeds: runs in which a seed has drawn the scenario, the faults and the order; and what is left of a failure when
-every event is taken out that it does not need.
+"""Seeds: long runs in which a seed has drawn scenarios, faults and order; and what is left of a failure when every draw
+is taken out that it does not need.
 
-The service is started once for each set of settings, and each run is a fork of that.
+The service is started once for each set of settings. Each run is a fork of that, and many scenarios long: a fork and
+its end take as long as two of them.
 """
 
 from __future__ import annotations
 
+import functools
 import gc
 import json
 import multiprocessing
 import os
 import resource
 import signal
+import subprocess
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from failstop.lab.boards.traits import traits_of
 from failstop.lab.machine.files import Node
-from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
-from failstop.lab.simulate.odd import Event, Odd
-from failstop.lab.simulate.places import Places, Where
 from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop.lab.simulate.schedule import GROUP_OF, Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
-from failstop.lab.simulate.tape import Tape
+from failstop.lab.simulate.tape import Draws, Tape, shrunk
 from failstop.policy.layouts import BOARDS
+from failstop.version import VERSION
 
 WARM_NS = 300 * MS
 """After so long, and once the board hears, the service is ready, and a scenario begins."""
+SIMPLEST = "drive"
+"""The scenario that a draw of 0 is."""
+SPECIAL = 0.2
+"""So many runs are of scenarios that need settings of their own."""
+OTHERS = 0.5
+"""So many of the rounds are another one."""
+ROUNDS = 12
+"""So many scenarios a run."""
+EVERY_TWICE = 100
+"""One of so many runs is made twice, the second time by its tape."""
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
 MOST_SHRUNK = 5
@@ -42,25 +55,44 @@ COLD = 0.1
 
 @dataclass
 class Seeded:
-    """The judged run of a seed."""
+    """The judged run of a seed, or of a tape."""
 
     seed: int
-    scenario: str = ""
+    rounds: list[str] = field(default_factory=list)
+    """The scenarios that it has come to, each with its number."""
     events: list[Event] = field(default_factory=list)
+    draws: Draws = field(default_factory=dict)
     violations: list[str] = field(default_factory=list)
     story: list[tuple[int, str]] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
-    again: str = ""
-    """The command that runs it again, without the seed."""
+    digest: int = 0
+    """Of all that the board was told."""
+    groups: dict[str, int] = field(default_factory=dict)
+    """How many events of each group came."""
+    options: str = ""
+    """Those of the command that runs it again."""
+
+    def tape(self) -> str:
+        """The tape as it is printed, and played again."""
+        return json.dumps({"commit": commit(), "draws": self.draws}, separators=(",", ":"))
 
     def text(self) -> str:
         """The run as people read it."""
         begin_ns = self.story[0][0] if self.story else 0
-        lines = [f"seed {self.seed}: {self.scenario}"]
+        lines = [f"seed {self.seed}: {', '.join(self.rounds[-1:])}"]
         lines += [f"  {text}" for text in self.violations]
         lines += [f"{number:>4}. {event.fault}, at {event.where}" for number, event in enumerate(self.events, 1)]
         lines += [f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in self.story]
-        return "\n".join((*lines, f"again: {self.again} --seed {self.seed}"))
+        return "\n".join((*lines, f"again: failstop simulate{self.options} --tape '{self.tape()}'"))
+
+
+@functools.cache
+def commit() -> str:
+    """The commit of this checkout, or the version of what is installed."""
+    told = subprocess.run(
+        ("git", "-C", HOME, "rev-parse", "--short", "HEAD"), capture_output=True, text=True, check=False
+    )
+    return told.stdout.strip() if told.returncode == 0 else VERSION
 
 
 @dataclass
@@ -71,14 +103,20 @@ class Seeds:
     events: int = 0
     took_s: float = 0.0
     """Of a processor."""
+    rounds: int = 0
+    twice: int = 0
+    """So many runs were made twice, and were the same to the byte."""
     wrong: list[Seeded] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
+    groups: Counter[str] = field(default_factory=Counter)
 
     def add(self, run: Seeded) -> None:
         """One more run."""
         self.runs += 1
-        self.events += len(run.events)
+        self.rounds += len(run.rounds)
+        self.events += sum(run.groups.values())
         self.marks.update(run.marks)
+        self.groups.update(run.groups)
         if run.violations:
             self.wrong.append(run)
 
@@ -86,7 +124,10 @@ class Seeds:
         """The result of another process."""
         self.runs += other.runs
         self.events += other.events
+        self.rounds += other.rounds
+        self.twice += other.twice
         self.took_s += other.took_s
+        self.groups.update(other.groups)
         self.wrong += other.wrong
         self.marks.update(other.marks)
 
@@ -100,79 +141,129 @@ def used_s() -> float:
 class Nursery:
     """Runs seeds: of these scenarios, or of all that the board can have, with the code changed so."""
 
-    def __init__(self, names: list[str] | None = None, patches: Patches = (), board: str = BOARDS[0]) -> None:
-        """`board`: its kind, as the setting board.kind."""
+    def __init__(
+        self,
+        names: list[str] | None = None,
+        patches: Patches = (),
+        board: str = BOARDS[0],
+        groups: tuple[str, ...] = (),
+        rounds: int = ROUNDS,
+    ) -> None:
+        """`board`: its kind, as the setting board.kind. `groups`: those of schedule.py that are on; empty: by each
+        seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
-        self._names = names or scenarios_of(traits)
-        self._again = f"failstop simulate{of_board(board)}{' --scenario ' + ','.join(names) if names else ''}"
+        self._names = names or [name for name in scenarios_of(traits) if not _stays_down(name)]
+        self._alike: dict[str, list[str]] = {}
+        """Scenarios by their settings, the simplest first: one run is of one kind."""
+        for name in sorted(self._names, key=lambda name: name != SIMPLEST):
+            self._alike.setdefault(json.dumps(SETTINGS.get(SCENARIOS[name], {})), []).append(name)
+        self._options = of_board(board) + (f" --scenario {','.join(names)}" if names else "")
         self._patches, self._warm_ns = patches, WARM_NS + traits.deaf_ns
+        self._groups, self._rounds = groups, rounds
         self._stages: dict[str, tuple[Stage, int]] = {}
-        self._places: dict[tuple[str, bool], Where] = {}
+        self._loaded: set[str] = set()
 
-    def _warm(self, name: str) -> tuple[Stage, int]:
-        """The stage on which the service with this scenario's settings runs, and how many files it had made by then."""
-        key = json.dumps(SETTINGS.get(SCENARIOS[name], {}))
+    def _warm(self, key: str) -> tuple[Stage, int]:
+        """The stage on which the service with these settings runs, and how many files it had made by then."""
         if key not in self._stages:
-            made = self._new_stage(name)
+            made = self._new_stage(self._alike[key][0])
             made.begin(self._warm_ns)
             self._stages[key] = made, Node.count
             gc.collect()
         return self._stages[key]
 
     def _new_stage(self, name: str) -> Stage:
-        return Stage(SCENARIOS[name], 0, self._patches, stores=True, kind=self._board)
+        return Stage(SCENARIOS[name], 0, self._patches, weak=True, kind=self._board)
 
-    def _stage(self, name: str, *, cold: bool) -> Stage:
-        """In a fork: where a scenario is to be run."""
+    def run(self, seed: int, fixed: Draws | None = None) -> Seeded:
+        """One run, in a fork. `fixed`: with these draws alone."""
+        tape = Tape(seed, fixed)
+        key = list(self._alike)[tape.draw("settings", len(self._alike), SPECIAL)]
+        names = self._alike[key]
+        cold = SCENARIOS[names[0]] in FROM_THE_START and bool(tape.draw("start", 2, COLD))
+        if not cold:
+            stage, _ = self._warm(key)
+            if key not in self._loaded:
+                self._loaded.add(key)
+                for module in _forked(lambda: self._needed(key)):
+                    stage.robot.loader.load(module)
+        found = _forked(lambda: self._judged(key, tape, cold=cold))
+        found["events"] = [Event(*event) for event in found["events"]]
+        return Seeded(seed, options=self._options, **found)
+
+    def _stage(self, key: str, *, cold: bool) -> Stage:
+        """In a fork: where a run begins."""
         if cold:
-            return self._new_stage(name)
-        stage, Node.count = self._warm(name)
-        stage.take(SCENARIOS[name])
+            return self._new_stage(self._alike[key][0])
+        stage, Node.count = self._warm(key)
         return stage
 
-    def run(self, seed: int, fixed: list[Event] | None = None) -> Seeded:
-        """One run, in a fork. `fixed`: with these events alone."""
-        tape = Tape(seed)
-        name = self._names[tape.draw("scenario", len(self._names))]
-        cold = SCENARIOS[name] in FROM_THE_START and bool(tape.draw("start", 2, COLD))
-        if not cold:
-            self._warm(name)
-        if (name, cold) not in self._places:
-            where, loaded = _forked(lambda: self._found(name, cold=cold))
-            self._places[name, cold] = where
-            for module in () if cold else loaded:
-                self._warm(name)[0].robot.loader.load(module)
-        found = _forked(lambda: self._judged(name, tape, fixed, cold=cold))
-        found["events"] = [Event(**event) for event in found["events"]]
-        return Seeded(seed, name, again=self._again, **found)
+    def _needed(self, key: str) -> list[str]:
+        """The modules that its scenarios load."""
+        stage = self._stage(key, cold=False)
+        for name in self._alike[key]:
+            stage.take(SCENARIOS[name])
+            stage.play(must_end=False)
+        stage.prove_alive()
+        return stage.robot.loader.loaded()
 
-    def _found(self, name: str, *, cold: bool) -> tuple[Where, list[str]]:
-        stage = self._stage(name, cold=cold)
-        found = Places(stage)
-        stage.run()
-        return found.where(), stage.robot.loader.loaded()
-
-    def _judged(self, name: str, tape: Tape, fixed: list[Event] | None, *, cold: bool) -> dict[str, Any]:
-        stage = self._stage(name, cold=cold)
-        odd = Odd(stage, tape, self._places[name, cold], fixed)
-        stage.hang_up_ns = odd.late_hang_up_ns()
-        stage.run()
-        witness = stage.witness
+    def _judged(self, key: str, tape: Tape, *, cold: bool) -> dict[str, Any]:
+        stage, names = self._stage(key, cold=cold), self._alike[key]
+        schedule, witness, rounds = Schedule(stage, tape, self._groups), stage.witness, list[str]()
+        for number in range(1 + tape.draw("skipped", self._rounds, 0.0), 1 + self._rounds):
+            name = names[tape.draw(f"{number} scenario", len(names), OTHERS)]
+            rounds.append(f"{number} {name}")
+            witness.tell(f"round {number}: {name}")
+            stage.take(SCENARIOS[name])
+            schedule.begin(number)
+            stage.play(must_end=False)
+            schedule.end()
+            stage.prove_alive()
+            if witness.violations:
+                break
+        if stage.traits.watchdog_ns and not witness.violations:
+            stage.prove_watchdog()
         return {
-            "events": [asdict(event) for event in odd.events],
+            "rounds": rounds,
+            "events": [(each.label, each.fault, each.where) for each in schedule.events] if witness.violations else [],
+            "draws": tape.drawn,
             "violations": witness.violations,
             "story": witness.story if witness.violations else [],
             "marks": stage.marks.counts,
+            "digest": schedule.digest(),
+            "groups": Counter(GROUP_OF[schedule.kind(each)] for each in schedule.events),
         }
 
     def shrunk(self, run: Seeded) -> Seeded:
-        """The failure with as few events as it needs."""
-        for label in [event.label for event in run.events]:
-            fewer = [event for event in run.events if event.label != label]
-            again = self.run(run.seed, fewer)
+        """The failure with as few draws as it needs."""
+        best = run
+
+        def fails(draws: Draws) -> Draws | None:
+            nonlocal best
+            again = self.run(run.seed, draws)
             if again.violations:
-                run = again
-        return run
+                best = again
+                return again.draws
+            return None
+
+        number = int(run.rounds[-1].split()[0])
+        for skipped in (number - 1, number - 2):
+            kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
+            if skipped > 0 and fails({**kept, "skipped": skipped}) is not None:
+                break
+        shrunk(best.draws, fails)
+        return best
+
+
+def _stays_down(name: str) -> bool:
+    """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
+    return "restart.deaths" in SETTINGS.get(SCENARIOS[name], {})
+
+
+def _before(label: str, number: int) -> bool:
+    """Whether a draw is of a round up to that number."""
+    first = label.split()[0]
+    return first.isdecimal() and int(first) <= number
 
 
 def seeds(
@@ -182,11 +273,18 @@ def seeds(
     patches: Patches = (),
     names: list[str] | None = None,
     board: str = BOARDS[0],
+    groups: tuple[str, ...] = (),
+    rounds: int = ROUNDS,
 ) -> Seeds:
     """Run seeds: first, first + step, ... until so much of a processor's time is used."""
-    nursery, found, seed, begun_s = Nursery(names, patches, board), Seeds(), first, used_s()
+    nursery, found, seed = Nursery(names, patches, board, groups, rounds), Seeds(), first
+    begun_s = used_s()
     while (took_s := used_s() - begun_s) < seconds:
         run = nursery.run(seed)
+        if found.runs % EVERY_TWICE == 0 and not run.violations:
+            found.twice += 1
+            if nursery.run(seed, run.draws).digest != run.digest:
+                run.violations.append("the same tape is another run")
         found.add(run)
         if run.violations and len(found.wrong) <= MOST_SHRUNK:
             found.wrong[-1] = nursery.shrunk(run)
@@ -236,5 +334,5 @@ def _forked(what: Callable[[], Any]) -> Any:
     _, status = os.waitpid(child, 0)
     if not data:
         text = f"the simulation itself ended with {os.waitstatus_to_exitcode(status)}"
-        return {"events": [], "violations": [text], "story": [], "marks": {}}
+        return {"events": [], "violations": [text]}
     return json.loads(data)

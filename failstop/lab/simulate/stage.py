@@ -14,9 +14,11 @@ from typing import Any
 from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.kernel import FOREVER_NS, SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
+from failstop.lab.simulate.order import Order, watch_rings
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 from failstop.policy.layouts import BOARDS
 
@@ -27,6 +29,8 @@ NEEDS: dict[Callable[[Stage], object], frozenset[str]] = {}
 """Of the scenarios that need a board with certain parts (lab/boards/traits.py)."""
 FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
+LONG_RUN: dict[str, object] = {"restart.deaths": 100_000, "restart.window_s": 1.0, "restart.backoff_s": 0.001}
+"""Settings of a service on which many scenarios follow one another: its processes die more often than in any minute."""
 SPEED_MPS = 0.1
 RPS_PER_MPS = 3.98
 SCENARIO_NS = 10_000 * MS
@@ -54,11 +58,13 @@ class Stage:
         seed: int = 0,
         patches: Patches = (),
         *,
-        stores: bool = False,
+        weak: bool = False,
         kind: str = BOARDS[0],
     ) -> None:
-        """`stores`: what is stored in shared memory is a place for a fault too. `kind`: the board's."""
-        self.robot = Robot(seed, imu_hz=20.0, settings=SETTINGS.get(play), patches=patches, kind=kind)
+        """`weak`: loads and stores of shared memory are places for a fault too, and may come late. `kind`: the
+        board's."""
+        settings = {**(LONG_RUN if weak else {}), **SETTINGS.get(play, {})}
+        self.robot = Robot(seed, imu_hz=20.0, settings=settings, patches=patches, kind=kind, weak=weak)
         self.machine = self.robot.machine
         self.traits = self.robot.board.traits
         self.ready_s = (READY_NS + self.traits.deaf_ns) / 1e9
@@ -66,6 +72,9 @@ class Stage:
         self.witness = Witness(self.robot)
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
+        if isinstance(self.machine, WeakMachine):
+            Order(self.machine, self.witness)
+            watch_rings(self.robot.loader, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time = self.robot.time
         self.take(play)
@@ -78,8 +87,8 @@ class Stage:
         """When the last program may drive."""
         self._keep = True
         self.player: Process | None = None
-        if stores:
-            self._watch_stores()
+        self._last: Process | None = None
+        """The program that drives after the faults."""
 
     def take(self, play: Callable[[Stage], object]) -> None:
         """Play this scenario, on a robot that has its settings."""
@@ -90,19 +99,6 @@ class Stage:
         self.live_ns += 2 * self.traits.deaf_ns
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
-
-    def _watch_stores(self) -> None:
-        machine, load = self.machine, self.robot.loader.load
-        word, cell = load("failstop.shm.words"), load("failstop.shm.cell")
-        for where, name in ((word.Word, "set"), (cell.RingWriter, "put"), (cell.LatestWriter, "write")):
-            store = getattr(where, name)
-
-            def told(*arguments: Any, _store: Any = store) -> None:
-                if machine.at_seam and machine.current:
-                    machine.at_seam(machine.caller(), "store", ())
-                _store(*arguments)
-
-            setattr(where, name, told)
 
     # Acts of a scenario.
 
@@ -278,19 +274,31 @@ class Stage:
     def run(self) -> None:
         """From the start of the service to the proof that it can drive again."""
         self.play()
-        self._prove_alive()
+        self.prove_alive()
         if self.traits.watchdog_ns and not self.witness.violations:
-            self._prove_watchdog()
+            self.prove_watchdog()
 
-    def play(self) -> None:
-        """From the start of the service, if that was not begun before, to the end of the scenario."""
+    def play(self, *, must_end: bool = True) -> None:
+        """From the start of the service, if that was not begun before, to the end of the scenario. `must_end`: one that
+        takes long is wrong, as it is not where a process may have died so often that it waits for a reset."""
         if not self._begun:
             self.begin()
+        if self._last:
+            self._end_last(self._last)
         self.player = self.robot.program("player.py", lambda failstop: self._played(failstop))
         player = self.player
         if not self.machine.run(lambda: player.dead, SCENARIO_NS + OPENINGS * self.traits.deaf_ns):
-            self.witness.wrong("the scenario does not come to its end")
+            if must_end:
+                self.witness.wrong("the scenario does not come to its end")
             self.machine.die(player, -9)
+
+    def _end_last(self, last: Process) -> None:
+        """The wheels stand before another scenario begins: else what it does is judged by this program's drive."""
+        machine, self._last = self.machine, None
+        seam, machine.at_seam = machine.at_seam, None
+        machine.die(last, -9)
+        machine.run(lambda: not any(self.robot.board.model.wheels), LIVE_NS)
+        machine.at_seam = seam
 
     def begin(self, warm_ns: int = 0) -> None:
         """Start the service, and let it run for so long."""
@@ -315,7 +323,8 @@ class Stage:
 
         self.machine.at(self.machine.now_ns + RESTART_NS, look)
 
-    def _prove_alive(self) -> None:
+    def prove_alive(self) -> None:
+        """No faults any more: a program resets, enables, drives, and goes on with it."""
         machine, self._keep, self.witness.orderly = self.machine, True, False
         machine.at_seam = None
         for process in machine.processes.values():
@@ -331,12 +340,12 @@ class Stage:
             if not self.robot.board.port.drains:
                 self.robot.board.port.drain()
         self._granted_ns = FOREVER_NS
-        last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
+        last = self._last = self.robot.program("last.py", lambda failstop: self._drive_again(failstop))
         machine.run(lambda: self.witness.moved_ns > self._granted_ns or last.dead, self.live_ns)
         if self.witness.moved_ns <= self._granted_ns:
             self.witness.wrong(f"after all faults no program can drive within {self.live_ns / 1e9:g} s")
 
-    def _prove_watchdog(self) -> None:
+    def prove_watchdog(self) -> None:
         """While it drives nothing of the machine runs any more, and the board is alone."""
         board, watchdog_ns, self._keep = self.robot.board, self.traits.watchdog_ns + WATCHDOG_LATE_NS, False
         self.witness.tell("the machine freezes for good")

@@ -81,6 +81,8 @@ class Witness:
         a program asks for motion again."""
         self._late_ns = 0
         """Until then a thread of who writes to the board may pause."""
+        self._paused_ns = 0
+        """For so long, all in all, threads of who writes to the board have paused: a bar is as much longer."""
         self._fenced_ns = 0
         """Until then the stop for one that was fenced may be on its way."""
         self._late = False
@@ -143,12 +145,25 @@ class Witness:
         )
 
     def _judge_in(
-        self, within_ns: int, why: str, asked: int, *, reached: bool, after_ns: int = 0, late: bool = False
+        self,
+        within_ns: int,
+        why: str,
+        asked: int,
+        *,
+        reached: bool,
+        after_ns: int = 0,
+        late: bool = False,
+        left_ns: int | None = None,
     ) -> None:
-        """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why."""
+        """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
+        `left_ns`: how much of the bar is left, if not all."""
+        paused_ns = self._paused_ns
 
         def due() -> None:
             if self.asked_for_motion != asked:
+                return
+            if more_ns := self._paused_ns - paused_ns:
+                self._judge_in(within_ns, why, asked, reached=reached, late=late, left_ns=more_ns)
                 return
             self._board.catch_up()
             turn = any(self._board.model.wheels)
@@ -163,7 +178,8 @@ class Witness:
                     self.wrong(f"the wheels turn {(within_ns + own_ns) / MS:g} ms after: {why}")
 
         own_ns = self._own_ns()
-        self._machine.at(self._machine.now_ns + max(0, after_ns) + (own_ns if late else within_ns), due)
+        bar_ns = left_ns if left_ns is not None else own_ns if late else within_ns
+        self._machine.at(self._machine.now_ns + max(0, after_ns) + bar_ns, due)
 
     def _own_ns(self) -> int:
         """How much later than the first board this one may obey, from now on."""
@@ -258,6 +274,7 @@ class Witness:
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for so long."""
         if process.name in PORT_WRITERS:
+            self._paused_ns += ns
             self._late_ns = max(self._late_ns, self._machine.now_ns + ns)
 
     def asked(self) -> None:

@@ -1,0 +1,342 @@
+"""Schedule: what a tape makes of a run: which faults, where, and in which order threads run and stores are seen.
+
+A run is a chain of scenarios, the rounds, on one service. In each, events come at calls of the system and at loads and
+stores of shared memory, some few of them apart; after each the faults are off, and a program must be able to drive
+again. An event is a draw whose label is its place: the round, the process and which of its calls in the round it is. So
+one that is left out moves none of the others, as long as its process goes the same way.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+from failstop.lab.machine.epoll import Epoll
+from failstop.lab.machine.memory import BEGIN_OF_FIRST, BUT_LAST, EARLY, FIRST_HALF, LATE, WORD_BYTES, WeakMachine
+from failstop.lab.machine.process import Process, Thread
+from failstop.lab.machine.robot import MS
+from failstop.lab.simulate.faults import faults, line_of
+from failstop.lab.simulate.stage import Stage
+from failstop.lab.simulate.tape import Tape
+from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
+from failstop.messages import layout
+
+MEASURES = 16
+SHORT_NS = [round(1_000 * 10 ** (step * 4 / (MEASURES - 1))) for step in range(MEASURES)]
+"""For so long a thread pauses, 1 us to 10 ms."""
+SEEN_NS = [20 * each // 10 + 20_000 for each in SHORT_NS]
+"""For so long it pauses where memory is seen in another order, up to 20 ms: a tick of all who look without a bell."""
+HELD_FOR_NS = [round(20 * MS * 75 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
+"""For so long a process is held up, or a board gone: 20 ms to 1.5 s."""
+WEIGHTS = {"port_owner": 1.0, "supervisor": 0.6, "stopper": 0.6, "gate": 0.5, "telemetry": 0.3}
+"""How often an event that is due at a process comes; at any other one 0.2."""
+ON = 0.6
+"""How often a group of kinds is on in a run."""
+GAPS = (30, 1000)
+"""Between these is a run's longest distance of two events, in calls; they are as often in each decade below it."""
+HEAVY = 4
+"""At most so many events of a round are more than a pause."""
+ORDERS = 1 << 16
+
+PAUSES = "a thread pauses"
+LATER = dict(
+    zip(
+        LATE,
+        (
+            f"{PAUSES}, its stores are late",
+            f"{PAUSES}, its last store is late",
+            f"{PAUSES}, its stores but the last are late",
+            f"{PAUSES}, the first half of its last store is late",
+            f"{PAUSES}, the second half of its last store is late",
+        ),
+        strict=True,
+    )
+)
+EARLIER = dict(
+    zip(
+        EARLY,
+        (
+            f"{PAUSES}, its next loads are older",
+            f"{PAUSES}, its next load is older",
+            f"{PAUSES}, its next loads but the first are older",
+            f"{PAUSES}, the first half of its next load is older",
+            f"{PAUSES}, the second half of its next load is older",
+        ),
+        strict=True,
+    )
+)
+LOWERED = "a thread runs behind all others"
+REFUSES, KEEPS, BOARD_DEAF, PULLED = (
+    "the port refuses",
+    "the port does not drain",
+    "the board is deaf",
+    "the plug is pulled",
+)
+BESIDE = [f"{name} dies beside{hears}" for name in SERVICE_PROCESSES for hears in ("", ", and a thread hears")]
+GROUPS: dict[str, tuple[str, ...]] = {
+    "pauses": (PAUSES,),
+    "memory": (*LATER.values(), *EARLIER.values()),
+    "order": (LOWERED,),
+    "held": ("held", "held in the write"),
+    "starved": ("starved",),
+    "dies": ("dies", "dies in mid-write"),
+    "beside": tuple(BESIDE),
+    "asked": ("somebody asks for a stop",),
+    "sleeps": ("machine sleeps",),
+    "cut": ("short write", "short write, while somebody asks for a stop"),
+    "refused": ("EAGAIN", "EIO", "ENOSPC", "EMFILE"),
+    "port": (REFUSES, KEEPS),
+    "board": (BOARD_DEAF, PULLED),
+}
+LIGHT = ("pauses", "memory", "order")
+MEMORY = ("memory",)
+DRAWN_KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
+"""A tape has their numbers: a new one comes last."""
+GROUP_OF = {kind: group for group, kinds in GROUPS.items() for kind in kinds}
+Act = Callable[[int], object]
+Kinds = dict[str, Act]
+"""The events that may happen at a place, by their kinds: called with its measure, one happens."""
+
+
+@dataclass
+class Event:
+    """One that came."""
+
+    label: str
+    fault: str
+    where: str
+
+
+class Schedule:
+    """The seam of a run. `groups`: the kinds of events that may be on; empty: all."""
+
+    def __init__(self, stage: Stage, tape: Tape, groups: tuple[str, ...] = ()) -> None:
+        machine = stage.machine
+        assert isinstance(machine, WeakMachine)
+        self._stage, self._tape, self._machine = stage, tape, machine
+        self._free = tape.fixed is None
+        dice = tape.dice
+        self._on = {group for group in groups or GROUPS if groups or dice.random() < ON}
+        self._most_gap = GAPS[0] * (GAPS[1] / GAPS[0]) ** dice.random()
+        self.events: list[Event] = []
+        self.calls = 0
+        self._round = 0
+        self._due = 0
+        self._heavy = 0
+        self._here: dict[str, int] = {}
+        self._counts: dict[int, int] = {}
+        self._names: dict[int, str] = {}
+        self._first: set[int] = set()
+        self._crc = 0
+        heard = stage.robot.board.on_bytes
+
+        def hears(data: bytes) -> None:
+            self._crc = crc32(data, self._crc + machine.now_ns & 0xFFFFFFFF)
+            heard(data)
+
+        stage.robot.board.on_bytes = hears
+
+    def begin(self, number: int) -> None:
+        """A round, of this number."""
+        machine, tape = self._machine, self._tape
+        for pid in [pid for pid, each in machine.processes.items() if each.dead and each.code is not None]:
+            if machine.processes[pid].reaped or machine.processes[pid].parent is None:
+                del machine.processes[pid]
+        self._round, self._heavy, prefix = number, HEAVY, f"{number} "
+        self._first = set(machine.processes)
+        self._counts, self._names = {}, {}
+        self._here = {}
+        if tape.fixed is not None:
+            self._here = {each[len(prefix) :]: value for each, value in tape.fixed.items() if each.startswith(prefix)}
+        machine.order = tape.draw(f"{prefix}order", ORDERS, 0.5 * ("order" in self._on or not self._free))
+        self._stage.hang_up_ns = self._late_hang_up(f"{prefix}hang-up")
+        self._due = self._gap()
+        machine.at_seam = self._at
+
+    def end(self) -> None:
+        """The faults are off."""
+        machine = self._machine
+        machine.at_seam = None
+        machine.order = 0
+        machine.lowered.clear()
+        for process in machine.processes.values():
+            for thread in process.threads:
+                machine.order_all(thread)
+
+    def kind(self, event: Event) -> str:
+        """Its kind, of DRAWN_KINDS."""
+        return DRAWN_KINDS[(self._tape.drawn[event.label] - 1) // MEASURES]
+
+    def digest(self) -> int:
+        """Of all that the board was told, when, and of the number of calls."""
+        return crc32(f"{self._machine.now_ns} {self.calls}".encode(), self._crc)
+
+    def _gap(self) -> int:
+        return int(self._most_gap ** self._tape.dice.random()) if self._free else 1 << 62
+
+    def _late_hang_up(self, label: str) -> Callable[[Epoll], int]:
+        """How much later one process is woken by the loss of the port."""
+        value = self._tape.draw(label, 1 + len(PORT_WRITERS) * MEASURES, 0.3)
+        if not value:
+            return lambda epoll: 0
+        name, ns = PORT_WRITERS[(value - 1) // MEASURES], 10 * SHORT_NS[(value - 1) % MEASURES]
+
+        def late_ns(epoll: Epoll) -> int:
+            process = self._stage.robot.named(name)
+            return ns if process and any(each.node is epoll for each in process.files.values()) else 0
+
+        return late_ns
+
+    def _name(self, process: Process) -> str:
+        """`gate 2` is the second gate of the round."""
+        found = self._names.get(process.pid)
+        if found is None:
+            same = [
+                each
+                for each in self._machine.processes.values()
+                if each.name == process.name and (each.pid not in self._first or not each.dead)
+            ]
+            found = self._names[process.pid] = f"{process.name} {1 + same.index(process) if process in same else 0}"
+        return found
+
+    def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        process = thread.process
+        number = self._counts[process.pid] = self._counts.get(process.pid, 0) + 1
+        self.calls += 1
+        if self._free:
+            self._due -= 1
+            if self._due <= 0:
+                self._due = self._gap()
+                self._come(thread, call, about, number)
+        elif self._here:
+            place = f"{self._name(process)} {number}"
+            if value := self._here.get(place):
+                kinds = dict(self._possible(thread, call, about))
+                if act := kinds.get(DRAWN_KINDS[(value - 1) // MEASURES]):
+                    self._happen(f"{self._round} {place}", value, act, thread, call, about)
+
+    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], number: int) -> None:
+        """An event, if any is on that may happen here."""
+        process, dice = thread.process, self._tape.dice
+        if dice.random() >= WEIGHTS.get(process.name, 0.2):
+            return
+        groups = dict[str, Kinds]()
+        for kind, act in self._possible(thread, call, about):
+            group = GROUP_OF[kind]
+            if group in self._on and (self._heavy or group in LIGHT):
+                groups.setdefault(group, {})[kind] = act
+        if not groups:
+            return
+        group = dice.choice(list(groups))
+        self._heavy -= group not in LIGHT
+        kind = dice.choice(list(groups[group]))
+        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
+        self._happen(f"{self._round} {self._name(process)} {number}", value, groups[group][kind], thread, call, about)
+
+    def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
+        self._tape.put(label, value)
+        where = f"{thread.process.name} {call}{self._record(call, about)} {line_of(call, about)}"
+        self.events.append(Event(label, "", where))
+        self._say(DRAWN_KINDS[(value - 1) // MEASURES])
+        act((value - 1) % MEASURES)
+
+    def _say(self, text: str) -> None:
+        """Name the newest event in the story."""
+        event, story = self.events[-1], self._stage.witness.story
+        if event.fault:
+            story.pop()
+        event.fault = text
+        self._stage.witness.tell(f"ODD: {text}, at {event.where}")
+
+    def _record(self, call: str, about: tuple[Any, ...]) -> str:
+        """The record that a load or a store is of."""
+        if call not in ("load", "store"):
+            return ""
+        node, at, _ = about
+        files = self._machine.root.folder("/dev/shm").names.items()
+        segment = next((path.rpartition(".")[2] for path, file in files if file is node), "")
+        spec = layout.SEGMENT_BY_NAME.get(segment)
+        if spec is None:
+            return " of a segment"
+        return f" of {segment}.{max((begin, name) for name, begin in spec.offsets.items() if begin <= at)[1]}"
+
+    def _possible(self, thread: Thread, call: str, about: tuple[Any, ...]) -> Iterator[tuple[str, Act]]:
+        """The events that may happen at this call, by their kinds."""
+        stage, machine, process = self._stage, self._machine, thread.process
+
+        def pauses(measure: int, late: int = 0, early: int = 0) -> None:
+            ns = (SEEN_NS if late or early else SHORT_NS)[measure]
+            self._say(
+                f"{PAUSES} for {ns / MS:g} ms" + (LATER.get(late) or EARLIER.get(early) or PAUSES).removeprefix(PAUSES)
+            )
+            stage.witness.late(process, ns)
+            machine.pause(ns, late, early)
+
+        yield PAUSES, pauses
+        if since := machine.view(thread).since:
+            for late, kind in LATER.items():
+                if (late != BUT_LAST or len(since) > 1) and (late < FIRST_HALF or len(since[-1].data) > WORD_BYTES):
+                    yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
+        if call == "load":
+            for early, kind in EARLIER.items():
+                if early < BEGIN_OF_FIRST or about[2] > WORD_BYTES:
+                    yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+        yield LOWERED, lambda measure: machine.lower(thread)
+        names = [name for name, _ in faults(stage, thread, call, about)]
+        for index, name in enumerate(names):
+            yield name, lambda measure, index=index: self._fault(thread, call, about, index, measure)  # type: ignore[misc]
+        port = stage.robot.board.port
+        if process.name in SERVICE_PROCESSES and port and port.drains:
+            yield REFUSES, lambda measure: self._refuse(SHORT_NS[measure])
+            yield KEEPS, lambda measure: self._keep(HELD_FOR_NS[measure])
+            yield BOARD_DEAF, lambda measure: self._deafen(HELD_FOR_NS[measure])
+            yield PULLED, lambda measure: self._pull(HELD_FOR_NS[measure])
+
+    def _fault(self, thread: Thread, call: str, about: tuple[Any, ...], index: int, measure: int) -> None:
+        name, inject = next(
+            itertools.islice(faults(self._stage, thread, call, about, HELD_FOR_NS[measure]), index, None)
+        )
+        self._say(name)
+        inject()
+
+    # The port and the board.
+
+    def _later(self, ns: int, what: Callable[[], None]) -> None:
+        """In the same round."""
+        number, machine = self._round, self._machine
+        machine.at(machine.now_ns + ns, lambda: what() if self._round == number and machine.at_seam else None)
+
+    def _refuse(self, ns: int) -> None:
+        self._say(f"{REFUSES} for {ns / MS:g} ms")
+        port = self._stage.robot.board.port
+        assert port
+        port.refuses = True
+        self._later(ns, port.take_again)
+
+    def _keep(self, ns: int) -> None:
+        self._say(f"{KEEPS} for {ns / MS:g} ms")
+        port = self._stage.robot.board.port
+        assert port
+        self._stage.block_port()
+        self._later(ns, lambda: None if port.gone else port.drain())
+
+    def _deafen(self, ns: int) -> None:
+        self._say(f"{BOARD_DEAF} for {ns / MS:g} ms")
+        stage, board = self._stage, self._stage.robot.board
+
+        def over() -> None:
+            board.model.deaf = False
+            stage.witness.hears_ns = stage.machine.now_ns + ZEROS_NS
+
+        board.catch_up()
+        stage.deafen()
+        self._later(ns, over)
+
+    def _pull(self, ns: int) -> None:
+        self._say(f"{PULLED}, and is back under another number after {ns / MS:g} ms")
+        stage = self._stage
+        stage.unplug()
+        self._later(ns, lambda: None if stage.robot.board.port else stage.replug())
