@@ -140,8 +140,11 @@ class Show:
                 self.machine.kill(process, SIGCONT if on else SIGSTOP)
                 self._suspended.update({} if on else {name: process})
         elif name == "plug":
-            (self.robot.plug if on else self.robot.unplug)()
             self.on["drains"] = True
+            if on:
+                self.robot.plug()
+            else:
+                self.robot.unplug()
         elif name == "hears":
             board.model.deaf = not on
         elif name == "obeys":
