@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.browser.acts import ACT_BY_NAME, ROWS, STEP, SWITCHES
+from failstop.lab.browser.acts import ACT_BY_NAME, ROWS, SWITCHES, TENTH
 from failstop.lab.browser.build import modules
-from failstop.lab.browser.show import PRESSES, Show
+from failstop.lab.browser.show import ACT_BODIES, Show
 from failstop.lab.faults.fault import BY_ENABLE, BY_ITSELF, BY_NEW_RUN, BY_RESET
 from failstop.lab.faults.table import FAULT_BY_NAME
 from tests.support.amounts import LONG
@@ -60,6 +60,6 @@ def test_the_rows_are_rows_and_the_acts_do_something() -> None:
     assert len(ROWS) >= 20
     assert ROWS.keys() <= FAULT_BY_NAME.keys()
     assert {FAULT_BY_NAME[name].cleared for name in ROWS} == {BY_RESET, BY_ENABLE, BY_ITSELF, BY_NEW_RUN}
-    assert {act for acts in ROWS.values() for act in acts} <= {*ACT_BY_NAME, STEP}
+    assert {act for acts in ROWS.values() for act in acts} <= {*ACT_BY_NAME, TENTH}
     pressed = {name for name in ACT_BY_NAME if not name.startswith("kill-")} - set(SWITCHES)
-    assert pressed == PRESSES.keys()
+    assert pressed == ACT_BODIES.keys()

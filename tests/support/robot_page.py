@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from failstop.lab.browser.acts import ROWS, STEP
+from failstop.lab.browser.acts import ROWS, TENTH
 from failstop.lab.faults.fault import (
     BY_ITSELF,
     BY_NEW_RUN,
@@ -71,7 +71,7 @@ def play(page: Page, name: str) -> None:
     enable(page)
     struck = page.shown()["time"]
     for act in ROWS[name]:
-        page.step() if act == STEP else page.press(act)
+        page.step() if act == TENTH else page.press(act)
     for _ in range(SEEN):
         page.step()
     shown = page.shown()

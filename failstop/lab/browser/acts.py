@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, SUPERVISOR, TELEMETRY
 
-PRESS, SWITCH = "press", "switch"
-KILLED, HELD = "kill-", "hang-"
+PRESS, A_SWITCH = "press", "switch"
+KILL_PREFIX, HANG_PREFIX = "kill-", "hang-"
 
 
 class Act(NamedTuple):
@@ -21,7 +21,7 @@ class Act(NamedTuple):
     """Of a switch: the label while it is off."""
 
 
-ASK, DRIVER, SENSES, PROCESSES, BOARD, MACHINE = GROUPS = (
+ASK, DRIVER, SENSES, OF_PROCESSES, OF_BOARD, MACHINE = GROUPS = (
     "Ask",
     "Driver",
     "Sensor and interlock",
@@ -36,42 +36,42 @@ ACTS = (
     Act("disable", ASK, "disable"),
     Act("stop", ASK, "ask for a stop"),
     Act("stop-pipe", ASK, "garbage in the stop pipe"),
-    Act("commands", DRIVER, "commands 0.2 m/s", SWITCH, "silent"),
-    Act("driver", DRIVER, "runs", SWITCH, "suspended (SIGSTOP)"),
+    Act("commands", DRIVER, "commands 0.2 m/s", A_SWITCH, "silent"),
+    Act("driver", DRIVER, "runs", A_SWITCH, "suspended (SIGSTOP)"),
     Act("driver-killed", DRIVER, "kill it; another commands at once"),
     Act("driver-nan", DRIVER, "command what is not a number"),
     Act("driver-second", DRIVER, "a second publisher of cmd_vel"),
     Act("driver-gamepad", DRIVER, "command zero as the gamepad"),
-    Act("sensor", SENSES, "obstacle sensor delivers", SWITCH, "obstacle sensor silent"),
-    Act("interlock", SENSES, "interlock asserted", SWITCH, "interlock lost"),
+    Act("sensor", SENSES, "obstacle sensor delivers", A_SWITCH, "obstacle sensor silent"),
+    Act("interlock", SENSES, "interlock asserted", A_SWITCH, "interlock lost"),
     *(
         act
         for name in STAY
         for act in (
-            Act(f"{HELD}{name}", PROCESSES, f"{name.replace('_', ' ')} runs", SWITCH, "hangs (SIGSTOP)"),
-            Act(f"{KILLED}{name}", PROCESSES, "kill"),
+            Act(f"{HANG_PREFIX}{name}", OF_PROCESSES, f"{name.replace('_', ' ')} runs", A_SWITCH, "hangs (SIGSTOP)"),
+            Act(f"{KILL_PREFIX}{name}", OF_PROCESSES, "kill"),
         )
     ),
-    Act("plug", BOARD, "plugged in", SWITCH, "unplugged"),
-    Act("hears", BOARD, "hears", SWITCH, "deaf"),
-    Act("drains", BOARD, "takes bytes", SWITCH, "takes no bytes"),
-    Act("obeys", BOARD, "obeys", SWITCH, "wheels turn on"),
-    Act("key", BOARD, "press its stop key"),
-    Act("pad", BOARD, "press a button of its gamepad"),
+    Act("plug", OF_BOARD, "plugged in", A_SWITCH, "unplugged"),
+    Act("hears", OF_BOARD, "hears", A_SWITCH, "deaf"),
+    Act("drains", OF_BOARD, "takes bytes", A_SWITCH, "takes no bytes"),
+    Act("obeys", OF_BOARD, "obeys", A_SWITCH, "wheels turn on"),
+    Act("key", OF_BOARD, "press its stop key"),
+    Act("pad", OF_BOARD, "press a button of its gamepad"),
     Act("sleep", MACHINE, "sleep for 20 s, and wake"),
     Act("freeze", MACHINE, "freeze everything for 0.3 s"),
     Act("clock", MACHINE, "step the wall clock by an hour"),
     Act("end", MACHINE, "stop the service (SIGTERM)"),
 )
 ACT_BY_NAME = {act.name: act for act in ACTS}
-SWITCHES = tuple(act.name for act in ACTS if act.kind == SWITCH)
+SWITCHES = tuple(act.name for act in ACTS if act.kind == A_SWITCH)
 
-STEP = "+"
+TENTH = "+"
 """A tenth of a second passes."""
-BRIEFLY = 15 * (STEP,)
+BRIEFLY = 15 * (TENTH,)
 ROWS: dict[str, tuple[str, ...]] = {
     **{f"{fault}-{name}": (f"{fault}-{name}",) for fault in ("kill", "hang") for name in STAY},
-    "hang-supervisor-continued": ("hang-supervisor", STEP, STEP, "hang-supervisor"),
+    "hang-supervisor-continued": ("hang-supervisor", TENTH, TENTH, "hang-supervisor"),
     "kill-gate+telemetry": ("kill-gate", "kill-telemetry"),
     "kill-supervisor+stopper": ("kill-supervisor", "kill-stopper"),
     "kill-supervisor+port_owner": ("kill-supervisor", "kill-port_owner"),
@@ -88,7 +88,7 @@ ROWS: dict[str, tuple[str, ...]] = {
     "board-key": ("key",),
     "scan-silent": ("sensor",),
     "interlock-lost": ("interlock",),
-    "usb-drop": ("plug", STEP, STEP, "plug"),
+    "usb-drop": ("plug", TENTH, TENTH, "plug"),
     "board-not-draining": ("drains", *BRIEFLY, "drains"),
     "board-deaf": ("hears", *BRIEFLY, "hears"),
     "suspended": ("sleep",),

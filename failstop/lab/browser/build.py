@@ -23,7 +23,7 @@ PACKAGE = Path(failstop.__file__).parent
 PAGE = Path(__file__).parent / "page"
 STYLE = PACKAGE / "web" / "page" / "page.css"
 """The operator's page's."""
-LEFT_OUT = ("fleet", "ros2", "lab/case", "lab/commands", "lab/faults", "lab/pages", "lab/prove", "lab/simulate")
+NOT_NEEDED = ("fleet", "ros2", "lab/case", "lab/commands", "lab/faults", "lab/pages", "lab/prove", "lab/simulate")
 """Folders of the package that nothing on the page asks for."""
 LINUX = ("_socket", "fcntl", "mmap", "os", "resource", "select", "signal", "socket", "termios", "time")
 """Modules whose numbers the simulated machine takes from Python's own."""
@@ -42,7 +42,7 @@ def modules() -> Iterator[tuple[Path, str]]:
     """(file, name in the archive) of each module that the page imports from."""
     for path in sorted(PACKAGE.glob("**/*.py")):
         inside = path.relative_to(PACKAGE).as_posix()
-        if not inside.startswith(LEFT_OUT):
+        if not inside.startswith(NOT_NEEDED):
             yield path, f"failstop/{inside}"
     for room in ("procs", "shm", "supervisor"):  # links, which glob does not follow everywhere
         for path in sorted((PACKAGE / room).glob("**/*.py")):

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop.board.framing import MOTOR
-from failstop.lab.browser.acts import ACTS, GROUPS, HELD, KILLED, SWITCHES
+from failstop.lab.browser.acts import ACTS, GROUPS, HANG_PREFIX, KILL_PREFIX, SWITCHES
 from failstop.lab.machine.kernel import SIGCONT, SIGKILL, SIGSTOP, SIGTERM
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
@@ -32,17 +32,17 @@ EVERY_S = 0.02
 IMU_HZ = 50.0
 RESTART_NS, WATCHDOG_NS = 100 * MS, 1000 * MS
 """Of the unit: RestartSec and WatchdogSec."""
-SLEPT_NS = 20_000 * MS
+NAP_NS = 20_000 * MS
 FROZEN_NS = 300 * MS
 STEP_NS = 3600 * 1000 * MS
 STOP_PIPE = "/run/failstop/failstop/stop"
-STOP_KEY, PRESSED, BUTTON = 1, 0x01, 0x0100
+STOP_KEY, PRESSED, PAD_BUTTON = 1, 0x01, 0x0100
 GARBAGE = b"garbage"
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""
-LINES, EVENTS = 12, 12
+LINES, EVENT_LINES = 12, 12
 """Lines of the wire, and events, that are shown."""
-ZEROS, MOTION = "every wheel to zero", "motion"
+ZEROS, TURNING = "every wheel to zero", "motion"
 UNIX_S = 1_700_001_000
 """The time of day at which a machine starts."""
 
@@ -78,7 +78,7 @@ class Show:
 
     def _keep_running(self) -> None:
         """Start the service where there is none, and end a supervisor that is silent, as systemd does."""
-        found, hung = self.robot.named(SUPERVISOR), self._suspended.get(HELD + SUPERVISOR)
+        found, hung = self.robot.named(SUPERVISOR), self._suspended.get(HANG_PREFIX + SUPERVISOR)
         if found is None:
             self.robot.start()
         elif found is hung and self.machine.now_ns - found.held_since_ns > WATCHDOG_NS:
@@ -126,22 +126,25 @@ class Show:
         if name in self.on:
             self.on[name] = not self.on[name]
             self._switched(name, self.on[name])
-        elif name.startswith(KILLED):
-            self.robot.kill(name.removeprefix(KILLED))
+        elif name.startswith(KILL_PREFIX):
+            self.robot.kill(name.removeprefix(KILL_PREFIX))
         else:
-            PRESSES[name](self)
+            ACT_BODIES[name](self)
 
     def _switched(self, name: str, on: bool) -> None:
         board = self.robot.board
-        if name.startswith(HELD) or name == "driver":
-            process = self._driver if name == "driver" else self.robot.named(name.removeprefix(HELD))
+        if name.startswith(HANG_PREFIX) or name == "driver":
+            process = self._driver if name == "driver" else self.robot.named(name.removeprefix(HANG_PREFIX))
             self._suspended.pop(name, None)
             if process:
                 self.machine.kill(process, SIGCONT if on else SIGSTOP)
                 self._suspended.update({} if on else {name: process})
         elif name == "plug":
-            (self.robot.plug if on else self.robot.unplug)()
             self.on["drains"] = True
+            if on:
+                self.robot.plug()
+            else:
+                self.robot.unplug()
         elif name == "hears":
             board.model.deaf = not on
         elif name == "obeys":
@@ -181,7 +184,7 @@ class Show:
         if frame:
             model.key(STOP_KEY, PRESSED, now_ns)
         else:
-            model.pad(upward.gamepad_frame(BUTTON), now_ns, hold=False)
+            model.pad(upward.gamepad_frame(PAD_BUTTON), now_ns, hold=False)
         self.robot.board.plan()
 
     def _freeze(self) -> None:
@@ -190,7 +193,7 @@ class Show:
                 self.machine.hold(found, FROZEN_NS)
 
     def _sleep(self) -> None:
-        self.machine.slept_ns += SLEPT_NS
+        self.machine.slept_ns += NAP_NS
 
     def _step_clock(self) -> None:
         self.machine.unix_ns += STEP_NS
@@ -212,7 +215,7 @@ class Show:
         for _, func, found in self._receiver.feed(data):
             if func != MOTOR:
                 continue  # it asks whether the board listens
-            what = ZEROS if commands_stop(func, found) else MOTION
+            what = ZEROS if commands_stop(func, found) else TURNING
             last = self._wire[-1] if self._wire else None
             if last and last[1:3] == [who, what]:
                 last[3:] = last[3] + 1, found.hex(" ")
@@ -248,7 +251,7 @@ class Show:
             "face": {key: face[key] for key in ("word", "role", "enabled", "can", "processes")},
             "why": [[label, text.replace("`", "")] for label, text in rows],
             "cause": cause and {"name": cause.kind.name, "arguments": list(cause.arguments), "text": str(cause)},
-            "events": [[event.t - UNIX_S, event.level, event.text] for event in events[-EVENTS:]],
+            "events": [[event.t - UNIX_S, event.level, event.text] for event in events[-EVENT_LINES:]],
             "wire": list(self._wire),
             "wheels": [round(speed, 2) for speed in self.robot.board.model.wheels],
             "on": self.on,
@@ -260,7 +263,7 @@ class Show:
         return json.dumps(self.shown())
 
 
-PRESSES: dict[str, Callable[[Show], object]] = {
+ACT_BODIES: dict[str, Callable[[Show], object]] = {
     "enable": lambda show: show._once("you", lambda failstop: failstop.Robot(disable_on_exit=False).enable()),
     "reset": lambda show: show._once("you", lambda failstop: failstop.Robot().reset()),
     "disable": lambda show: show._once("you", lambda failstop: failstop.Robot().disable()),
