@@ -24,7 +24,7 @@ SILENT_S = 5.0
 """A probe that has said nothing for so long hangs, or is not run."""
 HERE = "here"
 WAITS_S = 300.0
-"""How long it tries to have the port, at its end."""
+"""The longest that it tries to have the port, at its end."""
 WRITES = 5
 APART_S = 0.1
 
@@ -70,8 +70,11 @@ class Watcher:
                 os.kill(self._pid, signal.SIGKILL)
             self._pid = 0
         for _ in range(WRITES):
-            with contextlib.suppress(PortError):
+            try:
                 stopping.stop(self._path, self._board, lambda _: wait_s, lambda _: None)
+            except PortError:
+                if wait_s:
+                    return  # it has waited for as long as it may
             time.sleep(APART_S)
 
 
