@@ -39,7 +39,7 @@ PROCESSES = (
     ),
     Process(
         "stopper",
-        role="the second stop channel, on its own descriptor of the port",
+        role="is the second stop channel, on its own descriptor of the port",
         priority=32,
         deadline_ns=250 * MS,
         outlives_supervisor=True,

@@ -81,6 +81,7 @@ class GyroBias:
         """Go on with the bias that an earlier run of this process had found."""
         self.bias_radps = bias_radps
         self.calibrated = True
+        self._averaged_s = self._tau_s
 
     def follow(self, commanded: bool, now_ns: int) -> str:
         """Whether a velocity other than zero is commanded. Returns a line for the journal, or an empty text:

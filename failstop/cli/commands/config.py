@@ -104,7 +104,7 @@ def main(arguments: Namespace) -> int:
         else:
             style.show(table(found))
             ways = distance.told(config.load(arguments.config))
-            style.show([[], *([(way, style.PLAIN)] for way in ways)])
+            style.show([[], *(line for way in ways for line in style.wrap([(way, style.PLAIN)], style.width(), 0))])
     return 0
 
 
