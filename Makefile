@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb release vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -48,7 +48,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy packaging/deb/*.py
+	$(BIN)/mypy packaging/deb/*.py packaging/release.py
 
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
@@ -137,6 +137,13 @@ web: $(VENV)/.dev
 deb: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python packaging/deb/build.py
+
+# Everything of a release, in dist/VERSION (CONTRIBUTING.md): of the last commit, and equal to the byte whoever builds it.
+VERSION ?=
+release: $(VENV)/.installed
+	@[ -n "$(VERSION)" ] || { echo "which version? make release VERSION=0.2.0"; exit 1; }
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
+	@$(BIN)/python packaging/release.py $(VERSION)
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

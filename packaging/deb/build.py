@@ -10,6 +10,7 @@ import argparse
 import email.utils
 import gzip
 import hashlib
+import importlib.metadata
 import os
 import re
 import subprocess
@@ -19,6 +20,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
+import sbom
 import tree
 from tree import BuildError, Entry
 
@@ -32,6 +34,8 @@ SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
 EXTRAS = ("fleet", "web")
 """Those of failstop's whose needs the package brings along."""
 ROBOT, LABORATORY = "failstop", "failstop-lab"
+BILL = "usr/share/doc/failstop/failstop.cdx.json"
+"""What the package holds of others, as CycloneDX."""
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 UNITS = "usr/lib/systemd/system"
@@ -54,15 +58,19 @@ def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree
     """Build them, print their paths, and what to type next. `words`: others than the command line's; `interpreter`: the
     system's."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
-    out = parser.parse_args(words).out
+    add = parser.add_argument
+    add("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
+    add("--architecture", help="Debian's word, with --site (default: this machine's)")
+    add("--site", type=Path, help="unpacked wheels for that architecture, instead of the environment's packages")
+    arguments = parser.parse_args(words)
+    out = arguments.out
     try:
-        if not os.access(interpreter, os.X_OK):
+        if not arguments.site and not os.access(interpreter, os.X_OK):
             advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"
             raise BuildError(f"the package is for the system's {interpreter}, which is not here; {advice}")
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
-            packages = build(Path(directory), out)
+            packages = build(Path(directory), out, arguments.architecture, arguments.site)
     except BuildError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -72,15 +80,25 @@ def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree
     return 0
 
 
-def build(directory: Path, out: Path) -> list[Path]:
-    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. Raises BuildError."""
-    whole = tree.running(EXTRAS)
+def build(directory: Path, out: Path, architecture: str | None = None, site: Path | None = None) -> list[Path]:
+    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. `site`: a folder with
+    the packages that failstop needs, for this architecture; else they are the environment's, for this machine. Raises
+    BuildError."""
+    architecture = architecture or _said("dpkg", "--print-architecture")
+    find = tree.finder(site) if site else importlib.metadata.distribution
+    whole = tree.running(EXTRAS, find)
     inside = [entry for entry in whole if entry.path.startswith(LAB)]
     robots = [entry for entry in whole if not entry.path.startswith(LAB)]
-    return [pack(ROBOT, robots, files(), directory, out), pack(LABORATORY, inside, papers(LABORATORY), directory, out)]
+    texts = files() | {BILL: sbom.text(sbom.packed(VERSION, tree.needed(EXTRAS, find), architecture))}
+    return [
+        pack(ROBOT, robots, texts, directory, out, architecture),
+        pack(LABORATORY, inside, papers(LABORATORY), directory, out, architecture),
+    ]
 
 
-def pack(name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path) -> Path:
+def pack(
+    name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path, architecture: str
+) -> Path:
     """One package of these files of the environment, and of these texts."""
     root = directory / name
     tree.write(entries, root / tree.PREFIX.lstrip("/"))
@@ -89,7 +107,7 @@ def pack(name: str, entries: Collection[Entry], texts: Mapping[str, str], direct
     if name == ROBOT:
         (root / "usr/bin").mkdir(parents=True)
         (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
-    _control(root, name)
+    _control(root, name, architecture)
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
     # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
@@ -146,7 +164,7 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, package: str) -> None:
+def _control(root: Path, package: str, architecture: str) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     regular = [path for path in regular if path.parent.name != "DEBIAN"]
@@ -154,7 +172,7 @@ def _control(root: Path, package: str) -> None:
         "version": VERSION,
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
-        "architecture": _said("dpkg", "--print-architecture"),
+        "architecture": architecture,
         "python": tree.PYTHON,
         "libc": newest_libc(root),
     }
