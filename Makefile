@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb release vm wheels clean vm-arm64
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate model board mutants docs site screens fleet ros2 web deb release vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -25,20 +25,37 @@ test: $(VENV)/.dev lint
 	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
 	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
 
-# Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
-campaigns: $(VENV)/.dev
+# Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
+campaigns: $(VENV)/.dev fuzz
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
 	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
 	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
-	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py
+	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py tests/install/test_release.py
+
+# Whatever reads bytes that others wrote, under a fuzzer that looks which lines they reach: a minute for each of TARGETS, or SECONDS.
+SECONDS ?= 60
+TARGETS ?=
+fuzz: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,fuzz]'
+	$(BIN)/python -m tests.fuzz.run --seconds $(SECONDS) $(TARGETS)
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
 	$(PYTEST) --quick --quiet --numprocesses 2 --dist loadfile --no-loadscope-reorder \
 	  -m 'not slow and not alone and not page and not starts'
+
+# The quick tests with the oldest versions of what failstop needs that pyproject.toml allows, then with the newest.
+bounds: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check uv
+	@$(BIN)/python packaging/bounds.py $(VENV)/bounds
+
+# The workflows of .github by their linter.
+workflows: $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check 'zizmor>=1.20'
+	$(BIN)/zizmor --offline --persona pedantic .github
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python
