@@ -1,5 +1,5 @@
-"""`make bounds`: the quick tests with the oldest versions that pyproject.toml allows, on the oldest Python that is here,
-and with the newest, on the newest Python.
+"""`make bounds`: the quick tests with the oldest versions that pyproject.toml allows, on the oldest Python here, then with
+the newest, on the newest Python.
 
 Wheels alone: a bound without one is not tested by anybody, and is named by the resolver as one that can't be met.
 """
@@ -54,7 +54,10 @@ def main(at: Path) -> int:
         ask = "import importlib.metadata as m, sys; print(*(f'{n} {m.version(n)}' for n in sys.argv[1:]), sep=', ')"
         told = subprocess.run([place / "bin/python", "-c", ask, *SHOWN], capture_output=True, text=True, check=False)
         verdict = "FAILED" if done.returncode else "good"
-        print(f"{name}, Python {version}: {verdict}, {time.monotonic() - start_s:.0f} s ({told.stdout.strip()})", flush=True)
+        print(
+            f"{name}, Python {version}: {verdict}, {time.monotonic() - start_s:.0f} s ({told.stdout.strip()})",
+            flush=True,
+        )
         wrong += bool(done.returncode)
     return int(wrong > 0)
 

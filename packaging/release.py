@@ -111,11 +111,12 @@ def stage(version: str, source: Path) -> None:
     change(source / "failstop/version.py", r'VERSION = ".*"', f'VERSION = "{version}"')
     change(source / "CHANGELOG.md", r"## Unreleased", f"## {version}", needed=False)
     for package in sorted(source.glob("failstop/ros2/packages/*/package.xml")):
-        change(package, r"<version>.*</version>", f"<version>{version.partition('rc')[0]}</version>")
+        change(package, r"<version>.*</version>", f"<version>{version}</version>")
+    change(source / "failstop/ros2/packages/failstop_ros2/setup.py", r'version=".*"', f'version="{version}"')
     moment = int(os.environ["SOURCE_DATE_EPOCH"])
     for path in [source, *source.rglob("*")]:
         if not path.is_symlink():
-            path.chmod(EXECUTABLE if path.is_dir() or os.access(path, os.X_OK) and path.stat().st_mode & 0o100 else PLAIN)
+            path.chmod(EXECUTABLE if path.is_dir() or path.stat().st_mode & 0o100 else PLAIN)
             os.utime(path, (moment, moment))
 
 
@@ -128,7 +129,7 @@ def change(path: Path, pattern: str, new: str, *, needed: bool = True) -> None:
 
 
 def fetched(source: Path, folder: Path, machine: str) -> list[Path]:
-    """The wheels of what failstop needs with its extras, for a machine and this Python; fetched where there are none."""
+    """The wheels of what failstop needs with its extras, for a machine and this Python; fetched where none are."""
     if not folder.exists():
         if sys.version_info >= (3, 11):
             import tomllib

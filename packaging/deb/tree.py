@@ -96,8 +96,8 @@ def write(entries: Collection[Entry], directory: Path) -> None:
 
 
 def _compile(path: Path, place: str) -> None:
-    """Beside the module, by its time: what is compiled by a hash is read twice at each start. Where SOURCE_DATE_EPOCH is
-    set, dpkg-deb gives the module that time."""
+    """Beside the module, by its time: what is compiled by a hash is read twice at each start. The time is that of
+    SOURCE_DATE_EPOCH, where it is set: dpkg-deb gives it to the module too."""
     if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
         os.utime(path, (int(epoch), int(epoch)))
     py_compile.compile(str(path), dfile=place, doraise=True, invalidation_mode=py_compile.PycInvalidationMode.TIMESTAMP)
