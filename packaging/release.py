@@ -35,6 +35,7 @@ MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBC = ("manylinux2014", "manylinux_2_17", "manylinux_2_27", "manylinux_2_28")
 """Tags of the wheels that run on what the packages are for: Ubuntu 22.04 and Debian 12 have newer ones."""
 EXTRAS = ("fleet", "web")
+LAB = "failstop-lab"
 MAINTAINER = {"DEBFULLNAME": "failstop developers", "DEBEMAIL": "failstop@example.org"}
 VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
 EXECUTABLE, PLAIN = 0o755, 0o644
@@ -80,7 +81,8 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
         unpack(fetched(source, wheels / architecture, machine), sites[architecture])
     find = tree.finder(next(iter(sites.values())))
     bill = sbom.text(sbom.needing(version, tree.needed(EXTRAS, find)))
-    python(source, folder / "built", environ, bill, out)
+    laboratory = sbom.text(sbom.needing(version, (), LAB))
+    python(source, folder / "built", environ, {"failstop": bill, LAB.replace("-", "_"): laboratory}, out)
     for architecture, site in sites.items():
         run(
             *(sys.executable, "packaging/deb/build.py", "--out", out, "--architecture", architecture, "--site", site),
@@ -151,14 +153,14 @@ def unpack(wheels: Sequence[Path], site: Path) -> None:
             packed.extractall(site, [name for name in packed.namelist() if ".data/" not in name])
 
 
-def python(source: Path, built: Path, environ: Mapping[str, str], bill: str, out: Path) -> None:
-    """The sdist, the wheel that is built from it, and the laboratory's."""
+def python(source: Path, built: Path, environ: Mapping[str, str], bills: Mapping[str, str], out: Path) -> None:
+    """The sdist, the wheel that is built from it, and the laboratory's; `bills` by what a wheel's name begins with."""
     build = (sys.executable, "-m", "build", "--no-isolation")
     run(*build, "--outdir", built, ".", cwd=source, environ=environ)
     run(*build, "--wheel", "--outdir", built, "packaging/lab", cwd=source, environ=environ)
     for path in sorted(built.iterdir()):
         if path.suffix == ".whl":
-            with_bill(path, out / path.name, bill)
+            with_bill(path, out / path.name, bills[path.name.partition("-")[0]])
         else:
             steady(path, out / path.name)
 

@@ -27,16 +27,16 @@ def packed(version: str, held: Iterable[Distribution], architecture: str) -> Bil
     return bill(version, f"pkg:deb/failstop@{version}?arch={architecture}", held, "holds")
 
 
-def needing(version: str, needed: Iterable[Distribution]) -> Bill:
+def needing(version: str, needed: Iterable[Distribution], name: str = "failstop") -> Bill:
     """Of a wheel, which holds none of these, and is installed beside them; their versions are those of the release."""
-    return bill(version, f"pkg:pypi/failstop@{version}", needed, "needs")
+    return bill(version, f"pkg:pypi/{name}@{version}", needed, "needs", name)
 
 
-def bill(version: str, purl: str, others: Iterable[Distribution], how: str) -> Bill:
+def bill(version: str, purl: str, others: Iterable[Distribution], how: str, name: str = "failstop") -> Bill:
     """A bill of materials. `how` the others belong to it: holds, needs. Its number follows from what it says."""
     rows = sorted((component(other) for other in others), key=lambda row: str(row["purl"]))
     licence = [{"license": {"id": OURS}}]
-    ours = {"type": "application", "bom-ref": purl, "name": "failstop", "version": version, "purl": purl}
+    ours = {"type": "application", "bom-ref": purl, "name": name, "version": version, "purl": purl}
     moment = time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
     body: Bill = {
         "metadata": {
