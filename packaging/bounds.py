@@ -1,5 +1,5 @@
-"""`make bounds`: the quick tests with the oldest versions that pyproject.toml allows, on the oldest Python here; then the
-newest, on the newest Python.
+"""`make bounds`: the quick tests with the oldest versions that pyproject.toml allows, on the oldest Python here; then
+with the newest, on the newest Python.
 
 Wheels alone: a bound without one is not tested by anybody, and is named by the resolver as one that can't be met.
 """
