@@ -142,7 +142,9 @@ def fetched(source: Path, folder: Path, machine: str) -> list[Path]:
         platforms = [word for glibc in GLIBC for word in ("--platform", f"{glibc}_{machine}")]
         pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check")
         only = ("--only-binary=:all:", "--implementation", "cp", "--python-version", tree.PYTHON.removeprefix("python"))
-        run(*pip, *only, *platforms, "--dest", folder, *wanted, cwd=source)
+        part = folder.with_suffix(".part")
+        run(*pip, *only, *platforms, "--dest", part, *wanted, cwd=source)
+        part.rename(folder)
     return sorted(folder.glob("*.whl"))
 
 

@@ -182,7 +182,7 @@ def test_a_report_is_one_file_with_what_is_asked_next_and_no_secret(
     told = json.loads(text := report.read_text())
     assert told["version"] == VERSION
     assert told["packages"]["msgpack"]
-    assert told["settings"]["gate.lease_s"] == told["incident"]["settings"]["gate.lease_s"]
+    assert told["settings"]["gate.lease_s"] == float(told["incident"]["settings"]["gate.lease_s"])
     assert told["incident"]["reason"].startswith("stop request: smoke")
     assert told["settings"]["still.command"] == told["incident"]["settings"]["still.command"] == LEFT_OUT
     assert "hunter2" not in text
