@@ -31,6 +31,8 @@ HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SYSTEMD = CHECKOUT / "systemd"
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
+DEBIAN = re.sub(r"(a|b|rc)", r"~\1", VERSION)
+"""The version as dpkg orders it: a trial of a version comes before it."""
 EXTRAS = ("fleet", "web")
 """Those of failstop's whose needs the package brings along."""
 ROBOT, LABORATORY = "failstop", "failstop-lab"
@@ -153,7 +155,7 @@ def changelog(package: str) -> str:
     """A version as Debian wants to see it."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
-    return f"{package} ({VERSION}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"
+    return f"{package} ({DEBIAN}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"
 
 
 def newest_libc(root: Path) -> str:
@@ -169,7 +171,7 @@ def _control(root: Path, package: str, architecture: str) -> None:
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     regular = [path for path in regular if path.parent.name != "DEBIAN"]
     words = {
-        "version": VERSION,
+        "version": DEBIAN,
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
         "architecture": architecture,
