@@ -168,7 +168,7 @@ def python(source: Path, built: Path, environ: Mapping[str, str], bills: Mapping
 
 
 def with_bill(wheel: Path, new: Path, bill: str) -> None:
-    """The same wheel with its SBOM where PEP 770 wants it, and with fixed order, times and modes."""
+    """A wheel with its SBOM where PEP 770 wants it, and with fixed order, times and modes."""
     with zipfile.ZipFile(wheel) as old:
         files = {name: old.read(name) for name in old.namelist()}
     (record,) = (name for name in files if name.endswith(".dist-info/RECORD"))
@@ -190,7 +190,7 @@ def _hash(data: bytes) -> str:
 
 
 def steady(sdist: Path, new: Path) -> None:
-    """The same archive with fixed order, owner, times and modes."""
+    """An sdist with fixed order, owner, times and modes."""
     inside = io.BytesIO()
     with tarfile.open(sdist) as old, tarfile.open(fileobj=inside, mode="w", format=tarfile.PAX_FORMAT) as packed:
         for row in sorted(old, key=lambda row: row.name):
@@ -204,7 +204,7 @@ def steady(sdist: Path, new: Path) -> None:
 
 
 def notes(changes: str, version: str) -> str:
-    """What the changelog says of this version."""
+    """The changelog's part on this version."""
     parts = re.split(r"^## (.+)$", changes, flags=re.MULTILINE)
     for title, text in zip(parts[1::2], parts[2::2], strict=True):
         if title.split()[0] == version:
@@ -226,7 +226,7 @@ def first_difference(one: Path, other: Path) -> str:
 
 
 def members(path: Path) -> dict[str, bytes]:
-    """What an archive holds, by name."""
+    """The files in an archive, by name."""
     if path.suffix == ".whl":
         with zipfile.ZipFile(path) as packed:
             return {name: packed.read(name) for name in packed.namelist()}
@@ -245,7 +245,7 @@ def _content(packed: tarfile.TarFile, row: tarfile.TarInfo) -> bytes:
 
 
 def said(*words: str) -> str:
-    """What a command prints, in the checkout."""
+    """The words that a command prints, in the checkout."""
     return subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
 
 

@@ -37,7 +37,7 @@ EXTRAS = ("fleet", "web")
 """Those of failstop's whose needs the package brings along."""
 ROBOT, LABORATORY = "failstop", "failstop-lab"
 BILL = "usr/share/doc/failstop/failstop.cdx.json"
-"""What the package holds of others, as CycloneDX."""
+"""The packages of others that it holds, as CycloneDX."""
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 UNITS = "usr/lib/systemd/system"

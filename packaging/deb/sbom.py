@@ -63,7 +63,7 @@ def component(other: Distribution) -> Bill:
 
 
 def licence(other: Distribution) -> Bill:
-    """What the package says of its licence: an SPDX expression, a classifier, or words of its own."""
+    """The package's word on its licence: an SPDX expression, a classifier, or words of its own."""
     told = other.metadata
     if expression := told.get("License-Expression"):
         return {"expression": expression}

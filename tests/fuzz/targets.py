@@ -42,7 +42,7 @@ ROBOT = "uagv/v2/failstop/robot7"
 
 
 class Target(NamedTuple):
-    """What is fuzzed."""
+    """One reader that is fuzzed."""
 
     run: Callable[[bytes], object]
     """Raises for a defect alone."""
@@ -50,7 +50,7 @@ class Target(NamedTuple):
 
 
 def decoders(data: bytes) -> None:
-    """What every kind of board says: the same in one piece as in two."""
+    """Words of every kind of board: the same in one piece as in two."""
     at = data[0] if data else 0
     for kind in BOARDS:
         board = BOARDS[kind]
@@ -115,7 +115,7 @@ def settings(data: bytes) -> None:
 
 
 def page(data: bytes) -> None:
-    """What a browser sends: messages, headers, codes, the stick; and the file of paired devices."""
+    """All that a browser sends: messages, headers, codes, the stick; and the file of paired devices."""
     found = messages.read(data)
     text = data.decode("utf-8", "replace")
     for said in (text, str(found.get("drive") or "")):
@@ -131,7 +131,7 @@ def page(data: bytes) -> None:
 
 
 def fleet(data: bytes) -> None:
-    """What a broker passes on, whoever published it: packets, states, connections, stops."""
+    """All that a broker passes on, whoever published it: packets, states, connections, stops."""
     packets = wire.MqttWire()
     with contextlib.suppress(wire.Malformed):
         packets.feed(data)

@@ -38,8 +38,6 @@ SHOWN = {
     OK: (style.OK, "fine"),
 }
 """The colour of a level, and what those of it are counted as."""
-BESIDE = ("numpy", "posix-ipc", "pyserial", "msgpack", "psutil", "tornado", "paho-mqtt")
-"""Packages whose versions a report tells."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
 """Settings whose values may tell a password, or where the robot is."""
 LEFT_OUT = "(left out)"
@@ -76,29 +74,26 @@ def main(arguments: Namespace) -> int:
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
-    """What was found, with what whoever helps asks for next. The values of WITHHELD and the host's name are left out
-    wherever they stand."""
-    there = {str(package.metadata["Name"]).lower().replace("_", "-"): package.version for package in distributions()}
+    """The findings, versions, settings and the last incident, without the values of WITHHELD and the host's name."""
     try:
         incident = story.as_dict(Incident.read(files.find(files.LAST, look.name, os.environ)))
     except FailstopError as error:
         incident = {"none": str(error)}
-    settings = look.told.flat()
-    packages = {name: there[name] for name in BESIDE if name in there}
+    settings, packages = look.told.flat(), {str(one.metadata["Name"]): one.version for one in distributions()}
     private = {str(each.get(key, "")) for each in (settings, incident.get("settings", {})) for key in WITHHELD}
     # The longest first: one may be part of another.
     words = sorted({*private, incident.get("host", "")} - {""}, key=len, reverse=True)
-    whole = {**told, "packages": packages, "settings": settings, "incident": incident}
-    return json.dumps(_without(words, whole), indent=2) + "\n"
+    told = {**told, "packages": packages, "settings": settings, "incident": incident}
+    return json.dumps(_without(words, told), indent=2) + "\n"
 
 
 def _without(words: list[str], told: Any) -> Any:
-    if isinstance(told, (dict, list)):
-        pairs = told.items() if isinstance(told, dict) else enumerate(told)
-        found = {key: _without(words, value) for key, value in pairs}
-        return found if isinstance(told, dict) else list(found.values())
-    for word in words:
-        told = told.replace(word, LEFT_OUT) if isinstance(told, str) else told
+    if isinstance(told, dict):
+        return {key: _without(words, value) for key, value in told.items()}
+    if isinstance(told, list):
+        return [_without(words, value) for value in told]
+    for word in words if isinstance(told, str) else ():
+        told = told.replace(word, LEFT_OUT)
     return told
 
 
