@@ -65,13 +65,13 @@ def component(other: Distribution) -> Bill:
 def licence(other: Distribution) -> Bill:
     """The package's word on its licence: an SPDX expression, a classifier, or words of its own."""
     told = other.metadata
-    if expression := told.get("License-Expression"):
-        return {"expression": expression}
+    if "License-Expression" in told:
+        return {"expression": told["License-Expression"]}
     classifiers = [line.rpartition(" :: ")[2] for line in told.get_all("Classifier") or () if "License ::" in line]
     for line in classifiers:
         if line in CLASSIFIERS:
             return {"license": {"id": CLASSIFIERS[line]}}
-    words = (classifiers or (told.get("License") or "not said").strip().splitlines())[0]
+    words = (classifiers or (told.get_all("License") or ["not said"])[0].strip().splitlines())[0]
     return {"license": {"name": words}}
 
 

@@ -40,7 +40,6 @@ SHOWN = {
 """The colour of a level, and what those of it are counted as."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
 """Settings whose values may tell a password, or where the robot is."""
-LEFT_OUT = "(left out)"
 UNBROKEN = 1 << 16
 """As many columns as leave a finding on one line, and each remedy."""
 
@@ -93,7 +92,7 @@ def _without(words: list[str], told: Any) -> Any:
     if isinstance(told, list):
         return [_without(words, value) for value in told]
     for word in words if isinstance(told, str) else ():
-        told = told.replace(word, LEFT_OUT)
+        told = told.replace(word, "(left out)")
     return told
 
 
