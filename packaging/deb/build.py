@@ -129,7 +129,9 @@ def files() -> dict[str, str]:
 def papers(package: str) -> dict[str, str]:
     """Files that Debian wants to see in each package, by path."""
     licences = f"\nThe packages below {tree.PREFIX} have licences of their own, in their .dist-info directories.\n"
+    overrides = HERE / f"{package}.lintian-overrides"
     return {
+        f"usr/share/lintian/overrides/{package}": overrides.read_text(),
         f"usr/share/doc/{package}/changelog.gz": changelog(package),
         f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + licences,
     }

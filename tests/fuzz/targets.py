@@ -23,7 +23,7 @@ from failstop.board.kinds import board_of
 from failstop.fleet import levels, sender, signed, topics, view, wire
 from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
-from failstop.incidents import files, story
+from failstop.incidents import files
 from failstop.incidents.incident import Incident
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import box, packing, records
@@ -98,8 +98,7 @@ def incident(data: bytes) -> None:
     SCRATCH.write_bytes(files.MAGIC + lengths + head + body)
     try:
         with contextlib.suppress(FailstopError):
-            found = Incident.read(str(SCRATCH))
-            json.dumps(story.as_dict(found))
+            Incident.read(str(SCRATCH))
     finally:
         SCRATCH.unlink()
 
