@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb vm wheels clean vm-arm64
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb release vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -25,8 +25,8 @@ test: $(VENV)/.dev lint
 	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
 	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
 
-# Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
-campaigns: $(VENV)/.dev
+# Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
+campaigns: $(VENV)/.dev fuzz
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
 	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
@@ -34,13 +34,30 @@ campaigns: $(VENV)/.dev
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
 	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
 	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py \
-	  tests/setup tests/probe tests/ros2/test_probe.py
+	  tests/setup tests/probe tests/ros2/test_probe.py tests/install/test_release.py
 	$(BIN)/failstop simulate
+
+# Whatever reads bytes that others wrote, under a fuzzer that looks which lines they reach: a minute for each of TARGETS, or SECONDS.
+SECONDS ?= 60
+TARGETS ?=
+fuzz: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,fuzz]'
+	$(BIN)/python -m tests.fuzz.run --seconds $(SECONDS) $(TARGETS)
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
 	$(PYTEST) --quick --quiet --numprocesses 2 --dist loadfile --no-loadscope-reorder \
 	  -m 'not slow and not alone and not page and not starts'
+
+# The quick tests with the oldest versions of what failstop needs that pyproject.toml allows, then with the newest.
+bounds: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check uv
+	@$(BIN)/python packaging/bounds.py $(VENV)/bounds
+
+# The workflows of .github by their linter.
+workflows: $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check 'zizmor>=1.20'
+	$(BIN)/zizmor --offline --persona pedantic .github
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python
@@ -50,7 +67,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy packaging/deb/*.py
+	$(BIN)/mypy packaging/deb/*.py packaging/release.py
 
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
@@ -157,6 +174,13 @@ web: $(VENV)/.dev browser
 deb: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python packaging/deb/build.py
+
+# Everything of a release, in dist/VERSION (CONTRIBUTING.md): of the last commit, and equal to the byte whoever builds it.
+VERSION ?=
+release: $(VENV)/.installed
+	@[ -n "$(VERSION)" ] || { echo "which version? make release VERSION=0.2.0"; exit 1; }
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
+	@$(BIN)/python packaging/release.py $(VERSION)
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

@@ -66,5 +66,5 @@ class Seen:
             found = json.loads(data)
             ids = {str(known): float(date_s) for known, date_s in found["ids"].items()}
             return cls(tolerance_s, ids, float(found["floor_s"]))
-        except (TypeError, KeyError, AttributeError) as error:
+        except (TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(str(error)) from None

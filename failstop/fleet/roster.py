@@ -77,7 +77,7 @@ class Roster:
                 _take_state(known, found, None if retained else now_s)
             else:
                 return
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             self.strange += 1
             return
         self.robots[robot] = known
@@ -88,7 +88,7 @@ class Roster:
 
 
 def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
-    """Raises ValueError, KeyError, TypeError, AttributeError for what is no state."""
+    """Raises ValueError, KeyError, TypeError, AttributeError, OverflowError for what is no state."""
     told = {row["infoType"]: str(row.get("infoDescription", "")) for row in found.get("information", ())}
     errors = found["errors"]
     stop = found["safetyState"]["eStop"]
@@ -114,7 +114,9 @@ def _natural(name: str) -> list[tuple[int, int, str]]:
             digits += c
             continue
         if digits:
-            parts.append((0, int(digits), ""))
+            # By length first, as numbers: one of thousands of digits is none that Python reads.
+            number = digits.lstrip("0")
+            parts.append((0, len(number), number))
             digits = ""
         parts.append((1, 0, c))
     return parts

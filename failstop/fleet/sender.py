@@ -108,5 +108,5 @@ def connection_word(payload: bytes) -> str:
     """The state in a connection message; empty for one that was taken away, or is none."""
     try:
         return str(json.loads(payload)["connectionState"]) if payload else ""
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ""

@@ -52,7 +52,10 @@ def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
         raise Forged("no signed message") from None
     if not genuine:
         raise Forged("signed with another key")
-    body = json.loads(text)
+    try:
+        body = json.loads(text)
+    except (ValueError, RecursionError):
+        body = None
     if not isinstance(body, dict):
         raise Forged("no message")
     return body

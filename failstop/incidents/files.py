@@ -106,8 +106,8 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
         if what == "body":
             # A body that is cut off here can't be unpacked.
             data = zlib.decompressobj().decompress(data, LONGEST_BODY)
-        found: dict[str, Any] = msgpack.unpackb(data, strict_map_key=False)
-    except (zlib.error, ValueError, msgpack.UnpackException) as error:
+        found: dict[str, Any] = dict(msgpack.unpackb(data, strict_map_key=False))
+    except (zlib.error, ValueError, TypeError, msgpack.UnpackException) as error:
         raise IncidentError(f"{path} is damaged: its {what} can't be decoded ({error})") from None
     return found
 

@@ -148,7 +148,7 @@ class Incident:
         head, body = files.read(path)
         try:
             return cls(files.identity(path), head, body)
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise IncidentError(f"{path} is no incident as failstop writes them ({error!r})") from None
 
     def _entries(self, segment: str, name: str, decode: Callable[[bytes], Payload | None]) -> list[tuple[int, Payload]]:

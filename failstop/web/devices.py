@@ -97,7 +97,7 @@ class Devices:
             found = tuple(
                 Device(str(row["id"]), clean(str(row["name"])), str(row["digest"]), float(row["made"])) for row in rows
             )
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             raise ValueError(f"no list of devices ({error})") from None
         return cls(found)
 

@@ -10,6 +10,7 @@ import argparse
 import email.utils
 import gzip
 import hashlib
+import importlib.metadata
 import os
 import re
 import subprocess
@@ -19,6 +20,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
+import sbom
 import tree
 from tree import BuildError, Entry
 
@@ -29,9 +31,13 @@ HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SYSTEMD = CHECKOUT / "systemd"
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
+DEBIAN = re.sub(r"(a|b|rc)", r"~\1", VERSION)
+"""The version as dpkg orders it: a trial of a version comes before it."""
 EXTRAS = ("fleet", "web")
 """Those of failstop's whose needs the package brings along."""
 ROBOT, LABORATORY = "failstop", "failstop-lab"
+BILL = "usr/share/doc/failstop/failstop.cdx.json"
+"""The packages of others that it holds, as CycloneDX."""
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 UNITS = "usr/lib/systemd/system"
@@ -54,15 +60,19 @@ def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree
     """Build them, print their paths, and what to type next. `words`: others than the command line's; `interpreter`: the
     system's."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
-    out = parser.parse_args(words).out
+    add = parser.add_argument
+    add("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
+    add("--architecture", help="Debian's word, with --site (default: this machine's)")
+    add("--site", type=Path, help="unpacked wheels for that architecture, instead of the environment's packages")
+    arguments = parser.parse_args(words)
+    out = arguments.out
     try:
-        if not os.access(interpreter, os.X_OK):
+        if not arguments.site and not os.access(interpreter, os.X_OK):
             advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"
             raise BuildError(f"the package is for the system's {interpreter}, which is not here; {advice}")
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
-            packages = build(Path(directory), out)
+            packages = build(Path(directory), out, arguments.architecture, arguments.site)
     except BuildError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -72,15 +82,25 @@ def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree
     return 0
 
 
-def build(directory: Path, out: Path) -> list[Path]:
-    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. Raises BuildError."""
-    whole = tree.running(EXTRAS)
+def build(directory: Path, out: Path, architecture: str | None = None, site: Path | None = None) -> list[Path]:
+    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. `site`: a folder with
+    the packages that failstop needs, for this architecture; else they are the environment's, for this machine. Raises
+    BuildError."""
+    architecture = architecture or _said("dpkg", "--print-architecture")
+    find = tree.finder(site) if site else importlib.metadata.distribution
+    whole = tree.running(EXTRAS, find)
     inside = [entry for entry in whole if entry.path.startswith(LAB)]
     robots = [entry for entry in whole if not entry.path.startswith(LAB)]
-    return [pack(ROBOT, robots, files(), directory, out), pack(LABORATORY, inside, papers(LABORATORY), directory, out)]
+    texts = files() | {BILL: sbom.text(sbom.packed(VERSION, tree.needed(EXTRAS, find), architecture))}
+    return [
+        pack(ROBOT, robots, texts, directory, out, architecture),
+        pack(LABORATORY, inside, papers(LABORATORY), directory, out, architecture),
+    ]
 
 
-def pack(name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path) -> Path:
+def pack(
+    name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path, architecture: str
+) -> Path:
     """One package of these files of the environment, and of these texts."""
     root = directory / name
     tree.write(entries, root / tree.PREFIX.lstrip("/"))
@@ -89,7 +109,7 @@ def pack(name: str, entries: Collection[Entry], texts: Mapping[str, str], direct
     if name == ROBOT:
         (root / "usr/bin").mkdir(parents=True)
         (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
-    _control(root, name)
+    _control(root, name, architecture)
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
     # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
@@ -109,7 +129,9 @@ def files() -> dict[str, str]:
 def papers(package: str) -> dict[str, str]:
     """Files that Debian wants to see in each package, by path."""
     licences = f"\nThe packages below {tree.PREFIX} have licences of their own, in their .dist-info directories.\n"
+    overrides = HERE / f"{package}.lintian-overrides"
     return {
+        f"usr/share/lintian/overrides/{package}": overrides.read_text(),
         f"usr/share/doc/{package}/changelog.gz": changelog(package),
         f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + licences,
     }
@@ -135,7 +157,7 @@ def changelog(package: str) -> str:
     """A version as Debian wants to see it."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
-    return f"{package} ({VERSION}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"
+    return f"{package} ({DEBIAN}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"
 
 
 def newest_libc(root: Path) -> str:
@@ -146,15 +168,15 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, package: str) -> None:
+def _control(root: Path, package: str, architecture: str) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     regular = [path for path in regular if path.parent.name != "DEBIAN"]
     words = {
-        "version": VERSION,
+        "version": DEBIAN,
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
-        "architecture": _said("dpkg", "--print-architecture"),
+        "architecture": architecture,
         "python": tree.PYTHON,
         "libc": newest_libc(root),
     }

@@ -92,7 +92,28 @@ def write(entries: Collection[Entry], directory: Path) -> None:
             # A package may have files for another Python version.
             with warnings.catch_warnings(), contextlib.suppress(py_compile.PyCompileError):
                 warnings.simplefilter("ignore")
-                py_compile.compile(str(path), dfile=f"{PREFIX}/{entry.path}", doraise=True)
+                _compile(path, f"{PREFIX}/{entry.path}")
+
+
+def _compile(path: Path, place: str) -> None:
+    """Beside the module, by its time: what is compiled by a hash is read twice at each start. The time is that of
+    SOURCE_DATE_EPOCH, where it is set: dpkg-deb gives it to the module too."""
+    if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
+        os.utime(path, (int(epoch), int(epoch)))
+    py_compile.compile(str(path), dfile=place, doraise=True, invalidation_mode=py_compile.PycInvalidationMode.TIMESTAMP)
+
+
+def finder(site: Path) -> Find:
+    """Finds failstop where it runs, and every other package below this folder alone."""
+
+    def find(name: str) -> Distribution:
+        if name == "failstop":
+            return importlib.metadata.distribution(name)
+        for found in Distribution.discover(name=name, path=[str(site)]):
+            return found
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    return find
 
 
 def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Distribution]:

@@ -17,6 +17,7 @@ from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
 from failstop.cli.main import main
 from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
+from failstop.incidents import files
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
 from failstop.version import VERSION
@@ -165,6 +166,27 @@ def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str
         _, found = doctor("--name", name)
         assert stop_path(found)[0].startswith("ok: the service's last stop: acknowledged by the board after")
         assert (trial.robot.state.estop or "").startswith("stop request: smoke"), "the latch stays"
+
+
+def test_a_report_is_one_file_with_what_is_asked_next_and_no_secret(
+    doctor: Doctor, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report, config = tmp_path / "report.json", tmp_path / "mine.toml"
+    config.write_text("still.command = 'true \"hunter2\"'\n")
+    with Trial(name, ("--config", str(config))) as trial:
+        monkeypatch.setenv("STATE_DIRECTORY", trial.state)
+        trial.enable()
+        trial.robot.estop("smoke")
+        wait_for("the stop's file", lambda: bool(files.heads(name, files.folders(name, os.environ))[0]))
+        doctor.said("--name", name, "--report", str(report))
+    told = json.loads(text := report.read_text())
+    assert told["version"] == VERSION
+    assert told["packages"]["msgpack"]
+    assert told["settings"]["gate.lease_s"] == float(told["incident"]["settings"]["gate.lease_s"])
+    assert told["incident"]["reason"].startswith("stop request: smoke")
+    assert told["settings"]["still.command"] == told["incident"]["settings"]["still.command"] == "(left out)"
+    assert "hunter2" not in text
+    assert told["incident"]["host"] == "(left out)"
 
 
 def test_for_people(doctor: Doctor, board: SimBoard, name: str) -> None:

@@ -1,4 +1,4 @@
-"""The modules of packaging/deb, which find each other as scripts do: beside themselves."""
+"""The modules of packaging/deb and packaging/release.py, which find each other as scripts do: beside themselves."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import sys
 from tests.support.pages import ROOT
 
 HERE = ROOT / "packaging" / "deb"
+PLACES = (str(HERE), str(HERE.parent))
 
-sys.path.insert(0, str(HERE))
+sys.path[:0] = PLACES
 try:
-    build, tree = map(importlib.import_module, ("build", "tree"))
+    build, tree, sbom, release = map(importlib.import_module, ("build", "tree", "sbom", "release"))
 finally:
-    sys.path.remove(str(HERE))
+    for place in PLACES:
+        sys.path.remove(place)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 from argparse import ArgumentParser, Namespace
+from importlib.metadata import distributions
+from typing import Any
 
+from failstop.api.errors import FailstopError
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
@@ -14,10 +18,13 @@ from failstop.doctor import table
 from failstop.doctor.look import FAIL, OK, SKIP, WARN, Finding, Look
 from failstop.doctor.machine import facts
 from failstop.files.instance import check_name
+from failstop.incidents import files, story
+from failstop.incidents.incident import Incident
 
 EXAMPLES = """\
 failstop doctor             # everything: 5 s; 10 s where no board answers
 failstop doctor --quick
+failstop doctor --report report.json    # to be sent along with a question
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 """
 
@@ -31,6 +38,8 @@ SHOWN = {
     OK: (style.OK, "fine"),
 }
 """The colour of a level, and what those of it are counted as."""
+WITHHELD = ("still.command", "web.hosts", "web.origin")
+"""Settings whose values may tell a password, or where the robot is."""
 UNBROKEN = 1 << 16
 """As many columns as leave a finding on one line, and each remedy."""
 
@@ -42,19 +51,49 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
     add("--quick", action="store_true", help="without the timing self-test, which takes 5 s")
     add("--json", action="store_true", help="for programs")
+    add("--report", metavar="FILE", help="write it with versions, settings and the last incident, without secrets")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    found = table.examine(Look(check_name(arguments.name), arguments.config, arguments.device, arguments.quick))
+    look = Look(check_name(arguments.name), arguments.config, arguments.device, arguments.quick)
+    found = table.examine(look)
     worst = found[0][1].level
-    if arguments.json:
-        records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
-        print(json.dumps({"worst": worst, **facts(), "findings": records}, indent=2))
+    records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
+    told = {"worst": worst, **facts(), "findings": records}
+    if arguments.report:
+        files.write_as(arguments.report, report(look, told).encode())
+        print(f"wrote {arguments.report}; read it before you send it: it has the reasons that people gave for a stop")
+    elif arguments.json:
+        print(json.dumps(told, indent=2))
     else:
         style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
     return 1 if worst == FAIL else 0
+
+
+def report(look: Look, told: dict[str, Any]) -> str:
+    """The findings, versions, settings and the last incident, without the values of WITHHELD and the host's name."""
+    try:
+        incident = story.as_dict(Incident.read(files.find(files.LAST, look.name, os.environ)))
+    except FailstopError as error:
+        incident = {"none": str(error)}
+    settings, packages = look.told.flat(), {str(one.metadata["Name"]): one.version for one in distributions()}
+    private = {str(each.get(key, "")) for each in (settings, incident.get("settings", {})) for key in WITHHELD}
+    # The longest first: one may be part of another.
+    words = sorted({*private, incident.get("host", "")} - {""}, key=len, reverse=True)
+    told = {**told, "packages": packages, "settings": settings, "incident": incident}
+    return json.dumps(_without(words, told), indent=2) + "\n"
+
+
+def _without(words: list[str], told: Any) -> Any:
+    if isinstance(told, dict):
+        return {key: _without(words, value) for key, value in told.items()}
+    if isinstance(told, list):
+        return [_without(words, value) for value in told]
+    for word in words if isinstance(told, str) else ():
+        told = told.replace(word, "(left out)")
+    return told
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:

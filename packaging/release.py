@@ -1,0 +1,260 @@
+"""`make release VERSION=x`: everything of a release, in dist/x: sdist, wheels, Debian packages for two architectures,
+what they hold of others (SBOM), notes, checksums.
+
+What the last commit holds is released, as that version, whatever lies in the checkout beside it. Built twice from one
+commit with the same wheels of others, all files are equal to the byte: their times are the commit's, and nothing of who
+builds them, where, and in which language goes in. Raises no service and writes to no index.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import gzip
+import hashlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "packaging" / "deb"))
+
+import sbom  # noqa: E402
+import tree  # noqa: E402
+
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
+"""Architectures by Debian's word, with Python's."""
+GLIBC = ("manylinux2014", "manylinux_2_17", "manylinux_2_27", "manylinux_2_28")
+"""Tags of the wheels that run on what the packages are for: Ubuntu 22.04 and Debian 12 have newer ones."""
+EXTRAS = ("fleet", "web")
+LAB = "failstop-lab"
+MAINTAINER = {"DEBFULLNAME": "failstop developers", "DEBEMAIL": "failstop@example.org"}
+VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
+EXECUTABLE, PLAIN = 0o755, 0o644
+
+
+class ReleaseError(Exception):
+    """Nothing is released; the message is one line with the remedy."""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Build it, and print what there is."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0] if __doc__ else None)
+    parser.add_argument("version")
+    parser.add_argument("--out", type=Path, help="the directory for it (default: dist/VERSION)")
+    parser.add_argument("--wheels", type=Path, help="keep the wheels of others here, and take those that are there")
+    arguments = parser.parse_args(words)
+    out = arguments.out or ROOT / "dist" / arguments.version
+    try:
+        with tempfile.TemporaryDirectory(prefix="failstop-release-") as folder:
+            made = release(arguments.version, out, Path(folder), arguments.wheels)
+    except (ReleaseError, subprocess.CalledProcessError) as error:
+        print(f"failstop: {error}", file=sys.stderr)
+        return 1
+    print(*made, sep="\n")
+    return 0
+
+
+def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -> list[Path]:
+    """Every file of the release, in `out`, which is emptied first; `folder` is to work in. Raises ReleaseError."""
+    if not VERSION.fullmatch(version):
+        raise ReleaseError(f"{version} is no version: it has three numbers, as 0.2.0, and rc1 behind them for a trial")
+    os.umask(0o022)
+    environ = surroundings()
+    os.environ["SOURCE_DATE_EPOCH"] = environ["SOURCE_DATE_EPOCH"]
+    source = folder / "source"
+    stage(version, source)
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    wheels = wheels or folder / "wheels"
+    sites = {}
+    for architecture, machine in MACHINES.items():
+        sites[architecture] = folder / architecture
+        unpack(fetched(source, wheels / architecture, machine), sites[architecture])
+    find = tree.finder(next(iter(sites.values())))
+    bill = sbom.text(sbom.needing(version, tree.needed(EXTRAS, find)))
+    laboratory = sbom.text(sbom.needing(version, (), LAB))
+    python(source, folder / "built", environ, {"failstop": bill, LAB.replace("-", "_"): laboratory}, out)
+    for architecture, site in sites.items():
+        run(
+            *(sys.executable, "packaging/deb/build.py", "--out", out, "--architecture", architecture, "--site", site),
+            cwd=source,
+            environ=environ | {"PYTHONPATH": str(source)},
+        )
+    (out / f"failstop-{version}.cdx.json").write_text(bill)
+    (out / "NOTES.md").write_text(notes((source / "CHANGELOG.md").read_text(), version))
+    made = sorted(out.iterdir())
+    sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in made)
+    (out / "SHA256SUMS").write_text(sums)
+    return [*made, out / "SHA256SUMS"]
+
+
+def surroundings() -> dict[str, str]:
+    """The environment of every step: the commit's time, and nothing of the machine's but where its programs are."""
+    moment = os.environ.get("SOURCE_DATE_EPOCH") or said("git", "log", "-1", "--format=%ct")
+    kept = {name: os.environ[name] for name in ("PATH", "HOME", *MAINTAINER) if name in os.environ}
+    fixed = {"SOURCE_DATE_EPOCH": moment, "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8", "TZ": "UTC"}
+    return MAINTAINER | kept | fixed
+
+
+def stage(version: str, source: Path) -> None:
+    """The last commit's files, with this version."""
+    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(archive)) as files:
+        files.extractall(source)
+    change(source / "failstop/version.py", r'VERSION = ".*"', f'VERSION = "{version}"')
+    change(source / "CHANGELOG.md", r"## Unreleased", f"## {version}", needed=False)
+    for package in sorted(source.glob("failstop/ros2/packages/*/package.xml")):
+        change(package, r"<version>.*</version>", f"<version>{version}</version>")
+    change(source / "failstop/ros2/packages/failstop_ros2/setup.py", r'version=".*"', f'version="{version}"')
+    moment = int(os.environ["SOURCE_DATE_EPOCH"])
+    for path in [source, *source.rglob("*")]:
+        if not path.is_symlink():
+            path.chmod(EXECUTABLE if path.is_dir() or path.stat().st_mode & 0o100 else PLAIN)
+            os.utime(path, (moment, moment))
+
+
+def change(path: Path, pattern: str, new: str, *, needed: bool = True) -> None:
+    """Put `new` for the one place that the pattern finds."""
+    text, count = re.subn(pattern, new, path.read_text(), count=1)
+    if needed and not count:
+        raise ReleaseError(f"{path.name} has no {pattern}, which is to become {new}")
+    path.write_text(text)
+
+
+def fetched(source: Path, folder: Path, machine: str) -> list[Path]:
+    """The wheels of what failstop needs with its extras, for a machine and this Python; fetched where none are."""
+    if not folder.exists():
+        if sys.version_info >= (3, 11):
+            import tomllib
+        else:
+            import tomli as tomllib
+        project = tomllib.loads((source / "pyproject.toml").read_text())["project"]
+        wanted = project["dependencies"] + [line for name in EXTRAS for line in project["optional-dependencies"][name]]
+        platforms = [word for glibc in GLIBC for word in ("--platform", f"{glibc}_{machine}")]
+        pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check")
+        only = ("--only-binary=:all:", "--implementation", "cp", "--python-version", tree.PYTHON.removeprefix("python"))
+        part = folder.with_suffix(".part")
+        run(*pip, *only, *platforms, "--dest", part, *wanted, cwd=source)
+        part.rename(folder)
+    return sorted(folder.glob("*.whl"))
+
+
+def unpack(wheels: Sequence[Path], site: Path) -> None:
+    """Lay wheels out as an installer does, without their scripts, which name the interpreter of whoever installs."""
+    for wheel in wheels:
+        with zipfile.ZipFile(wheel) as packed:
+            packed.extractall(site, [name for name in packed.namelist() if ".data/" not in name])
+
+
+def python(source: Path, built: Path, environ: Mapping[str, str], bills: Mapping[str, str], out: Path) -> None:
+    """The sdist, the wheel that is built from it, and the laboratory's; `bills` by what a wheel's name begins with."""
+    build = (sys.executable, "-m", "build", "--no-isolation")
+    run(*build, "--outdir", built, ".", cwd=source, environ=environ)
+    run(*build, "--wheel", "--outdir", built, "packaging/lab", cwd=source, environ=environ)
+    for path in sorted(built.iterdir()):
+        if path.suffix == ".whl":
+            with_bill(path, out / path.name, bills[path.name.partition("-")[0]])
+        else:
+            steady(path, out / path.name)
+
+
+def with_bill(wheel: Path, new: Path, bill: str) -> None:
+    """A wheel with its SBOM where PEP 770 wants it, and with fixed order, times and modes."""
+    with zipfile.ZipFile(wheel) as old:
+        files = {name: old.read(name) for name in old.namelist()}
+    (record,) = (name for name in files if name.endswith(".dist-info/RECORD"))
+    del files[record]
+    files[f"{os.path.dirname(record)}/sboms/failstop.cdx.json"] = bill.encode()
+    lines = [f"{name},sha256={_hash(data)},{len(data)}\n" for name, data in sorted(files.items())]
+    rows = [*sorted(files.items()), (record, "".join([*lines, f"{record},,\n"]).encode())]
+    with zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, data in rows:
+            # The oldest time that a zip has: it knows no zone, and the commit's stands in the sdist.
+            row = zipfile.ZipInfo(name)
+            row.external_attr = (0o100000 | PLAIN) << 16
+            row.compress_type = zipfile.ZIP_DEFLATED
+            packed.writestr(row, data)
+
+
+def _hash(data: bytes) -> str:
+    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+
+
+def steady(sdist: Path, new: Path) -> None:
+    """An sdist with fixed order, owner, times and modes."""
+    inside = io.BytesIO()
+    with tarfile.open(sdist) as old, tarfile.open(fileobj=inside, mode="w", format=tarfile.PAX_FORMAT) as packed:
+        for row in sorted(old, key=lambda row: row.name):
+            row.uid = row.gid = 0
+            row.uname = row.gname = ""
+            row.mtime = int(os.environ["SOURCE_DATE_EPOCH"])
+            row.mode = EXECUTABLE if row.isdir() or row.mode & 0o100 else PLAIN
+            row.pax_headers = {}
+            packed.addfile(row, old.extractfile(row) if row.isfile() else None)
+    new.write_bytes(gzip.compress(inside.getvalue(), 9, mtime=0))
+
+
+def notes(changes: str, version: str) -> str:
+    """The changelog's part on this version."""
+    parts = re.split(r"^## (.+)$", changes, flags=re.MULTILINE)
+    for title, text in zip(parts[1::2], parts[2::2], strict=True):
+        if title.split()[0] == version:
+            return f"# failstop {version}\n\n{text.strip()}\n"
+    raise ReleaseError(f"CHANGELOG.md has neither a part `## {version}` nor `## Unreleased`: write what is new")
+
+
+def first_difference(one: Path, other: Path) -> str:
+    """The first file of two releases that is not equal, with the first of its members that is not; empty: none."""
+    for name in sorted({path.name for folder in (one, other) for path in folder.iterdir()} - {"SHA256SUMS"}):
+        left, right = (folder / name for folder in (one, other))
+        if not left.exists() or not right.exists():
+            return f"{name} is in one of them alone"
+        if left.read_bytes() != right.read_bytes():
+            there, here = members(left), members(right)
+            names = [member for member in sorted({*there, *here}) if there.get(member) != here.get(member)]
+            return f"{name}: {names[0] if names else 'order, times, modes or compression'}"
+    return ""
+
+
+def members(path: Path) -> dict[str, bytes]:
+    """The files in an archive, by name."""
+    if path.suffix == ".whl":
+        with zipfile.ZipFile(path) as packed:
+            return {name: packed.read(name) for name in packed.namelist()}
+    data = path.read_bytes()
+    if path.suffix == ".deb":
+        data = subprocess.run(["dpkg-deb", "--fsys-tarfile", path], check=True, capture_output=True).stdout
+    elif path.suffix != ".gz":
+        return {path.name: data}
+    with tarfile.open(fileobj=io.BytesIO(data)) as packed:
+        return {row.name: f"{row.mtime} {row.mode} ".encode() + _content(packed, row) for row in packed}
+
+
+def _content(packed: tarfile.TarFile, row: tarfile.TarInfo) -> bytes:
+    found = packed.extractfile(row) if row.isfile() else None
+    return found.read() if found else row.linkname.encode()
+
+
+def said(*words: str) -> str:
+    """The words that a command prints, in the checkout."""
+    return subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def run(*words: str | Path, cwd: Path, environ: Mapping[str, str] | None = None) -> None:
+    """Run a step; what it says is shown where it fails."""
+    done = subprocess.run(words, cwd=cwd, env=environ, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ReleaseError(f"{' '.join(map(str, words[:4]))} failed:\n{done.stdout}{done.stderr}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

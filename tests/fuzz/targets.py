@@ -1,0 +1,220 @@
+"""Targets of the fuzzers: whatever reads bytes that others wrote, each as a function of bytes that may only fail as its
+docstring says, with examples of what it should understand."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import msgpack
+
+from failstop import config
+from failstop.api import words
+from failstop.api.errors import FailstopError
+from failstop.board.kinds import board_of
+from failstop.fleet import levels, sender, signed, topics, view, wire
+from failstop.fleet.replay import Seen
+from failstop.fleet.roster import Roster
+from failstop.incidents import files
+from failstop.incidents.incident import Incident
+from failstop.lab.sim.receiver import Receiver
+from failstop.messages import box, packing, records
+from failstop.policy import causes, layouts
+from failstop.policy.setting import SettingError
+from failstop.ros2 import trajectory
+from failstop.web import driving, guard, lease, messages
+from failstop.web.devices import Devices, typed
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "tests/incidents/kept/0.1.0-gate-died.incident"
+SCRATCH = Path(os.environ.get("XDG_RUNTIME_DIR", "/dev/shm")) / f"failstop-fuzz-{os.getpid()}"
+BOARDS = {kind: board_of(kind, 0.1, 0.0) for kind in layouts.BOARDS}
+KEY = bytes(32)
+ROBOT = "uagv/v2/failstop/robot7"
+
+
+class Target(NamedTuple):
+    """One reader that is fuzzed."""
+
+    run: Callable[[bytes], object]
+    """Raises for a defect alone."""
+    examples: tuple[bytes, ...] = ()
+
+
+def decoders(data: bytes) -> None:
+    """Words of every kind of board: the same in one piece as in two."""
+    at = data[0] if data else 0
+    for kind in BOARDS:
+        board = BOARDS[kind]
+        whole, pieces = board.hearing(), board.hearing()
+        assert repr(whole.feed(data)) == repr([*pieces.feed(data[:at]), *pieces.feed(data[at:])]), kind
+        for check in (lambda frame, board=board: board.check_motion(frame, 5.0), board.check_aux):
+            assert isinstance(check(data), str)
+        board.speeds(data)
+
+
+def receivers(data: bytes) -> None:
+    """The simulated firmware: in any state a burst stops it, whatever came before."""
+    at = data[0] if data else 0
+    whole, pieces = Receiver(), Receiver()
+    frames = [row[1:] for row in whole.feed(data)]
+    assert frames == [row[1:] for part in (data[:at], data[at:]) for row in pieces.feed(part)]
+    board = BOARDS["rrc"]
+    stop = board.stop
+    (func, _, *body) = stop[2:-1]
+    assert (func, bytes(body)) in [row[1:] for row in whole.feed(board.burst)]
+
+
+SHAPES: tuple[Callable[[bytes], object], ...] = (
+    *(value.unpack for value in vars(records).values() if isinstance(value, records.Shape)),
+    *(getattr(box, name) for name in dir(box) if name.startswith("unpack_")),
+    packing.Note.unpack,
+    causes.unpack,
+)
+
+
+def memory(data: bytes) -> None:
+    """Records of shared memory, which a hostile client writes: ValueError is damage, and nothing else is raised."""
+    for unpack in SHAPES:
+        with contextlib.suppress(ValueError):
+            unpack(data)
+    str(causes.read(data))
+    str(causes.requested(data))
+
+
+def incident(data: bytes) -> None:
+    """An incident that somebody sent, with right checksums."""
+    size = min(struct.unpack_from("<H", data)[0], len(data) - 2) if len(data) >= 2 else 0
+    head, body = data[2 : 2 + size], zlib.compress(data[2 + size :], 1)
+    lengths = struct.pack("<HHIIII", 1, 0, len(head), zlib.crc32(head), len(body), zlib.crc32(body))
+    SCRATCH.write_bytes(files.MAGIC + lengths + head + body)
+    try:
+        with contextlib.suppress(FailstopError):
+            Incident.read(str(SCRATCH))
+    finally:
+        SCRATCH.unlink()
+
+
+def settings(data: bytes) -> None:
+    """A file of settings: right, or refused with SettingError."""
+    SCRATCH.write_bytes(data)
+    try:
+        with contextlib.suppress(SettingError):
+            config.load(str(SCRATCH)).flat()
+    finally:
+        SCRATCH.unlink()
+
+
+def page(data: bytes) -> None:
+    """All that a browser sends: messages, headers, codes, the stick; and the file of paired devices."""
+    found = messages.read(data)
+    text = data.decode("utf-8", "replace")
+    for said in (text, str(found.get("drive") or "")):
+        wanted = driving.share(said)
+        assert wanted is None or all(math.isfinite(part) and abs(part) <= 1 for part in wanted)
+    held = lease.Lease(lease.key_of("token"))
+    nonce = held.ask(b"12345678", 1)
+    assert not held.take(nonce, str(found.get("answer")), str(found.get("drive") or ""))
+    guard.refusal(guard.PageRequest("POST", "http", text, text, "1", ""), frozenset(("robot",)))
+    typed(text)
+    with contextlib.suppress(ValueError):
+        Devices.load(data)
+
+
+def fleet(data: bytes) -> None:
+    """All that a broker passes on, whoever published it: packets, states, connections, stops."""
+    packets = wire.MqttWire()
+    with contextlib.suppress(wire.Malformed):
+        packets.feed(data)
+    heard = [(topic, payload) for topic, payload, _ in packets.messages()]
+    name, _, rest = data.partition(b"\0")
+    topic = f"{topics.of_robot('failstop', name.decode('utf-8', 'replace'), topics.STATE)}"
+    heard += [(topic, rest), (f"{ROBOT}/{topics.STATE}", data), (f"{ROBOT}/{topics.CONNECTION}", data)]
+    roster = Roster()
+    for topic, payload in heard:
+        roster.hear(topic, payload, 1.0, retained=False)
+    view.counts(roster.sorted())
+    view.table(roster.sorted(), 2.0, 2.0)
+    words.printable(sender.connection_word(data))
+    with contextlib.suppress(ValueError):
+        Seen.load(data, 1.0)
+    text = data.decode("utf-8", "replace")
+    genuine = json.dumps({"body": text, "mac": signed._mac(KEY, signed.STOP, text)}).encode()
+    for message in (data, genuine):
+        for read in (levels.read_order, levels.read_answer):
+            with contextlib.suppress(signed.Forged):
+                read(KEY, message)
+
+
+def _doubles(data: bytes) -> Iterator[float]:
+    yield from (value for (value,) in struct.iter_unpack("<d", data[: len(data) // 8 * 8]))
+
+
+def bridge(data: bytes) -> None:
+    """A trajectory of ROS, of any numbers: a way, or refused with FailstopError."""
+    joints, *rest = data or b"\0"
+    names = [f"joint{number % 3}" if number > 8 else f"joint{number}" for number in range(joints % 12)]
+    values = list(_doubles(bytes(rest)))
+    size = max(1, len(names))
+    rows = [values[at : at + size] for at in range(0, len(values), size)]
+    points: list[Any] = [
+        SimpleNamespace(
+            positions=row,
+            velocities=[],
+            accelerations=[],
+            effort=[],
+            time_from_start=SimpleNamespace(sec=number, nanosec=int(row[0]) % 10**9 if math.isfinite(row[0]) else 0),
+        )
+        for number, row in enumerate(rows)
+    ]
+    with contextlib.suppress(FailstopError):
+        trajectory.way(SimpleNamespace(joint_names=names, points=points))
+
+
+STATE = {
+    "timestamp": "2025-01-01T00:00:00.000Z",
+    "driving": True,
+    "errors": [{"errorType": "stopLatched", "errorLevel": "FATAL", "errorDescription": "x"}],
+    "safetyState": {"eStop": "NONE"},
+    "batteryState": {"batteryVoltage": 7.4},
+    "information": [{"infoType": "word", "infoDescription": "DRIVING"}],
+}
+ORDER = {"id": "0123456789abcdef", "t": 1.5, "reason": "smoke", "by": "anna", "robot": "r", "reached": {"asked": 0.1}}
+
+
+def _kept() -> bytes:
+    head, body = files.read(str(KEPT))
+    packed: bytes = msgpack.packb(head)
+    return struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
+
+
+DEEP = b"[" * 100_000
+"""No parser of Python goes so deep."""
+
+TARGETS: dict[str, Target] = {
+    "decoders": Target(decoders, tuple(b"\0" + BOARDS[kind].stop + BOARDS[kind].burst for kind in BOARDS)),
+    "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),
+    "memory": Target(memory, (records.asking("smoke", "anna", 7), bytes(64), msgpack.packb(["a", "b", "c", 0, {}]))),
+    "incident": Target(incident, (_kept(),)),
+    "settings": Target(settings, ((ROOT / "examples/failstop.toml").read_bytes(), b"[gate]\nlease_s = 0.1\n")),
+    "page": Target(page, (DEEP, b'{"attend":true,"nonce":"00","answer":"aa","drive":"0.1 0.2"}', b"[::1]:8080")),
+    "fleet": Target(
+        fleet,
+        (
+            json.dumps(STATE).encode(),
+            json.dumps(ORDER).encode(),
+            b'{"connectionState":"ONLINE"}',
+            b"0\x0e\0\x03a/bpayload\0",
+            DEEP,
+        ),
+    ),
+    "bridge": Target(bridge, (b"\2" + struct.pack("<4d", 0.1, 0.2, 0.3, 0.4),)),
+}

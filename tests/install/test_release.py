@@ -1,0 +1,121 @@
+"""A release: its files are equal to the byte whoever builds it, and say what they hold of others."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from tests.support.amounts import LONG
+from tests.support.deb import release, sbom, tree
+from tests.support.pages import ROOT
+
+WORLDS = (
+    {"umask": 0o022, "LC_ALL": "C", "TZ": "UTC", "PYTHONHASHSEED": "1"},
+    {
+        "umask": 0o077,
+        "LC_ALL": "C.UTF-8",
+        "TZ": "Asia/Kathmandu",
+        "PYTHONHASHSEED": "2",
+    },
+)
+"""Of whoever builds."""
+
+
+def test_a_version_that_is_none_and_a_changelog_without_it_are_named(tmp_path: Path) -> None:
+    with pytest.raises(release.ReleaseError, match="two is no version: it has three numbers"):
+        release.release("two", tmp_path / "out", tmp_path)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(release.ReleaseError, match=r"neither a part `## 0\.2\.0` nor"):
+        release.notes("# Changes\n\n## 0.1.0\n\n- x\n", "0.2.0")
+
+
+def test_the_notes_are_the_changelog_s_part() -> None:
+    changes = "# Changes\n\nWhat.\n\n## 0.2.0\n\n**Added**\n\n- new\n\n## 0.1.0\n\n- old\n"
+    assert release.notes(changes, "0.2.0") == "# failstop 0.2.0\n\n**Added**\n\n- new\n"
+    assert release.notes(changes, "0.1.0") == "# failstop 0.1.0\n\n- old\n"
+
+
+def wheel(path: Path, order: int, mode: int) -> Path:
+    """A small one, its files in one order or the other."""
+    rows = [("a/x.py", b"x = 1\n"), ("a-1.dist-info/METADATA", b"Name: a\n"), ("a-1.dist-info/RECORD", b"")][::order]
+    with zipfile.ZipFile(path, "w") as packed:
+        for name, data in rows:
+            row = zipfile.ZipInfo(name, (2000 + mode % 50, 1, 1, 0, 0, 0))
+            row.external_attr = mode << 16
+            packed.writestr(row, data)
+    return path
+
+
+def test_a_wheel_has_its_bill_and_nothing_of_who_packed_it(tmp_path: Path) -> None:
+    for number, (order, mode) in enumerate(((1, 0o600), (-1, 0o664))):
+        release.with_bill(wheel(tmp_path / "a.whl", order, mode), tmp_path / f"{number}.whl", "{}")
+    assert (tmp_path / "0.whl").read_bytes() == (tmp_path / "1.whl").read_bytes()
+    with zipfile.ZipFile(tmp_path / "0.whl") as packed:
+        assert packed.read("a-1.dist-info/sboms/failstop.cdx.json") == b"{}"
+        record = packed.read("a-1.dist-info/RECORD").decode().splitlines()
+    assert [line.split(",")[0] for line in record] == [
+        *sorted(row.split(",")[0] for row in record[:-1]),
+        "a-1.dist-info/RECORD",
+    ]
+    assert all(re.fullmatch(r"[^,]+,sha256=[\w-]{43},\d+", line) for line in record[:-1])
+
+
+def test_an_sdist_has_nothing_of_who_packed_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for number, (mode, names) in enumerate(((0o600, "ab"), (0o664, "ba"))):
+        with tarfile.open(tmp_path / "old.tar.gz", "w:gz") as packed:
+            for name in names:
+                (tmp_path / name).write_text(name)
+                (tmp_path / name).chmod(mode)
+                packed.add(tmp_path / name, name)
+        release.steady(tmp_path / "old.tar.gz", tmp_path / f"{number}.tar.gz")
+    assert (tmp_path / "0.tar.gz").read_bytes() == (tmp_path / "1.tar.gz").read_bytes()
+    assert set(release.members(tmp_path / "0.tar.gz")) == {"a", "b"}
+
+
+def test_the_bill_names_every_package_with_version_and_licence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    needed = tree.needed(("web", "fleet"))
+    bill = sbom.packed("0.2.0", needed, "arm64")
+    rows = {row["name"]: row for row in bill["components"]}
+    assert {"numpy", "posix-ipc", "tornado", "msgpack"} <= set(rows)
+    assert rows["numpy"]["version"] == metadata.version("numpy")
+    for name, row in rows.items():
+        (licence,) = row["licenses"]
+        assert licence.get("expression") or "not said" not in str(licence), name
+    refs = {row["bom-ref"] for row in bill["components"]}
+    assert {ref for row in bill["dependencies"] for ref in row.get("dependsOn", ())} == refs
+    assert bill == sbom.packed("0.2.0", needed[::-1], "arm64"), "whatever order they are found in"
+    assert json.loads(sbom.text(bill))["specVersion"] == "1.6"
+
+
+@pytest.mark.slow
+@pytest.mark.starts
+@pytest.mark.timeout(1800)
+@pytest.mark.skipif(not LONG, reason="`make campaigns` builds a release twice")
+def test_built_twice_it_is_equal_to_the_byte(tmp_path: Path) -> None:
+    found = []
+    for number, world in enumerate(WORLDS):
+        place = tmp_path / f"folder-{number}" / ("x" * number)
+        subprocess.run(["git", "clone", "--quiet", "--local", ROOT, place], check=True)
+        out = tmp_path / f"out-{number}"
+        words = {name: str(value) for name, value in world.items() if name != "umask"}
+        subprocess.run(
+            [sys.executable, place / "packaging/release.py", "0.9.0", "--out", out, "--wheels", tmp_path / "wheels"],
+            env={**os.environ, "HOME": str(place), **words},
+            umask=int(str(world["umask"])),
+            check=True,
+        )
+        found.append(out)
+    assert {path.suffix for path in found[0].iterdir()} >= {".whl", ".gz", ".deb", ".json", ".md"}
+    assert {path.name.rpartition("_")[2] for path in found[0].glob("failstop_*.deb")} == {"amd64.deb", "arm64.deb"}
+    assert release.first_difference(*found) == ""
