@@ -13,6 +13,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +49,9 @@ def main() -> int:
         limits = [f"-max_total_time={arguments.seconds}", f"-max_len={LONGEST}", "-timeout=10", "-rss_limit_mb=1024"]
         one(arguments.one, [*limits, f"-artifact_prefix={FOUND}/{arguments.one}-"])
         return 0
+    if not find_spec("atheris"):
+        print("no atheris here: it has wheels for Python 3.11 and newer (make fuzz PYTHON=python3.11)", file=sys.stderr)
+        return 1
     from tests.fuzz.targets import TARGETS
 
     failed = []
