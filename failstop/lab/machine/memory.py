@@ -293,11 +293,11 @@ class WeakMachine(Machine):
     # The schedule.
 
     def _switch(self, thread: Thread) -> None:
-        if (self.order or self.lowered) and self._runnable and not thread.process.dead:
-            best = min((thread, *self._runnable), key=self._rank)
+        if (self.order or self.lowered) and self.runnable and not thread.process.dead:
+            best = min((thread, *self.runnable), key=self._rank)
             if best is not thread:
-                self._runnable.remove(best)
-                self._runnable.appendleft(thread)
+                self.runnable.remove(best)
+                self.runnable.appendleft(thread)
                 thread = best
         super()._switch(thread)
 
