@@ -18,7 +18,7 @@ SILENCE_S = 0.02
 """Between the end of a timeout of commands or sensors and zero at the board: one period of the gate."""
 OWN_LINE_S = 0.012
 """Another board's line and loop, and the repeats of a stop that it may need: so much later than the first board it
-takes one. A USB adapter that forgets gaps adds 0.02 at the hoverboard (docs/boards.md)."""
+takes one. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 NO_PROCESS = "the cable is out or the machine is frozen"
 

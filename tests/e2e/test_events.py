@@ -37,7 +37,7 @@ def listener(simulated: Simulated) -> Iterator[Listener]:
     yield made
     for event in made.heard:
         kind = EVENT_BY_NAME[event.kind]
-        assert set(kind.fields) <= event.fields.keys(), event
+        assert set(kind.fields.split()) <= event.fields.keys(), event
     assert [event.seq for event in made.heard] == list(range(1, len(made.heard) + 1))
     assert [event.ns for event in made.heard] == sorted(event.ns for event in made.heard)
 

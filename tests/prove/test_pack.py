@@ -52,7 +52,7 @@ def test_what_is_in_it(record: dict[str, Any]) -> None:
 def test_a_text_of_the_record_ends_no_script(record: dict[str, Any], tmp_path: Path) -> None:
     (path, *_) = pack.save({**record, "device": "</script><script>alert(1)</script>"}, str(tmp_path / "e.html"))
     assert Path(path).read_text().count("<script") == 1
-    assert "whole" in pack.check(path)
+    assert "whole" in pack.verified(path)
 
 
 def test_it_is_checked_by_a_command(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,7 +75,7 @@ def test_a_change_is_noticed(made: Path, tmp_path: Path, before: str, after: str
     changed = tmp_path / "changed.html"
     changed.write_text(text.replace(before, after))
     with pytest.raises(FailstopError, match=told):
-        pack.check(str(changed))
+        pack.verified(str(changed))
 
 
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen here (openssh-client)")
@@ -83,10 +83,10 @@ def test_a_signature_is_of_this_page(record: dict[str, Any], tmp_path: Path) -> 
     key, path = tmp_path / "key", str(tmp_path / "e.html")
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
     assert pack.save(record, path, str(key))[2] == f"{path}.sig"
-    assert 'Good "failstop" signature' in pack.check(path)
+    assert 'Good "failstop" signature' in pack.verified(path)
     pack.save({**record, "verdict": "FAIL"}, path)
     with pytest.raises(FailstopError, match=r"\.sig is not of this file"):
-        pack.check(path)
+        pack.verified(path)
 
 
 def test_a_key_that_is_none_is_told(record: dict[str, Any], tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
         assert entry["MESSAGE_ID"] == kind.message_id
         assert entry["FAILSTOP_NAME"] == "failstop"
         assert int(entry["PRIORITY"]) in LEVELS.values()
-        assert {f"FAILSTOP_{field.upper()}" for field in kind.fields} <= entry.keys()
+        assert {f"FAILSTOP_{field.upper()}" for field in kind.fields.split()} <= entry.keys()
         assert entry["_COMM"] == "fs:supervisor", "the processes tell it, and nobody else the journal"
 
 

@@ -31,7 +31,8 @@ EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
 failstop prove --sim --board hoverboard # another kind of board
 sudo systemctl stop failstop && sudo failstop prove
-failstop prove --sim --quick --pack evidence.html && failstop prove --check evidence.html
+failstop prove --sim --quick --pack evidence.html
+failstop prove --check evidence.html    # is it whole, and whose?
 failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
 """
 
@@ -83,7 +84,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
     if arguments.check:
-        print(pack.check(arguments.check))
+        print(pack.verified(arguments.check))
         return 0
     if arguments.pack and not arguments.pack.endswith(".html"):
         raise FailstopError(f"--pack {arguments.pack}: name it FILE.html")

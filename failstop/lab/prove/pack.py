@@ -131,7 +131,7 @@ def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]
     return [path, beside, signature]
 
 
-def check(path: str) -> str:
+def verified(path: str) -> str:
     """Tell whether a pack is whole, and of its signature. Raises FailstopError for one that was changed, OSError."""
     text = Path(path).read_text("utf-8")
     found = RECORD.search(text)

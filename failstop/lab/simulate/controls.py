@@ -162,8 +162,8 @@ CONTROLS = (
         (
             (
                 SUPERVISOR_MODULE,
-                "written = self._port.burst()\n        self._tried",
-                "written = False\n        self._tried",
+                "written, now_ns = self._port.burst(), monotonic_ns()",
+                "written, now_ns = False, monotonic_ns()",
             ),
             (
                 TABLE_MODULE,
@@ -191,7 +191,7 @@ CONTROLS = (
     Mutant(
         "the board's own watchdog is not armed",
         "drive_and_stop",
-        ((PORT_MODULE, "self._opening = context.board.port.opening", "self._opening = ()"),),
+        ((PORT_MODULE, "self._opening = board.port.opening", "self._opening = ()"),),
         board="ugv",
     ),
     Mutant(
