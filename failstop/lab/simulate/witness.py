@@ -258,7 +258,7 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
             if process.held_until_ns:
                 self._fenced_ns = self._machine.now_ns + DEATH_NS
-            if process.name in SERVICE_PROCESSES and not self.orderly:
+            if process.name in SERVICE_PROCESSES and not self.orderly and not _is_left_over(process):
                 self.must_stop(f"{process.name} is dead", DEATH_NS)
         elif process.name in SERVICE_PROCESSES:
             self.tell(f"{process.name} (pid {process.pid}) starts")
@@ -280,6 +280,12 @@ class Witness:
     def asked(self) -> None:
         """Somebody's bytes came to the stop pipe."""
         self.must_stop("a stop was asked for", ASKED_NS)
+
+
+def _is_left_over(process: Process) -> bool:
+    """True for a process whose supervisor has died before it: that death was the one to stop for, and by now the next
+    run of the service may drive."""
+    return process.name != "supervisor" and (process.parent is None or process.parent.dead)
 
 
 def _has(process: Process, port: Port) -> bool:
