@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+
+from failstop.lab.case.cited import script
 
 CHECK = Path(__file__).resolve().parent.parent / "model" / "check"
 PAGE = CHECK.parents[1] / "docs" / "dev" / "model.md"
 SLOW_S = 600
 
 
-def load() -> ModuleType:
-    """`model/check` as a module: it is a script without a suffix."""
-    loader = importlib.machinery.SourceFileLoader("model_check", str(CHECK))
-    spec = importlib.util.spec_from_loader("model_check", loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
-    try:
-        loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = before
-    return module
-
-
-check = load()
+check = script(CHECK)
 
 
 def skip_reason(missing: list[str], environment: dict[str, str]) -> str:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
-from types import FrameType
 
 from failstop.board.kinds import is_own
 from failstop.cli import style
@@ -20,6 +16,7 @@ from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
 from failstop.setup.draft import Draft
+from failstop.setup.ending import interruptible
 from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, yes_or_no
 from failstop.setup.wheels import Trial
 
@@ -47,7 +44,6 @@ QUESTIONS = {
 ROWS_SAY = "see the rows above: a loose plug, or a size that is not so"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then make it once more"}
 """By the verdict of a stand test that did not pass."""
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPPED = "the wheels are stopped"
 NOTHING = "nothing is written"
 
@@ -68,7 +64,7 @@ def main(arguments: Namespace) -> int:
     given = {key: value for key in QUESTIONS if (value := getattr(arguments, key)) is not None}
     talk = Talk(given, draft, silent=not sys.stdin.isatty())
     try:
-        with _interruptible():
+        with interruptible():
             _converse(talk, arguments.name)
     except KeyboardInterrupt:
         print()
@@ -147,18 +143,3 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
         return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}
     layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", one_of(layouts))
     return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

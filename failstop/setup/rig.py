@@ -7,11 +7,9 @@ alone is turned by settings in which the base's own kinematics turn no other: no
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -30,6 +28,7 @@ from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.files import instance
 from failstop.messages import layout, segments
+from failstop.setup.ending import end_with_parent, uninterrupted
 from failstop.setup.talk import Left
 
 RIG = "setup-"
@@ -46,8 +45,6 @@ BLOCKED_S = 1.0
 """On a busy machine the gate tells of an enable a moment after it was granted."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 POWER = "if a wheel turns, use the POWER SWITCH"
-_PR_SET_PDEATHSIG = 1
-_libc = ctypes.CDLL(None, use_errno=True)
 
 Velocity = tuple[float, float, float]
 
@@ -86,11 +83,6 @@ def toml(values: Mapping[str, object]) -> str:
         table, _, name = key.rpartition(".")
         tables.setdefault(table, []).append(f"{name} = {json.dumps(value)}")
     return "\n".join(f"[{table}]\n" + "\n".join(lines) + "\n" for table, lines in tables.items())
-
-
-def _end_with_parent() -> None:
-    """In the child, before exec: SIGTERM when setup dies. The supervisor then stops the wheels and ends."""
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 class Rig:
@@ -135,7 +127,7 @@ class Rig:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, "STATE_DIRECTORY": self._folder},
-                preexec_fn=_end_with_parent,
+                preexec_fn=end_with_parent,
                 # Ctrl-C is setup's own, which ends this in order.
                 start_new_session=True,
             )
@@ -209,14 +201,8 @@ class Rig:
 
     def close(self) -> None:
         """Stop the wheels, by the service, and by the port itself behind it."""
-        held = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-        for number in held:
-            signal.signal(number, signal.SIG_IGN)
-        try:
+        with uninterrupted():
             self._end()
-        finally:
-            for number, handler in held.items():
-                signal.signal(number, handler)
 
     def _end(self) -> None:
         if self._process:

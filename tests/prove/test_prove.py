@@ -21,11 +21,12 @@ from failstop.cli.main import main
 from failstop.doctor.system import System
 from failstop.lab.faults.driving import Driver
 from failstop.lab.prove.run import PathRun, Result
-from failstop.lab.prove.session import SIGNALS, check_free, interruptible
+from failstop.lab.prove.session import check_free
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
+from failstop.setup.ending import SIGNALS, interruptible
 from failstop.supervisor import status
 from tests.prove.judged import UNSEEN, firm
 from tests.prove.noise import SIMULATED

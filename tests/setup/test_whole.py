@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -28,15 +26,6 @@ ROBOTS = {
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 IN_SHORT = ("ugv",)
-
-
-@pytest.fixture
-def place() -> Iterator[Path]:
-    """A folder with short paths."""
-    with tempfile.TemporaryDirectory(prefix="s", dir="/tmp") as folder:
-        for made in ("etc/failstop", "run/failstop", "var/lib/failstop"):
-            (Path(folder) / made).mkdir(parents=True)
-        yield Path(folder)
 
 
 def proved(person: Person) -> None:

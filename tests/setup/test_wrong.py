@@ -4,7 +4,6 @@ taken up again. The simulated board is the judge."""
 from __future__ import annotations
 
 import signal
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,15 +20,6 @@ from tests.setup.person import Person, Wiring
 
 KIND, WHEELS = "ugv", {0: "left+", 1: "right-"}
 STOPS_S = 30.0
-
-
-@pytest.fixture
-def place() -> Iterator[Path]:
-    """A folder with short paths."""
-    with tempfile.TemporaryDirectory(prefix="s", dir="/tmp") as folder:
-        for made in ("etc/failstop", "run/failstop", "var/lib/failstop"):
-            (Path(folder) / made).mkdir(parents=True)
-        yield Path(folder)
 
 
 def written(place: Path) -> list[Path]:

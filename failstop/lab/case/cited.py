@@ -90,7 +90,7 @@ def _found(measured: dict[str, tuple[int, float | None, float | None]], names: l
 
 
 def _model(root: Path) -> Iterator[Citation]:
-    check = _script(root / "model/check")
+    check = script(root / "model/check")
     found = dict(_verdicts((root / "model/checked.txt").read_text("utf-8"), r"\s+\d+\s+"))
     every = [name for name, _, expected in check.RUNS if expected == HOLDS]
     for name, claims in check.CLAIMS.items():
@@ -102,7 +102,7 @@ def _model(root: Path) -> Iterator[Citation]:
 
 
 def _litmus(root: Path) -> Iterator[Citation]:
-    check = _script(root / "model/aarch64/check")
+    check = script(root / "model/aarch64/check")
     found = dict(_verdicts((root / "model/aarch64/checked.txt").read_text("utf-8"), r"\s+"))
     for name, claims in check.CLAIMS.items():
         controls = [row for row in found if row.startswith(f"{name}-control")]
@@ -118,7 +118,7 @@ def _verdicts(text: str, between: str) -> Iterator[tuple[str, str]]:
             yield name.strip(), verdict[0].strip()
 
 
-def _script(path: Path) -> ModuleType:
+def script(path: Path) -> ModuleType:
     """A program without a suffix as a module, without a file of its byte code."""
     loader = importlib.machinery.SourceFileLoader(f"case_{path.parent.name}_{path.name}", str(path))
     spec = importlib.util.spec_from_loader(loader.name, loader)
@@ -138,7 +138,7 @@ def _simulation() -> Iterator[Citation]:
 
 
 def _bench(root: Path) -> Iterator[Citation]:
-    claims_of = _script(root / "bench/claims.py").claims_of
+    claims_of = script(root / "bench/claims.py").claims_of
     for line in (root / "docs/dev/measured.md").read_text("utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 4 and (claims := claims_of(cells[0])):

@@ -8,6 +8,7 @@ from failstop.lab.case.assumptions import Assumption
 from failstop.lab.case.cited import Citation
 from failstop.lab.case.claims import Claim
 from failstop.lab.case.hazards import NOTHING_HELPS, Hazard
+from failstop.lab.faults.arm_table import CLAIMS as ARM_CLAIMS
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import CLAIMS_OF, Fault
 
@@ -47,7 +48,7 @@ def other_bounds(claims: Iterable[Claim], faults: Iterable[Fault], arm: Iterable
     for fault in faults:
         name = CLAIMS_OF[fault.event][0]
         latest[name] = max(latest.get(name, 0.0), fault.bar_ms or 0.0)
-    latest["ARM-1"] = max((row.bar_ms or 0.0 for row in arm), default=0.0)
+    latest[ARM_CLAIMS[0]] = max((row.bar_ms or 0.0 for row in arm), default=0.0)
     for claim in claims:
         if claim.name in latest and claim.bound_ms != latest[claim.name]:
             yield f"{claim.name} says {claim.bound_ms} ms, its rows of faults {latest[claim.name]} ms"

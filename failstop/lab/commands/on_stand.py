@@ -16,9 +16,10 @@ from failstop.files.instance import DEFAULT_NAME
 from failstop.lab.commands import check_json, matching
 from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
-from failstop.lab.prove.session import check_free, interruptible, session
+from failstop.lab.prove.session import check_free, session
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import TURNINGS, Path
+from failstop.setup.ending import interruptible
 
 WARNING = """\
 THIS TURNS THE WHEELS and kills the programs that stop them, at random, on {device}. Ctrl-C stops the wheels; the POWER

@@ -15,8 +15,9 @@ from failstop.board.port import PortError
 from failstop.cli import style
 from failstop.lab.probe import ros2, serial
 from failstop.lab.probe.card import Card, Row
-from failstop.lab.prove.session import check_free, interruptible
+from failstop.lab.prove.session import check_free
 from failstop.lab.sim.options import add_board
+from failstop.setup.ending import interruptible
 
 EXAMPLES = """\
 failstop probe serial --board ugv --port /dev/ttyAMA0

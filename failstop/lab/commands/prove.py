@@ -20,12 +20,13 @@ from failstop.files.root import state_directory
 from failstop.lab.prove import pack, report, table
 from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.session import check_free, interruptible, session
+from failstop.lab.prove.session import check_free, session
 from failstop.lab.prove.stand import Stand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.sim.options import IMU_HZ, add_board
+from failstop.setup.ending import interruptible
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
@@ -184,10 +185,10 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
 def _record(evidence: Evidence) -> dict[str, Any]:
     """All that a pack holds; `samples` stay in the dated folder."""
     assert evidence.user is not None  # that of a stand
-    settings = evidence.user.flat()
+    settings, told = evidence.user.flat(), evidence.as_dict()
     return {
-        **evidence.as_dict(),
-        "rows": [{**row, "samples": []} for row in evidence.as_dict()["rows"]],
+        **told,
+        "rows": [{**row, "samples": []} for row in told["rows"]],
         "board": settings["board.kind"],
         "settings": settings,
         "settings_sha256": hashlib.sha256(evidence.user.lines().encode()).hexdigest(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+from failstop.api.distance import DEATH_S, SLACK_S
 from failstop.lab.faults.fault import (
     BY_NEW_RUN,
     BY_RESET,
@@ -23,10 +24,10 @@ from failstop.policy import causes
 from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
-AT_ONCE_MS = 5.0
+AT_ONCE_MS = 1000 * DEATH_S
 NO_ANSWER_MS = 10.0
 """With the 3 to 5 ms that the stopper and the supervisor grant a port owner that does not answer."""
-SLACK_MS = 5.0
+SLACK_MS = 1000 * SLACK_S
 LEASE_MS = float(BY_KEY["gate.lease_s"].default) * 1000 + SLACK_MS
 STOPPER_MS = HANG_NS / 1e6 + SLACK_MS
 DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in PROCESS_BY_NAME.items()}

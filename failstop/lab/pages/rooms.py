@@ -25,7 +25,7 @@ class Room(NamedTuple):
 ROOMS = {
     "lab": Room(
         "breaks it on purpose: simulated board, faults, stand test; makes the pages",
-        "api board cli config doctor files fleet instances messages policy procs ros2 shm stopping supervisor",
+        "api board cli config doctor files fleet instances messages policy procs ros2 setup shm stopping supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),

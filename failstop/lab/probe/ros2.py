@@ -19,10 +19,10 @@ from typing import Any
 from failstop.api.errors import FailstopError
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
-from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.sight import SeenSample
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.fill import type_of
+from failstop.setup.ending import end_with_parent
 
 VX_MPS = 0.1
 TURNS_S = 1.5

@@ -22,9 +22,9 @@ from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
 from failstop.lab.probe.watcher import HERE
 from failstop.lab.prove import shake
-from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.sight import SeenSample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
+from failstop.setup.ending import end_with_parent
 
 PERIOD_S = 0.1
 """Between two frames of the throw-away driver, as vendors' drivers have it."""

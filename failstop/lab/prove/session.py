@@ -6,11 +6,9 @@ from __future__ import annotations
 import contextlib
 import os
 import random
-import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from types import FrameType
 
 from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
@@ -32,7 +30,6 @@ from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
 from failstop.supervisor.status import LEASE
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TAKES = 3
 """Of a row, where the machine spoils it."""
 COMES_TO_REST_S = 1.5
@@ -155,21 +152,6 @@ def check_free(device: str, *names: str, system: System | None = None) -> None:
     holders, _ = system.holders(node.resolved)
     for holder in holders:
         raise Refused(f"{holder} has {device} open: {holder.end()}")
-
-
-@contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _alarm(text: str) -> None:

@@ -17,7 +17,6 @@ from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
-from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.held import Held
 from failstop.lab.prove.means import Means, means_of
 from failstop.lab.prove.table import TURNINGS
@@ -26,6 +25,7 @@ from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.settings import Settings
+from failstop.setup.ending import end_with_parent, uninterrupted
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
@@ -190,18 +190,13 @@ class Stand:
 
     def close(self) -> None:
         """safe(), and let everything go; `unsafe` says what could not be done."""
-        # Once more would leave the wheels to chance.
-        held = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-        for number in held:
-            signal.signal(number, signal.SIG_IGN)
-        try:
-            if self.service.process is not None:
-                self.unsafe = self.safe()
-            self.service.close()
-        finally:
-            self.held.end()
-            for number, handler in held.items():
-                signal.signal(number, handler)
+        with uninterrupted():
+            try:
+                if self.service.process is not None:
+                    self.unsafe = self.safe()
+                self.service.close()
+            finally:
+                self.held.end()
 
     def _kill_rest(self) -> None:
         for process, pid in self._pids.items():

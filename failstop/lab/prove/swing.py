@@ -8,10 +8,10 @@ import sys
 
 from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
-from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.watch import Move, Reading
 from failstop.policy.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.reader import AGREE
+from failstop.setup.ending import end_with_parent
 
 REACH_RAD = 0.5
 LEAST_RAD = 0.3
