@@ -88,7 +88,7 @@ function showStop() {
   }
   const first = stop.t >= own.asked - 0.5;
   const levels = first ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
-  const said = levels.map((level) => `\u2713 ${level}`).join("  ");
+  const said = levels.map((level) => `\u2713\u00a0${level}`).join("  ");
   text("stop-said", first ? said || "written" : `${said}; it was stopped already`);
   $("stop").dataset.phase = levels.at(-1) || "written";
 }
