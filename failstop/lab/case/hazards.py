@@ -152,6 +152,13 @@ HAZARDS = (
         "BOARD-1"),
     ),
     Hazard(
+        "H-UNHEARD", PEOPLE, "A person's STOP does not reach the robot",
+        "a phone without network, a page in the background, a gamepad out of reach",
+        "says on the page that the robot is not heard; stops without its operator where `attend.required` is on",
+        "where none is required, the robot does what its program wants", "the power switch; `attend.required`",
+        ("ATTEND-1",),
+    ),
+    Hazard(
         "H-RESET", PEOPLE, "The wrong person resets", "somebody who does not see the robot clears its stop",
         "moves nothing at a reset; a reset that a newer stop came before is refused; an enable is a second decision",
         "a person who resets and enables without seeing the robot", "give the group and pairings to few", ("MOVE-2",
