@@ -16,7 +16,7 @@ DEATH_S = 0.005
 SLACK_S = 0.005
 """Between the end of a deadline and the stop."""
 SILENCE_S = 0.02
-"""Between the end of a timeout of commands or sensors and zero at the board: one period of the gate."""
+"""Between the end of a timeout and zero at any board: the gate acts as it ends, or for an interlock a period later."""
 OWN_LINE_S = 0.012
 """Another board's line and loop, and the repeats of a stop that it may need: so much later than the first board it
 takes one. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
@@ -52,13 +52,13 @@ def reactions(settings: Settings) -> Iterator[Reaction]:
         if process.name != "gate":
             yield process.deadline_ns / 1e9 + SLACK_S + board_s, f"{process.name} hangs"
     silent_s = max(timeout_ns for _, timeout_ns in settings.sources().values()) / 1e9
-    yield silent_s + SILENCE_S + board_s, "the program that drives falls silent"
+    yield silent_s + SILENCE_S, "the program that drives falls silent"
     if settings.on("scan.gate"):
-        yield settings["scan.timeout_s"] + SILENCE_S + board_s, "the obstacle sensor falls silent"
+        yield settings["scan.timeout_s"] + SILENCE_S, "the obstacle sensor falls silent"
     if settings.on("attend.required"):
-        yield settings["attend.lease_s"] + SILENCE_S + board_s, "the operator is not heard"
+        yield settings["attend.lease_s"] + SILENCE_S, "the operator is not heard"
     for name, (timeout_ns, _) in settings.interlocks().items():
-        yield timeout_ns / 1e9 + SILENCE_S + board_s, f"the interlock {name} is no longer asserted"
+        yield timeout_ns / 1e9 + SILENCE_S + SLACK_S + board_s, f"the interlock {name} is no longer asserted"
 
 
 def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:

@@ -71,7 +71,7 @@ CASES: dict[str, tuple[Callable[[Simulated], None], causes.Kind, str]] = {
     "latch": (enable_in_spite_of_a_latch, causes.REQUESTED, "gate: motion while a stop is latched"),
     "order": (write_what_is_older_than_a_stop, causes.REQUESTED, "gate: motion while a stop is newer"),
 }
-"""What is made to be, the cause that is latched then (the first), and what is told."""
+"""Each defect, the cause that is latched then (the first), and the words for it."""
 
 
 @pytest.mark.slow

@@ -62,7 +62,7 @@ def _marked(node: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[str]:
 
 
 def _asserted() -> Iterator[Citation]:
-    for row in asserted.ASSERTED:
+    for row in asserted.ASSERTIONS:
         yield Citation(ASSERTION, f"{row.says}: {row.where}", row.claims, f"made to fail by `{row.test}`")
 
 
