@@ -130,7 +130,8 @@ HAZARDS = (
     ),
     Hazard(
         "H-BEHIND", OF_STOPPING, "The robot behind does not stop", "robots in a row, a person who walks behind",
-        "stops every robot of a fleet when a person asks for it, each as soon as the network has brought that", "what follows has to keep its own distance",
+        "stops every robot of a fleet when a person asks for it, each as soon as the network has brought that",
+        "what follows has to keep its own distance",
         "distance; a light that shows a stop", ("ASK-1",),
     ),
     Hazard(
