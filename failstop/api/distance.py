@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from failstop.board.kinds import is_described, watchdog_of
+from failstop.policy.kinematics import AXES
 from failstop.policy.processes import PROCESSES
+from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.005
@@ -15,20 +16,15 @@ DEATH_S = 0.005
 SLACK_S = 0.005
 """Between the end of a deadline and the stop."""
 SILENCE_S = 0.02
-"""Between the end of a timeout of commands or sensors and zero at the board: one period of the gate."""
+"""Between the end of a timeout and zero at any board: the gate acts as it ends, or for an interlock a period later."""
 OWN_LINE_S = 0.012
 """Another board's line and loop, and the repeats of a stop that it may need: so much later than the first board it
 takes one. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
-NO_PROCESS = "the cable is out or the machine is frozen"
-
-
-class Reaction(NamedTuple):
-    """A thing that fails, and for how long the wheels are told to turn after that."""
-
-    what: str
-    seconds: float
-    """To the stop's arrival at the board; inf: nothing stops it."""
+WITHIN = "within {:.2f} m of any fault that software answers"
+"""The longest way, as every screen words it."""
+Reaction = tuple[float, str]
+"""For how long the wheels are told to turn after a thing fails, in s, and the thing."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
@@ -43,49 +39,50 @@ def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
 
 def fastest_mps(settings: Settings) -> float:
     """The fastest that the base may go, whichever way."""
-    sideways = settings.text("wheels.layout") in ("mecanum", "omni3")
-    return math.hypot(settings["limits.vx_mps"], settings["limits.vy_mps"] if sideways else 0.0)
+    return math.hypot(settings["limits.vx_mps"], settings["limits.vy_mps"] * AXES[settings.text("wheels.layout")][1])
 
 
 def reactions(settings: Settings) -> Iterator[Reaction]:
-    """Everything that may fail while the base drives. The board's own watchdog, where it has one, is the last."""
+    """Everything that software answers, if it fails while the base drives; a death is the first."""
     kind = settings.board()[0]
     board_s = OWN_LINE_S if is_described(kind) else 0.0
-    yield Reaction("a process of the service, or the program that drives, dies", DEATH_S + board_s)
-    lease_s = settings["gate.lease_s"] + SLACK_S + board_s
-    yield Reaction("the gate or the supervisor hangs", lease_s)
+    yield DEATH_S + board_s, "a process of the service, or the program that drives, dies"
+    yield settings["gate.lease_s"] + SLACK_S + board_s, "the gate or the supervisor hangs"
     for process in PROCESSES:
         if process.name != "gate":
-            yield Reaction(f"{process.name} hangs", process.deadline_ns / 1e9 + SLACK_S + board_s)
+            yield process.deadline_ns / 1e9 + SLACK_S + board_s, f"{process.name} hangs"
     silent_s = max(timeout_ns for _, timeout_ns in settings.sources().values()) / 1e9
-    yield Reaction("the program that drives falls silent", silent_s + SILENCE_S)
+    yield silent_s + SILENCE_S, "the program that drives falls silent"
     if settings.on("scan.gate"):
-        yield Reaction("the obstacle sensor falls silent", settings["scan.timeout_s"] + SILENCE_S)
+        yield settings["scan.timeout_s"] + SILENCE_S, "the obstacle sensor falls silent"
+    if settings.on("attend.required"):
+        yield settings["attend.lease_s"] + SILENCE_S, "the operator is not heard"
     for name, (timeout_ns, _) in settings.interlocks().items():
-        yield Reaction(f"the interlock {name} is no longer asserted", timeout_ns / 1e9 + SILENCE_S)
-    yield Reaction(NO_PROCESS, watchdog_of(kind)[0] or math.inf)
+        yield timeout_ns / 1e9 + SILENCE_S + SLACK_S + board_s, f"the interlock {name} is no longer asserted"
 
 
-def furthest(settings: Settings) -> tuple[float, Reaction]:
-    """The longest way of all that software answers, in m, and what fails then."""
-    speed, braking = fastest_mps(settings), settings[BRAKING]
-    answered = [row for row in reactions(settings) if row.what != NO_PROCESS]
-    latest = max(answered, key=lambda row: row.seconds)
-    return distance_m(speed, latest.seconds, braking), latest
+def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:
+    """The longest way, in m, and what fails then. `share`: of the settings' speeds."""
+    latest = max(reactions(settings))
+    return distance_m(share * fastest_mps(settings), latest[0], settings[BRAKING]), latest
 
 
 def told(settings: Settings) -> list[str]:
     """The distances in words, a line each."""
     speed, braking = fastest_mps(settings), settings[BRAKING]
-    way, latest = furthest(settings)
-    *_, frozen = reactions(settings)
+    way, (seconds, latest) = furthest(settings)
+    (death_s, _), *_ = reactions(settings)
+    acts_s, does = watchdog_of(settings.board()[0])
     measured = "" if braking != BY_KEY[BRAKING].default else " (the default: measure yours)"
-    beyond = "drives on: this board has no watchdog of its own"
-    if frozen.seconds < math.inf:
-        beyond = f"stands after {distance_m(speed, frozen.seconds, braking):.2f} m, by the board's own watchdog"
+    both = " (forward and sideways at once)" if AXES[settings.text("wheels.layout")][1] else ""
+    beyond = "it drives on: failstop knows of no watchdog that this board has"
+    if does:
+        beyond = f"the board's own watchdog acts after {speed * acts_s:.2f} m: {WATCHDOGS[does]}"
+    if does == "zero":
+        beyond = f"the board's own watchdog has it stand after {distance_m(speed, acts_s, braking):.2f} m"
     return [
-        f"From {speed:.2f} m/s, braking with {braking:g} m/s2{measured}, the robot stands at most {way:.2f} m after "
-        f"whatever fails: {latest.what}, which is answered after {latest.seconds:.2f} s.",
-        f"When a process dies it stands after {distance_m(speed, DEATH_S, braking):.2f} m.",
-        f"When {NO_PROCESS}, it {beyond}.",
+        f"From {speed:.2f} m/s{both}, braking with {braking:g} m/s2{measured}, the robot stands {WITHIN.format(way)}. "
+        f"The latest that is answered, after {seconds:.2f} s: {latest}.",
+        f"When a process dies it stands after {distance_m(speed, death_s, braking):.2f} m.",
+        f"When the cable is out or the machine is frozen, {beyond}. Nothing here stops a board that does not obey.",
     ]

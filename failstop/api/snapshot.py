@@ -374,6 +374,8 @@ class State:
     """Longest silence of gate or supervisor while wheels turn, s (gate.lease_s; longer without real-time rights)."""
     steering_rad: float | None = None
     """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
+    stands_within_m: float = 0.0
+    """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
 
     @property
     def block(self) -> Block | None:

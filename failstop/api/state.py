@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 
 import msgpack
 
-from failstop.api import snapshot
+from failstop.api import distance, snapshot
 from failstop.api.client import SeenRun, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.board.kinds import watchdog_of
@@ -114,9 +114,13 @@ class StateReader(SeenRun):
         return found
 
     @cached_property
+    def _declared(self) -> Settings:
+        return Settings(dict(self.settings()))
+
+    @cached_property
     def joints(self) -> dict[str, Joint]:
         """The arm's joints by name. Raises FailstopError."""
-        return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
+        return {joint.name: joint for joint in from_settings(self._declared)}
 
     @cached_property
     def _lease_s(self) -> float:
@@ -135,7 +139,7 @@ class StateReader(SeenRun):
     @property
     def _nothing_yet(self) -> dict[str, Any]:
         """The gate's record before this run's first gate has published one."""
-        attended: dict[str, Any] = {"attended": ()} if Settings(dict(self.settings())).on("attend.required") else {}
+        attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
     def read(self) -> State:
@@ -177,6 +181,7 @@ class StateReader(SeenRun):
             unmet=decided.get("unmet", ""),
             lease_s=self._lease_s,
             steering_rad=self._steering_rad(decided["wheels_rps"]),
+            stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:

@@ -91,7 +91,7 @@ SEGMENTS = (
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("latch", records.LATCH, "gate, clients"),  # the latch, or the one before
+            _latest("latch", records.LATCH, "port_owner, gate, clients"),  # the latch, or the one before
             _word("resets", "gate"),  # the number of the newest reset that was decided
             _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/causes.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)

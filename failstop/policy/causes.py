@@ -189,8 +189,8 @@ BAD_FRAME = Kind(
     "the gate made a frame that must not reach the board ({fault}), and the port owner refused it", _TELL,
 )  # fmt: skip
 DEFECT = Kind(
-    28, "defect", "{process}: {event} while {state}, which cannot happen", "supervisor",
-    "an event of the process {process}, which {role}, came while it was {state} and cannot come then: {event}", _TELL,
+    28, "defect", "internal error: {process}: {event} while {state}", "port_owner supervisor",
+    "the service found an error of its own, at the process {process}, which {role}: {event} while {state}", _TELL,
 )  # fmt: skip
 SUSPENDED = Kind(
     7, "suspended", "the machine was suspended for {s:.1f} s", "port_owner",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.api import steps, verdict, words
+from failstop.api import distance, steps, verdict, words
 from failstop.api.steps import Purpose
 from failstop.api.why import HOLDS, meaning, since, troubles
 from failstop.policy import proofs
@@ -42,6 +42,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "can": _obstacles(state),
         "stop": stop_of(state.last_stop),
         "limit": round(100 * state.speed_limit),
+        "stands": distance.WITHIN.format(state.stands_within_m),
         "driver": f"{driver.who} as {driver.source}" if (driver := state.driver) else "",
         "battery_v": state.battery_v,
         "plugged": state.plugged,
@@ -86,6 +87,7 @@ def absent(note: str) -> dict[str, Any]:
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
         "stop": None,
         "limit": 100,
+        "stands": "not known",
         "driver": "",
         "battery_v": None,
         "plugged": "unknown",

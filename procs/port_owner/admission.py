@@ -26,6 +26,14 @@ A frame for the servos is written only when these rows hold too:
     the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
       before it and itself                                   wait too, until they are too old
 
+Invariants are looked at besides, by other facts than those of the tables; one that does not hold is a stop (DEFECT):
+
+    the epoch only grows
+    one process writes the port owner's memory               just before a motion frame is written
+    no stop is latched, of this epoch or one before          the same
+    the frame was made after the last stop that was          the same
+      the port owner's own, or the answer to an epoch
+
 A move that waits is late by a millisecond or two. Dropped, its joints would stand until the next one, a period later.
 """
 
@@ -57,6 +65,8 @@ class Admission:
         self._max_rps = max_rps
         self.stopped_in = 0
         """The newest epoch in which it stopped on its own."""
+        self._stopped_ns = 0
+        """The last stop of its own, or for a new epoch."""
         self.wheels_move = False
         """A motion frame has been written since the last stop."""
 
@@ -103,10 +113,29 @@ class Admission:
                 return causes.HANGS(name, (now_ns - beat_ns) // MS)
         return None
 
-    def stopped(self, epoch: int) -> None:
+    def stopped(self, epoch: int, now_ns: int) -> None:
         """Remember a stop of the port owner's own in this epoch: the supervisor answers it with a newer one."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
+        self._stopped_ns = now_ns
+
+    def follow(self, epoch: int, before: int, now_ns: int) -> Cause | None:
+        """Take a change of the epoch, which is a stop; the cause of one where it went back. Then only an epoch above
+        all that were seen lets motion out."""
+        self._stopped_ns = now_ns
+        if epoch > before:
+            return None
+        self.stopped_in = max(self.stopped_in, before)
+        return causes.DEFECT(layout.SUPERVISOR, f"epoch {epoch}", f"{before} was in force")
+
+    def impossible(self, frame_ns: int, epoch: int, latched_in: int, *, alone: bool) -> Cause | None:
+        """The invariant that an admitted motion frame breaks; None: they hold. `latched_in`: the epoch of what is
+        latched, 0: nothing is."""
+        if not alone:
+            return causes.DEFECT(layout.PORT_OWNER, "motion", "another process writes its memory")
+        if 0 < latched_in <= epoch:
+            return causes.DEFECT(layout.GATE, "motion", "a stop is latched")
+        return causes.DEFECT(layout.GATE, "motion", "a stop is newer") if frame_ns < self._stopped_ns else None
 
 
 class ServoBus:

@@ -73,6 +73,7 @@ class PortOwner:
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
+        self._pid_word, self._pid = (word := own.word("beat_pid")), word.get()
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")
@@ -83,6 +84,7 @@ class PortOwner:
         """Make the readers of others' records, and watch what wakes it."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
+        self._latch = supervisor.latest_reader("latch")
         self._supervisor_beat = supervisor.word("beat_ns")
         self._frames = context.segment("gate").ring_reader("frames")
         self._causes = context.segment("telemetry").ring_reader("causes")
@@ -126,7 +128,7 @@ class PortOwner:
         """Account for a burst for a cause of its own. The epoch is the one in force, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
-        self.admission.stopped(epoch)
+        self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
         self._stops.put(records.STOPPED.pack(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
@@ -183,6 +185,8 @@ class PortOwner:
         that this same cause has just made."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
+            if went_back := self.admission.follow(epoch, self.epoch, now_ns):
+                self.stop(now_ns, went_back)
             just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.wheels_move
             self.epoch = epoch
             if not just_stopped:
@@ -194,8 +198,7 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop after a sleep of the machine: commands and frames are older than they look, and the robot may have been
-        moved."""
+        """Stop after a sleep of the machine: what waits is older than it looks, and the robot may have been moved."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
@@ -342,6 +345,8 @@ class PortOwner:
             self._burst()
         elif self._check_suspend(now_ns):
             return
+        elif impossible := self._impossible(motion[2]):
+            self.stop(now_ns, impossible)
         elif self.wire.frame(frame, backlog=self._motion_backlog):
             self.admission.wheels_move = True
             self._moved_ns = now_ns
@@ -351,6 +356,12 @@ class PortOwner:
         elif frame == self.board.stop:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()
+
+    def _impossible(self, frame_ns: int) -> Cause | None:
+        """The cause of a stop that a motion frame made then is, although it was admitted; None: it goes out."""
+        latch, alone = self._latch.read(), self._pid_word.get() == self._pid
+        latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0
+        return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
         if self.wire.fd >= 0:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.lab.case.asserted import ASSERTIONS
 from failstop.lab.case.assumptions import ASSUMPTIONS
 from failstop.lab.case.cited import CARRIERS, TEST, Citation, citations, of_tests
 from failstop.lab.case.claims import CLAIMS
@@ -67,8 +68,9 @@ def test_a_bound_is_the_latest_bar_of_the_rows_that_carry_it() -> None:
     assert list(other_bounds(early, table.TABLE, arm_table.ROWS)) == ["DEATH-1 says 1.0 ms, its rows of faults 5.0 ms"]
 
 
-def test_an_assumption_is_checked_by_what_is_there() -> None:
+def test_assumptions_and_assertions_name_tests_that_are_there() -> None:
     paths = [row.checked.split()[0] for row in ASSUMPTIONS if row.checked.startswith("tests/")]
+    paths += [row.test for row in ASSERTIONS]
     assert len(paths) > 10
     assert [path for path in paths if not (ROOT / path).is_file()] == []
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,6 +32,7 @@ def test_nobody_has_to_attend_by_default(gate: Gate) -> None:
     assert gone(gate) is None
 
 
+@pytest.mark.claim("ATTEND-1")
 def test_a_gate_is_enabled_while_somebody_attends_until_the_lease_ends() -> None:
     gate = Gate(attend__required="on")
     assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY_ATTENDS)

@@ -103,7 +103,8 @@ def test_a_request_within_a_flood_stops_before_any_motion_and_once_it_began_anew
     scene.turn()
     scene.raise_epoch(2)
     if anew:
-        assert scene.forward(epoch=2, elapsed_ns=MS) == MOTION
+        scene.turn(MS)
+        assert scene.forward(epoch=2) == MOTION
         scene.ask_to_stop(b"second\n")
     else:
         scene.ask_to_stop(b"second\n")

@@ -77,7 +77,7 @@ def test_an_event_that_cannot_happen_is_told_and_stopped_for_once(whole: Scene) 
     whole.said()
     whole.supervisor.processes[layout.GATE].on(GIVEN_UP)
     whole.turn(MS)
-    told = "gate: given up while running, which cannot happen"
+    told = "internal error: gate: given up while running"
     assert (whole.cause(), whole.state(layout.GATE)) == ((2, told), "running")
     whole.answers(written_ns=whole.now_ns)
     whole.turn(MS)

@@ -101,6 +101,7 @@ def test_a_program_attends_and_leaves(trial: Trial) -> None:
         stopped(trial, left_ns, "operator gone: Anna, left")
 
 
+@pytest.mark.claim("ATTEND-1")
 def test_a_program_that_stops_renewing(trial: Trial) -> None:
     with driven(trial), Robot(trial.name) as other:
         other.attend("Anna")

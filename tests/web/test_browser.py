@@ -13,8 +13,10 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
+from failstop.api import distance
 from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
+from failstop.policy.settings import Settings
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -226,6 +228,9 @@ def test_a_lower_speed_takes_a_touch_and_a_higher_one_is_held(trial: Trial, pair
     paired.tap("#limit [data-percent='25']")
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.25)
     paired.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '25'")
+    settings = Settings({"attend.required": "on", "attend.lease_s": LEASE_S})
+    stands = distance.WITHIN.format(distance.furthest(settings, 0.25)[0])
+    paired.until(f"document.getElementById('facts').textContent.includes('Stands{stands}')")
     lift = paired.press("#limit [data-percent='100']")
     paired.until("document.querySelector('#limit .held') !== null")
     lift()

@@ -113,9 +113,9 @@ def _fastest(settings: Settings, metres: float) -> str:
     if not metres > 0:
         raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
     _, latest = distance.furthest(settings)
-    fastest = distance.speed_mps(metres, latest.seconds, settings[distance.BRAKING])
+    fastest = distance.speed_mps(metres, latest[0], settings[distance.BRAKING])
     return (
-        f"To stand within {metres:g} m of whatever fails ({latest.what}: {latest.seconds:.2f} s), braking with "
+        f"To stand {distance.WITHIN.format(metres)} ({latest[1]}: {latest[0]:.2f} s), braking with "
         f"{settings[distance.BRAKING]:g} m/s2: at most {fastest:.3f} m/s."
     )
 

@@ -36,8 +36,8 @@ ACTS = (
     Act("disable", ASK, "disable"),
     Act("stop", ASK, "ask for a stop"),
     Act("stop-pipe", ASK, "garbage in the stop pipe"),
-    Act("commands", DRIVER, "commands 0.2 m/s", A_SWITCH, "silent"),
-    Act("driver", DRIVER, "runs", A_SWITCH, "suspended (SIGSTOP)"),
+    Act("commands", DRIVER, "commands 0.2 m/s", A_SWITCH, "commands nothing"),
+    Act("driver", DRIVER, "program runs", A_SWITCH, "program suspended (SIGSTOP)"),
     Act("driver-killed", DRIVER, "kill it; another commands at once"),
     Act("driver-nan", DRIVER, "command what is not a number"),
     Act("driver-second", DRIVER, "a second publisher of cmd_vel"),
@@ -47,8 +47,9 @@ ACTS = (
     *(
         act
         for name in STAY
+        for shown in (name.replace("_", " "),)
         for act in (
-            Act(f"{HANG_PREFIX}{name}", OF_PROCESSES, f"{name.replace('_', ' ')} runs", A_SWITCH, "hangs (SIGSTOP)"),
+            Act(f"{HANG_PREFIX}{name}", OF_PROCESSES, f"{shown} runs", A_SWITCH, f"{shown} hangs (SIGSTOP)"),
             Act(f"{KILL_PREFIX}{name}", OF_PROCESSES, "kill"),
         )
     ),

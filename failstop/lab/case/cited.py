@@ -15,12 +15,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+from failstop.lab.case import asserted
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.fault import CLAIMS_OF, FAULT_CLASSES
 from failstop.lab.simulate import witness
 
 TEST, FAULTS, MODEL, LITMUS, SIMULATION, BENCH = "tests", "faults", "model", "litmus tests", "simulation", "bench"
-CARRIERS = (TEST, FAULTS, MODEL, LITMUS, SIMULATION, BENCH)
+ASSERTION = "assertion"
+CARRIERS = (TEST, ASSERTION, FAULTS, MODEL, LITMUS, SIMULATION, BENCH)
 HOLDS = "holds"
 
 
@@ -38,7 +40,8 @@ class Citation:
 
 def citations(root: Path) -> list[Citation]:
     """All of a checkout, in the order of CARRIERS. Raises OSError where a part is not there."""
-    return [*of_tests(root), *_faults(root), *_model(root), *_litmus(root), *_simulation(), *_bench(root)]
+    found = (of_tests(root), _asserted(), _faults(root), _model(root), _litmus(root), _simulation(), _bench(root))
+    return [citation for part in found for citation in part]
 
 
 def of_tests(root: Path) -> Iterator[Citation]:
@@ -56,6 +59,11 @@ def _marked(node: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[str]:
     for mark in node.decorator_list:
         if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.claim":
             yield from map(ast.literal_eval, mark.args)
+
+
+def _asserted() -> Iterator[Citation]:
+    for row in asserted.ASSERTIONS:
+        yield Citation(ASSERTION, f"{row.says}: {row.where}", row.claims, f"made to fail by `{row.test}`")
 
 
 def _faults(root: Path) -> Iterator[Citation]:

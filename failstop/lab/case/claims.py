@@ -42,7 +42,7 @@ CLAIMS = (
     ),
     Claim(
         "HANG-1",
-        "A process of the service that hangs or spins stops the wheels; each has a deadline of its own.",
+        "A process of the service that hangs or spins stops the wheels.",
         505.0, "from the hang; 65 where the gate or the supervisor hangs, 105 the port owner, 255 the stopper",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
         "a process that is halted for longer than its deadline, and wheels that turn on",
@@ -86,6 +86,12 @@ CLAIMS = (
         "An obstacle sensor or an interlock that falls silent stops what programs drive.",
         525.0, "from the last delivery or assertion", ("CLOCK",),
         "a program that drives on without a valid scan or interlock",
+    ),
+    Claim(
+        "ATTEND-1",
+        "Where an operator is required (`attend.required`), one who leaves or is not heard any more latches a stop.",
+        1020.0, "from the last proof, with a lease of 1 s (`attend.lease_s`)", ("CLOCK",),
+        "a robot that drives on without its operator",
     ),
     Claim(
         "PORT-1",

@@ -130,7 +130,8 @@ HAZARDS = (
     ),
     Hazard(
         "H-BEHIND", OF_STOPPING, "The robot behind does not stop", "robots in a row, a person who walks behind",
-        "stops every robot of a fleet when a person asks for it", "what follows has to keep its own distance",
+        "stops every robot of a fleet when a person asks for it, each as soon as the network has brought that",
+        "what follows has to keep its own distance",
         "distance; a light that shows a stop", ("ASK-1",),
     ),
     Hazard(
@@ -150,6 +151,13 @@ HAZARDS = (
         "tells what is proved: written, acknowledged, observed; says that a picture is old",
         "the wheels may turn although a stop is acknowledged", "look at the robot; the power switch", ("PROOF-1",
         "BOARD-1"),
+    ),
+    Hazard(
+        "H-UNHEARD", PEOPLE, "A person's STOP does not reach the robot",
+        "a phone without network, a page in the background, a gamepad out of reach",
+        "says on the page that the robot is not heard; stops without its operator where `attend.required` is on",
+        "where none is required, the robot does what its program wants", "the power switch; `attend.required`",
+        ("ATTEND-1",),
     ),
     Hazard(
         "H-RESET", PEOPLE, "The wrong person resets", "somebody who does not see the robot clears its stop",

@@ -14,8 +14,9 @@ HAZARDS_HEAD = """\
 
 Generated from `failstop/lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it comes
 about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
-tool. The claims stand in [safety.md](safety.md), what carries each of them in [evidence.md](dev/evidence.md). Whoever
-builds or uses a robot has hazards of its own: this list is where to begin, not where to end.
+tool. The last column names the claims of [safety.md](safety.md) that answer it, each with its longest time and what
+that counts from there; [evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have
+hazards of their own: this list is where to begin, not where to end.
 """
 EVIDENCE_HEAD = """\
 # Evidence
@@ -44,20 +45,20 @@ def hazards_page() -> str:
     for kind in hazards.HAZARD_CLASSES:
         lines += [f"## {kind[0].upper()}{kind[1:]}", ""]
         lines += [
-            "| hazard | how it comes about | failstop | how soon | what remains | what helps | claims |",
-            "|" + "---|" * 7,
+            "| hazard | how it comes about | failstop | what remains | what helps | claims, and how soon |",
+            "|" + "---|" * 6,
         ]
         for row in hazards.HAZARDS:
             if row.kind == kind:
-                soon = ", ".join(dict.fromkeys(_bound(claims.BY_NAME[name]) for name in row.claims)) or "-"
-                cells = (f"**{row.what}** ({row.name})", row.how, row.does, soon, row.remains, row.helps)
-                lines.append(f"| {' | '.join(cells)} | {' '.join(row.claims) or '-'} |")
+                carried = ", ".join(_soon(claims.BY_NAME[name]) for name in row.claims) or "none"
+                cells = (f"**{row.what}** ({row.name})", row.how, row.does, row.remains, row.helps, carried)
+                lines.append(f"| {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines[:-1]) + "\n"
 
 
-def _bound(claim: Claim) -> str:
-    return "at once" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
+def _soon(claim: Claim) -> str:
+    return claim.name if claim.bound_ms is None else f"{claim.name} ({claim.bound_ms:g} ms)"
 
 
 def claims_table() -> str:

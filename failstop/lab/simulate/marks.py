@@ -3,7 +3,7 @@ table, each change of a process's state. A mark that no run has reached was not 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from failstop.lab.boards.traits import HAS_KEYS, HAS_PINGS, Traits
@@ -54,10 +54,12 @@ class Marks:
 
 
 def watch(loader: Loader, marks: Marks, witness: Witness) -> None:
-    """Have the modules of one machine say what they reach. They decide as without it."""
+    """Have the modules of one machine say what they reach. They decide as without it. An invariant of the core that did
+    not hold makes a run wrong, although the robot has stopped for it."""
     _watch_causes(loader, marks, witness)
     _watch_admission(loader, marks)
-    _watch_states(loader, marks)
+    _watch_invariants(loader, witness)
+    _watch_states(loader, marks, witness)
 
 
 def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
@@ -87,13 +89,29 @@ def _watch_admission(loader: Loader, marks: Marks) -> None:
     module.Admission.decide = told
 
 
-def _watch_states(loader: Loader, marks: Marks) -> None:
+def _watch_invariants(loader: Loader, witness: Witness) -> None:
+    admission = loader.load("failstop.procs.port_owner.admission").Admission
+
+    def noted(real: Callable[..., Any]) -> Callable[..., Any]:
+        def told(*arguments: Any, **words: Any) -> Any:
+            if found := real(*arguments, **words):
+                witness.wrong(str(found))
+            return found
+
+        return told
+
+    admission.impossible, admission.follow = noted(admission.impossible), noted(admission.follow)
+
+
+def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
     module = loader.load("failstop.supervisor.children")
     on = module.Child.on
 
     def told(self: Any, event: int) -> None:
         marks.reach(f"state {self.state} {module.EVENTS[event]}")
         on(self, event)
+        if self.defects:
+            witness.wrong(str(self.defects[-1]))
 
     module.Child.on = told
 

@@ -98,6 +98,7 @@ function showFacts() {
   const rows = [
     ["Drives", face.driver || "nobody"],
     ...(face.limit < 100 ? [["Limit", `${face.limit} % of the settings' speeds`]] : []),
+    ["Stands", face.stands],
     ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[face.link] || face.link],

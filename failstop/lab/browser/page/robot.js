@@ -47,6 +47,15 @@ function build(groups) {
   }
 }
 
+// A wide screen has room for the reason beside the buttons, above STOP.
+const wide = matchMedia("(min-width: 60rem)");
+function place() {
+  if (wide.matches) $("head").append($("reason"));
+  else $("clock").after($("reason"));
+}
+wide.addEventListener("change", place);
+place();
+
 const seconds = (t) => `${t.toFixed(3)} s`;
 const text = (id, what) => { if ($(id).textContent !== what) $(id).textContent = what; };
 
@@ -74,7 +83,7 @@ function draw(now) {
   for (const button of document.querySelectorAll("[data-act][aria-pressed]")) {
     const on = now.on[button.dataset.act];
     button.setAttribute("aria-pressed", on);
-    const label = on ? button.dataset.on : `${button.dataset.on.replace(/ runs$/, "")} ${button.dataset.off}`;
+    const label = on ? button.dataset.on : button.dataset.off;
     if (button.textContent !== label) button.textContent = label;
   }
   globalThis.shown = now;
