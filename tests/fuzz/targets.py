@@ -109,7 +109,7 @@ def incident(data: bytes) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             for shown in SHOWN:
                 with contextlib.suppress(FailstopError):
-                    command.main(Namespace(action="show", id=str(path), **shown))
+                    command.main(Namespace(action="show", id=str(path), name="failstop", **shown))
         listed, _ = files.heads("failstop", [str(SCRATCH)])
         screen.table(listed, 80)
         json.dumps([cards._card(row) for row in listed])
