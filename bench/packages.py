@@ -29,7 +29,7 @@ from failstop.lab.sim.client import Event
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS = 3
-WITHOUT_A_TAG = "42a3b47ee0f8"
+WITHOUT_A_TAG = "42a3b47e202b"
 """The commit whose package stands for the last release, as long as no release has a tag."""
 AWAY_S = 20.0
 NOBODY = 65534
