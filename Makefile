@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb release vm wheels clean vm-arm64
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -181,6 +181,20 @@ release: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] || { echo "which version? make release VERSION=0.2.0"; exit 1; }
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
 	@$(BIN)/python packaging/release.py $(VERSION)
+
+# The same release built twice, as two builders with other folders, umasks, locales, time zones and hash seeds: equal, or the first difference.
+reproduce: $(VENV)/.installed
+	@[ -n "$(VERSION)" ] || { echo "which version? make reproduce VERSION=0.2.0"; exit 1; }
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
+	@$(BIN)/python packaging/release.py $(VERSION) --twice
+
+# The Debian packages by lintian, then their life in a container with a systemd: installed, upgraded from the last release while a program
+# drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to build it from.
+LAST ?=
+package-test: $(VENV)/.installed
+	@command -v lintian >/dev/null || apt-get install --yes --no-install-recommends lintian
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
+	@$(BIN)/python -m bench.packages $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

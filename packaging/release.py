@@ -1,5 +1,5 @@
-"""`make release VERSION=x`: everything of a release, in dist/x: sdist, wheels, Debian packages for two architectures,
-what they hold of others (SBOM), notes, checksums.
+"""`make release VERSION=x`: everything of a release, in dist/x: sdist, wheels, Debian packages and an image for two
+architectures, what they hold of others (SBOM), notes, checksums.
 
 What the last commit holds is released, as that version, whatever lies in the checkout beside it. Built twice from one
 commit with the same wheels of others, all files are equal to the byte: their times are the commit's, and nothing of who
@@ -25,8 +25,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "packaging" / "deb"))
+sys.path[:0] = [str(ROOT / "packaging" / part) for part in ("", "deb")]
 
+import image  # noqa: E402
 import sbom  # noqa: E402
 import tree  # noqa: E402
 
@@ -39,6 +40,11 @@ LAB = "failstop-lab"
 MAINTAINER = {"DEBFULLNAME": "failstop developers", "DEBEMAIL": "failstop@example.org"}
 VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
 EXECUTABLE, PLAIN = 0o755, 0o644
+WORLDS: tuple[tuple[int, dict[str, str]], ...] = (
+    (0o022, {"LC_ALL": "C", "TZ": "UTC", "PYTHONHASHSEED": "1"}),
+    (0o077, {"LC_ALL": "C.UTF-8", "TZ": "Asia/Kathmandu", "PYTHONHASHSEED": "2"}),
+)
+"""Umask and environment of two builders."""
 
 
 class ReleaseError(Exception):
@@ -51,10 +57,15 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("version")
     parser.add_argument("--out", type=Path, help="the directory for it (default: dist/VERSION)")
     parser.add_argument("--wheels", type=Path, help="keep the wheels of others here, and take those that are there")
+    parser.add_argument("--twice", action="store_true", help="build it in two places, as two builders, and compare")
     arguments = parser.parse_args(words)
     out = arguments.out or ROOT / "dist" / arguments.version
     try:
         with tempfile.TemporaryDirectory(prefix="failstop-release-") as folder:
+            if arguments.twice:
+                made = twice(arguments.version, Path(folder), arguments.wheels or Path(folder, "wheels"))
+                print(f"built twice, equal to the byte: {len(made)} files")
+                return 0
             made = release(arguments.version, out, Path(folder), arguments.wheels)
     except (ReleaseError, subprocess.CalledProcessError) as error:
         print(f"failstop: {error}", file=sys.stderr)
@@ -89,12 +100,32 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
             cwd=source,
             environ=environ | {"PYTHONPATH": str(source)},
         )
+    if why := image.missing(tree.PYTHON):
+        print(f"failstop: no image for containers: {why}", file=sys.stderr)
+    else:
+        debs = {one: [path for part in (one, "all") for path in sorted(out.glob(f"*_{part}.deb"))] for one in MACHINES}
+        image.make(version, tree.PYTHON, debs, wheels, out)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
     (out / "NOTES.md").write_text(notes((source / "CHANGELOG.md").read_text(), version))
     made = sorted(out.iterdir())
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in made)
     (out / "SHA256SUMS").write_text(sums)
     return [*made, out / "SHA256SUMS"]
+
+
+def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
+    """The files of two builds from clones of this checkout. Raises ReleaseError with the first that is not equal."""
+    outs = []
+    for number, (umask, world) in enumerate(WORLDS):
+        place = folder / f"builder-{number}" / ("x" * number)
+        outs.append(folder / f"out-{number}")
+        subprocess.run(["git", "clone", "--quiet", "--local", ROOT, place], check=True)
+        words = (sys.executable, place / "packaging/release.py", version, "--out", outs[-1], "--wheels", wheels)
+        os.umask(umask)
+        run(*words, cwd=place, environ=os.environ | world | {"HOME": str(place)})
+    if differs := first_difference(*outs):
+        raise ReleaseError(f"two builds of {version} are not equal: {differs}")
+    return sorted(outs[0].iterdir())
 
 
 def surroundings() -> dict[str, str]:

@@ -100,6 +100,13 @@ def show(lines: Iterable[Line]) -> None:
     sys.stdout.write(text.encode(encoding, "replace").decode(encoding))
 
 
+def record(found: object) -> list[Line]:
+    """JSON for programs. What JSON has no word for is there as Python shows it."""
+    import json
+
+    return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
+
+
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
     """Break a line at spaces so that each part fits, those after the first indented. A word that is longer than a line
     is broken where it must be."""

@@ -17,13 +17,15 @@ from itertools import count
 
 import msgpack
 
+from failstop.api import words
 from failstop.api.errors import FailstopError
 from failstop.files import durable, root
 from failstop.files.root import SYSTEM_BASE, state_directory
+from failstop.incidents import memory
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from typing import Any
 
 MAGIC = b"failstop incident\n"
@@ -42,6 +44,15 @@ LAST = "last"
 
 class IncidentError(FailstopError):
     """An incident can't be found or read; the message says what is wrong with it."""
+
+
+@contextlib.contextmanager
+def as_written(path: str) -> Iterator[None]:
+    """Decode or tell what a file holds. Raises IncidentError where its values are not as failstop writes them."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, OSError) as error:
+        raise IncidentError(f"{path} is no incident as failstop writes them ({error!r})") from None
 
 
 def build(head: dict[str, Any], body: dict[str, Any]) -> bytes:
@@ -139,20 +150,21 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
             continue
         for path in paths:
             try:
-                head, _ = read(path, with_body=False)
+                with as_written(path):
+                    head, _ = read(path, with_body=False)
+                    words.clock(head["t"]), float(head["saved"]), head["reason"].encode(), memory.proven(head)
+                    if head.get("name") == name:
+                        found.append({**head, "id": identity(path), "path": path})
             except IncidentError as error:
                 problems.append(str(error))
-            else:
-                if head.get("name") == name:
-                    found.append({**head, "id": identity(path), "path": path})
-    return sorted(found, key=lambda head: float(head.get("t", 0.0))), problems
+    return sorted(found, key=lambda head: float(head["t"])), problems
 
 
 def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
     """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
     but the newest. What is no incident is left alone."""
     # By the time of saving: an old run's incident is saved after newer ones of nobody.
-    newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
+    newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head["saved"]))
     total = 0
     for index, path in enumerate(head["path"] for head in newest_first):
         with contextlib.suppress(OSError):

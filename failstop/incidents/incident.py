@@ -146,10 +146,8 @@ class Incident:
     def read(cls, path: str) -> Incident:
         """Raises IncidentError."""
         head, body = files.read(path)
-        try:
+        with files.as_written(path):
             return cls(files.identity(path), head, body)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise IncidentError(f"{path} is no incident as failstop writes them ({error!r})") from None
 
     def _entries(self, segment: str, name: str, decode: Callable[[bytes], Payload | None]) -> list[tuple[int, Payload]]:
         """A ring's (when, what)."""

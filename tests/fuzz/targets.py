@@ -4,11 +4,13 @@ docstring says, with examples of what it should understand."""
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import os
 import struct
 import zlib
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,22 +22,27 @@ from failstop import config
 from failstop.api import words
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
+from failstop.cli.commands import incident as command
+from failstop.cli.screen import incident as screen
 from failstop.fleet import levels, sender, signed, topics, view, wire
 from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
 from failstop.incidents import files
-from failstop.incidents.incident import Incident
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import box, packing, records
 from failstop.policy import causes, layouts
 from failstop.policy.setting import SettingError
 from failstop.ros2 import trajectory
 from failstop.web import driving, guard, lease, messages
+from failstop.web import incidents as cards
 from failstop.web.devices import Devices, typed
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "tests/incidents/kept/0.1.0-gate-died.incident"
 SCRATCH = Path(os.environ.get("XDG_RUNTIME_DIR", "/dev/shm")) / f"failstop-fuzz-{os.getpid()}"
+"""A file, or a folder, while a target runs."""
+SHOWN = ({"all": False, "json": False}, {"all": True, "json": False}, {"all": True, "json": True})
+"""Options of `incident show`."""
 BOARDS = {kind: board_of(kind, 0.1, 0.0) for kind in layouts.BOARDS}
 KEY = bytes(32)
 ROBOT = "uagv/v2/failstop/robot7"
@@ -91,16 +98,24 @@ def memory(data: bytes) -> None:
 
 
 def incident(data: bytes) -> None:
-    """An incident that somebody sent, with right checksums."""
+    """An incident that somebody sent, with right checksums: shown and listed, or refused in a line."""
     size = min(struct.unpack_from("<H", data)[0], len(data) - 2) if len(data) >= 2 else 0
     head, body = data[2 : 2 + size], zlib.compress(data[2 + size :], 1)
     lengths = struct.pack("<HHIIII", 1, 0, len(head), zlib.crc32(head), len(body), zlib.crc32(body))
-    SCRATCH.write_bytes(files.MAGIC + lengths + head + body)
+    SCRATCH.mkdir()
+    path = SCRATCH / f"sent{files.SUFFIX}"
+    path.write_bytes(files.MAGIC + lengths + head + body)
     try:
-        with contextlib.suppress(FailstopError):
-            Incident.read(str(SCRATCH))
+        with contextlib.redirect_stdout(io.StringIO()):
+            for shown in SHOWN:
+                with contextlib.suppress(FailstopError):
+                    command.main(Namespace(action="show", id=str(path), name="failstop", **shown))
+        listed, _ = files.heads("failstop", [str(SCRATCH)])
+        screen.table(listed, 80)
+        json.dumps([cards._card(row) for row in listed])
     finally:
-        SCRATCH.unlink()
+        path.unlink()
+        SCRATCH.rmdir()
 
 
 def settings(data: bytes) -> None:
@@ -196,6 +211,15 @@ def _kept() -> bytes:
     return struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 
 
+def made_up() -> Iterator[bytes]:
+    """Of the kept incident, each with one value of its head that failstop never writes."""
+    head, body = files.read(str(KEPT))
+    for key in sorted(head):
+        for value in (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7}):
+            packed: bytes = msgpack.packb({**head, key: value})
+            yield struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
+
+
 DEEP = b"[" * 100_000
 """No parser of Python goes so deep."""
 
@@ -203,7 +227,7 @@ TARGETS: dict[str, Target] = {
     "decoders": Target(decoders, tuple(b"\0" + BOARDS[kind].stop + BOARDS[kind].burst for kind in BOARDS)),
     "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),
     "memory": Target(memory, (records.asking("smoke", "anna", 7), bytes(64), msgpack.packb(["a", "b", "c", 0, {}]))),
-    "incident": Target(incident, (_kept(),)),
+    "incident": Target(incident, (_kept(), *made_up())),
     "settings": Target(settings, ((ROOT / "examples/failstop.toml").read_bytes(), b"[gate]\nlease_s = 0.1\n")),
     "page": Target(page, (DEEP, b'{"attend":true,"nonce":"00","answer":"aa","drive":"0.1 0.2"}', b"[::1]:8080")),
     "fleet": Target(

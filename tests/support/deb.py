@@ -1,4 +1,4 @@
-"""The modules of packaging/deb and packaging/release.py, which find each other as scripts do: beside themselves."""
+"""The modules of packaging and packaging/deb, which find each other as scripts do: beside themselves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PLACES = (str(HERE), str(HERE.parent))
 
 sys.path[:0] = PLACES
 try:
-    build, tree, sbom, release = map(importlib.import_module, ("build", "tree", "sbom", "release"))
+    build, tree, sbom, image, release = map(importlib.import_module, ("build", "tree", "sbom", "image", "release"))
 finally:
     for place in PLACES:
         sys.path.remove(place)

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from bench.container import Bind, Container, ContainerMissing
+from bench.container import ContainerMissing
+from bench.package_scene import OLDER, SETTINGS, Place, machine
 from bench.service_scene import CONFIG, HARDY, UNIT, Scene
-from failstop.lab.sim.client import SimBoard
 from failstop.supervisor import status
 from tests.support.deb import tree
 from tests.support.pages import ROOT
-
-from .installing import OLDER, SETTINGS, Place
 
 LEASE = f"printf '[gate]\\nlease_s = {status.LEASE_WITHOUT_S}\\n' >> {CONFIG}\n"
 """A machine that is busy for a moment is no hang in these tests."""
@@ -54,22 +52,12 @@ def shared_place() -> Iterator[Place]:
     tools = ("dpkg", "dpkg-deb", "deb-systemd-helper", f"/usr/bin/{tree.PYTHON}")
     if absent := [tool for tool in tools if not shutil.which(tool)]:
         pytest.skip(f"not installed: {', '.join(absent)}")
-    with tempfile.TemporaryDirectory(prefix="failstop-install-") as name:
-        directory = Path(name)
-        directory.chmod(0o755)
-        for part in ("board", "packages"):
-            (directory / part).mkdir()
-        binds = [Bind(str(directory / "board"), "/board"), Bind(str(directory / "packages"), "/packages")]
-        with SimBoard(directory / "board" / "port", mode=0o666) as board:
-            try:
-                # Images for containers forbid the start of services by packages.
-                box = Container({}, binds, "rm -f /usr/sbin/policy-rc.d")
-            except ContainerMissing as reason:
-                pytest.skip(str(reason))
-            with box:
-                # No index of every manual page of the machine after each installation.
-                box.path("/var/lib/man-db/auto-update").unlink(missing_ok=True)
-                yield Place(box, board, directory / "packages")
+    with contextlib.ExitStack() as stack:
+        try:
+            found = stack.enter_context(machine())
+        except ContainerMissing as reason:
+            pytest.skip(str(reason))
+        yield found
 
 
 @pytest.fixture

@@ -5,18 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
 
+from bench.package_scene import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 from bench.service_scene import READY
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.deb import tree
 from tests.support.pages import ROOT
-
-from .installing import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 BRIDGE = "failstop-ros2@daemon.service"
@@ -182,11 +180,12 @@ def test_a_second_robot_page_fleet_and_bridge_live_and_go_with_the_package(place
 
 @contextlib.contextmanager
 def by_hand(place: Place, name: str) -> Iterator[None]:
-    """A service that root has started from this checkout, on a board of its own."""
+    """A service that root has started from another environment, on a board of its own."""
+    place.box.run("cp", "-r", "/opt/failstop", "/srv/failstop")
     with SimBoard(place.packages.parent / "board" / name, mode=0o666):
         place.box.write(f"/tmp/{name}.toml", f'[device]\npath = "/board/{name}"\n')
         words = ("-m", "failstop", "run", "--name", name, "--config", f"/tmp/{name}.toml")
-        running = place.box.entering("env", f"PYTHONPATH={ROOT}", sys.executable, *words)
+        running = place.box.entering("/srv/failstop/bin/python3", *words)
         with subprocess.Popen(running, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as service:
             try:
                 yield
@@ -194,6 +193,7 @@ def by_hand(place: Place, name: str) -> Iterator[None]:
                 # The signal is for the supervisor: nsenter does not pass it on.
                 place.box.run("sh", "-c", f"kill $(cat /run/failstop/{name}/lock)")
                 service.wait(20)
+                place.box.run("rm", "-r", "/srv/failstop")
 
 
 def start_a_second_robot(place: Place, unit: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from argparse import ArgumentParser, Namespace
 
@@ -67,10 +66,7 @@ def main(arguments: Namespace) -> int:
                 arm.read()
         except ValueError as error:
             raise FailstopError(str(error)) from None
-        if arguments.json:
-            print(json.dumps(dataclasses.asdict(arm.state), indent=2))
-        else:
-            style.show(_lines(arm.state))
+        style.show(style.record(dataclasses.asdict(arm.state)) if arguments.json else _lines(arm.state))
     return 0
 
 

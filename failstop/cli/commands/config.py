@@ -78,11 +78,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--within", metavar="M", type=float, help="only the speed at which the robot stands within M")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
-    other.add_argument(
-        "--example",
-        action="store_true",
-        help="a TOML file with every setting and what it means, all but device.path commented out",
-    )
+    whole = "a TOML file with every setting and what it means, all but device.path commented out"
+    other.add_argument("--example", action="store_true", help=whole)
 
 
 def main(arguments: Namespace) -> int:

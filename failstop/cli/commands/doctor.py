@@ -65,23 +65,23 @@ def main(arguments: Namespace) -> int:
     if arguments.report:
         files.write_as(arguments.report, report(look, told).encode())
         print(f"wrote {arguments.report}; read it before you send it: it has the reasons that people gave for a stop")
-    elif arguments.json:
-        print(json.dumps(told, indent=2))
     else:
-        style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
+        lines = screen(found, style.width() if sys.stdout.isatty() else UNBROKEN)
+        style.show(style.record(told) if arguments.json else lines)
     return 1 if worst == FAIL else 0
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
     """The findings, versions, settings and the last incident, without the values of WITHHELD and the host's name."""
     try:
-        incident = story.as_dict(Incident.read(files.find(files.LAST, look.name, os.environ)))
+        with files.as_written(meant := files.find(files.LAST, look.name, os.environ)):
+            incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))
     except FailstopError as error:
         incident = {"none": str(error)}
     settings, packages = look.told.flat(), {str(one.metadata["Name"]): one.version for one in distributions()}
     private = {str(each.get(key, "")) for each in (settings, incident.get("settings", {})) for key in WITHHELD}
     # The longest first: one may be part of another.
-    words = sorted({*private, incident.get("host", "")} - {""}, key=len, reverse=True)
+    words = sorted({*private, str(incident.get("host", ""))} - {""}, key=len, reverse=True)
     told = {**told, "packages": packages, "settings": settings, "incident": incident}
     return json.dumps(_without(words, told), indent=2) + "\n"
 

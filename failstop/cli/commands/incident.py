@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import time
 from argparse import ArgumentParser, Namespace
 
@@ -14,7 +12,7 @@ from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.cli.commands import add_name, seconds
 from failstop.cli.screen import incident as screen
-from failstop.cli.style import show, width
+from failstop.cli.style import PLAIN, Line, record, show, width
 from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.left import left
@@ -59,36 +57,39 @@ def main(arguments: Namespace) -> int:
     """Carry out one action. Raises FailstopError."""
     if arguments.action == "list":
         return _list(arguments)
-    incident = Incident.read(_meant(arguments))
+    meant = _meant(arguments)
+    with files.as_written(meant):
+        lines = _told(Incident.read(meant), arguments)
+    show(lines)
+    return 0
+
+
+def _told(incident: Incident, arguments: Namespace) -> list[Line]:
+    """What is told of one, or of the file that is made of it."""
     if arguments.action == "show":
-        if arguments.json:
-            print(json.dumps(story.as_dict(incident), indent=2))
-        else:
-            show(screen.text(incident, width(), time.time(), whole=arguments.all))
-        return 0
+        shown = screen.text(incident, width(), time.time(), whole=arguments.all)
+        return record(story.as_dict(incident)) if arguments.json else shown
     path: str = arguments.output or incident.id + SUFFIXES[arguments.action]
     if arguments.action == "plot":
         from failstop.incidents import plot
 
         plot.save(incident, path, arguments.seconds)
-        print(f"wrote {path}")
-    else:
-        from failstop.incidents import export
+        return [[(f"wrote {path}", PLAIN)]]
+    from failstop.incidents import export
 
-        print(f"wrote {path}: {export.save(incident, path)} messages")
-    return 0
+    return [[(f"wrote {path}: {export.save(incident, path)} messages", PLAIN)]]
 
 
 def _list(arguments: Namespace) -> int:
     found, problems = files.heads(arguments.name, files.folders(arguments.name, os.environ))
     if arguments.json:
-        print(json.dumps(found, indent=2))
+        show(record(found))
     elif found:
         show(screen.table(found, width()))
     elif not problems:
         print(f"no incidents of {arguments.name!r}: nothing was latched yet")
     for problem in problems:
-        sys.stderr.write(f"failstop: {problem}\n")
+        standard.say(problem)
     return 1 if problems else 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
@@ -75,7 +74,7 @@ def _status(name: str, *, as_json: bool) -> int:
     except NoService as error:
         raise refusal(name, error) from None
     if as_json:
-        print(json.dumps(state.as_dict(), indent=2))
+        style.show(style.record(state.as_dict()))
     else:
         style.show(summary.lines(state, time.time(), style.width(), EventLog(name).read()))
     return 0
@@ -89,11 +88,9 @@ def _why(name: str, *, as_json: bool) -> int:
         if not (dead := left(name)):
             raise refusal(name, error) from None
         found, code = dead[0], error.exit_code
-    if as_json:
-        print(json.dumps(dataclasses.asdict(found), indent=2))
-    else:
-        rows = [[(f"{label:<{LABEL}}", style.DIM), *summary.commands(text)] for label, text in found.rows()]
-        style.show(summary.wrapped(rows, min(style.width(), MOST_COLUMNS), LABEL))
+    rows = [[(f"{label:<{LABEL}}", style.DIM), *summary.commands(text)] for label, text in found.rows()]
+    lines = summary.wrapped(rows, min(style.width(), MOST_COLUMNS), LABEL)
+    style.show(style.record(dataclasses.asdict(found)) if as_json else lines)
     return code
 
 
@@ -158,13 +155,11 @@ class Live:
         shakes = shake is not None and shake > STILL_RADPS
         unknown = "not known" if state.device.imu else "no IMU"
         text = unknown if shake is None else f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
-        moves = OK if state.moving else PLAIN
+        moves, shaken = OK if state.moving else PLAIN, WARN if shakes and not state.moving else PLAIN
         return [
             self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),
             self._bar("turn", turn, f"{turn:.2f} rad/s", TOP_RADPS, moves, columns),
-            self._bar(
-                "vibration", shake, text, 3 * STILL_RADPS, WARN if shakes and not state.moving else PLAIN, columns
-            ),
+            self._bar("vibration", shake, text, 3 * STILL_RADPS, shaken, columns),
         ]
 
     def _bar(self, name: str, value: float | None, text: str, top: float, role: str, columns: int) -> Line:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.container import Container
+from bench.container import Bind, Container
 from bench.service_scene import READY
 from failstop.lab.sim.client import SimBoard
 
@@ -88,6 +89,23 @@ class Place:
 
     def settings(self) -> str:
         return self.box.run("cat", SETTINGS).stdout
+
+
+@contextlib.contextmanager
+def machine() -> Iterator[Place]:
+    """One without failstop, whose packages lie in /packages. Raises ContainerMissing."""
+    with contextlib.ExitStack() as stack:
+        directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="failstop-install-")))
+        directory.chmod(0o755)
+        for part in ("board", "packages"):
+            (directory / part).mkdir()
+        binds = [Bind(str(directory / part), f"/{part}") for part in ("board", "packages")]
+        board = stack.enter_context(SimBoard(directory / "board" / "port", mode=0o666))
+        # Images for containers forbid the start of services by packages.
+        box = stack.enter_context(Container({}, binds, "rm -f /usr/sbin/policy-rc.d"))
+        # No index of every manual page of the machine after each installation.
+        box.path("/var/lib/man-db/auto-update").unlink(missing_ok=True)
+        yield Place(box, board, directory / "packages")
 
 
 def stopped(board: SimBoard) -> bool:

@@ -1,0 +1,262 @@
+"""The life of the Debian packages: `python -m bench.packages` (`make package-test`). lintian judges them; then, in a
+container with a systemd of its own, the last release is installed, upgraded while a program drives, removed and purged.
+
+The simulated board judges the wheels, and systemd's own clock how long the service was away.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from bench import BenchError, report, stats
+from bench.container import ContainerMissing
+from bench.package_scene import BOARD, SETTINGS, UNIT, Place, machine
+from bench.report import progress
+from bench.service_scene import READY
+from failstop.lab.sim.client import Event
+
+ROOT = Path(__file__).resolve().parents[1]
+ROUNDS = 3
+WITHOUT_A_TAG = "42a3b47e202b"
+"""The commit whose package stands for the last release, as long as no release has a tag."""
+AWAY_S = 20.0
+NOBODY = 65534
+KEPT = (SETTINGS, "/var/lib/failstop", "/etc/failstop")
+"""What a removal leaves: settings, logs and incidents."""
+DRIVER = "/run/driver.py"
+
+
+class Away(NamedTuple):
+    """One upgrade while a program drives."""
+
+    frames: int
+    """For the motors, from the first stop on."""
+    moved: int
+    """Of these: that would turn a wheel. 0 is right."""
+    stopped: bool
+    """There was a stop, and the wheels stood at the end."""
+    away_s: float
+    """From when the old service has ended to when the new one is ready."""
+
+
+def main() -> int:
+    """Judge them, and print a table; exit code 1 when a bar is missed."""
+    parser = argparse.ArgumentParser(description="The life of the Debian packages.")
+    add = parser.add_argument
+    add("--debs", type=Path, help="the folder of a release (default: packages of this checkout)")
+    add("--last", default="", help="the last release: a .deb, or a commit to build it from (default: the newest tag)")
+    add("--rounds", type=int, default=ROUNDS, help=f"upgrades, each from the last release (default: {ROUNDS})")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="failstop-packages-") as folder:
+        try:
+            new = newest(arguments.debs, Path(folder))
+            old = last(arguments.last, Path(folder))
+            rows = [*lintian(new), *lived(old, new[0], arguments.rounds)]
+        except (BenchError, ContainerMissing) as error:
+            print(f"failstop: {error}", file=sys.stderr)
+            return 1
+    return report.end(rows, last_release=old.name, packages=[path.name for path in new])
+
+
+def newest(debs: Path | None, folder: Path) -> list[Path]:
+    """The packages to judge, the robot's first. Raises BenchError."""
+    if debs is None:
+        return build(ROOT, folder / "new")
+    ours = subprocess.run(["dpkg", "--print-architecture"], check=True, capture_output=True, text=True).stdout.strip()
+    found = [
+        *debs.glob(f"failstop_*_{ours}.deb"),
+        *sorted(set(debs.glob("*.deb")) - set(debs.glob(f"failstop_*_{ours}.deb"))),
+    ]
+    if not debs.glob(f"failstop_*_{ours}.deb"):
+        raise BenchError(f"no package for {ours} in {debs}: make release VERSION=x builds them")
+    return found
+
+
+def build(source: Path, out: Path) -> list[Path]:
+    """The packages of a checkout, with what this environment has of others. Raises BenchError."""
+    progress(f"building the packages of {source}")
+    words = (sys.executable, source / "packaging/deb/build.py", "--out", out)
+    done = subprocess.run(
+        words, env=os.environ | {"PYTHONPATH": str(source)}, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise BenchError(f"the packages of {source} can't be built: {done.stdout}{done.stderr}")
+    return [source / line for line in done.stdout.splitlines() if line.endswith(".deb")]
+
+
+def last(wanted: str, folder: Path) -> Path:
+    """The robot's package of the last release. Raises BenchError."""
+    if wanted.endswith(".deb"):
+        return Path(wanted)
+    tag = ("git", "describe", "--tags", "--match", "v*", "--abbrev=0")
+    told = subprocess.run(tag, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    commit = wanted or told or WITHOUT_A_TAG
+    done = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True, check=False)
+    if done.returncode:
+        advice = "a clone with its whole history has it, or give --last FILE.deb"
+        raise BenchError(f"the last release can't be built, since commit {commit} is not in this clone: {advice}")
+    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as files:
+        files.extractall(folder / "source")
+    return build(folder / "source", folder / "old")[0]
+
+
+def lintian(packages: list[Path]) -> list[stats.Row]:
+    """Its errors and warnings, overrides that say of nothing, and those without a reason above them."""
+    if not (program := shutil.which("lintian")):
+        return [stats.Row("lintian", "skipped: not installed (apt install lintian)", "-", None, {})]
+    progress("lintian")
+    done = subprocess.run(
+        [program, "--allow-root", "--display-info", "--tag-display-limit", "0", *packages],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    told = re.findall(r"^([EWI]): (\S+?): (.*)$", done.stdout, re.MULTILINE)
+    if done.returncode not in (0, 2):
+        raise BenchError(f"lintian failed: {done.stdout}{done.stderr}")
+    wrong = [f"{package}: {text}" for letter, package, text in told if letter in "EW" or "unused-override" in text]
+    bare, overrides = [], 0
+    for path in sorted((ROOT / "packaging/deb").glob("*.lintian-overrides")):
+        above = ""
+        for line in path.read_text().splitlines():
+            overrides += not line.startswith("#")
+            bare += [line] * (not above)
+            above = line
+    said = f"; the first: {wrong[0]}" if wrong else ""
+    found = f"{len(wrong)} of {len(packages)} packages{said}"
+    return [
+        stats.Row("lintian: errors, warnings, overrides of nothing", found, "0", not wrong, {"found": wrong}),
+        stats.count("lintian: overrides without a reason", len(bare), overrides),
+    ]
+
+
+def lived(old: Path, new: Path, rounds: int) -> list[stats.Row]:
+    """An installation, upgrades from the last release, a removal, a purge. Raises BenchError, ContainerMissing."""
+    with machine() as place:
+        for name, path in (("old", old), ("new", new)):
+            shutil.copy(path, place.packages / f"{name}.deb")
+        before = place.files()
+        progress("installing the last release")
+        place.box.write("/etc/hostname", "robot\n")
+        settings = f'# mine\n[device]\npath = "{BOARD}"\n'
+        place.dpkg("-i", "/packages/old.deb")
+        place.box.path(SETTINGS).write_text(settings)
+        place.box.ctl("restart", UNIT)
+        upgrades = []
+        for turn in range(rounds):
+            progress(f"upgrade {turn + 1} of {rounds}")
+            upgrades.append(upgraded(place))
+            if turn + 1 < rounds:
+                place.dpkg("--force-confold", "--force-downgrade", "-i", "/packages/old.deb")
+                place.box.wait(UNIT, 60.0, **READY)
+        rows = upgrade_rows(upgrades)
+        rows.append(verdict("an upgrade keeps the settings", [] if place.settings() == settings else ["not kept"]))
+        unverified = place.box.run("dpkg", "--verify", "failstop", check=False).stdout.splitlines()
+        rows.append(verdict("every file of the package is as packed", unverified))
+        rows += gone(place, before)
+    return rows
+
+
+def upgraded(place: Place) -> Away:
+    """Upgrade while a program drives; it goes on commanding through it."""
+    with driving(place):
+        place.board.events()
+        place.dpkg("--force-confold", "-i", "/packages/new.deb")
+        place.box.wait(UNIT, 60.0, **READY)
+        return judged(place, place.board.events())
+
+
+def judged(place: Place, events: list[Event]) -> Away:
+    motor = [event for event in events if event.is_motor]
+    first = next((at for at, event in enumerate(motor) if event.is_stop), len(motor))
+    times = place.box.show(UNIT, "InactiveEnterTimestampMonotonic", "ActiveEnterTimestampMonotonic")
+    ended_us, ready_us = (int(times[f"{state}EnterTimestampMonotonic"]) for state in ("Inactive", "Active"))
+    moved = sum(any(event.speeds) for event in motor[first:])
+    still = first < len(motor) and not any(place.board.wheels())
+    return Away(len(motor) - first, moved, still, (ready_us - ended_us) / 1e6)
+
+
+@contextlib.contextmanager
+def driving(place: Place) -> Iterator[None]:
+    """The wheels turn, and a program goes on commanding whatever happens to the service."""
+    place.box.write(DRIVER, (ROOT / "bench/service_driver.py").read_text())
+    words = place.box.entering("/opt/failstop/bin/python3", DRIVER, "failstop")
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
+        assert client.stdin is not None
+        assert client.stdout is not None
+        client.stdin.write("enable\n")
+        client.stdin.flush()
+        answer = client.stdout.readline().strip()
+        if answer != "done":
+            raise BenchError(f"the program that is to drive can't: {answer or 'it has ended'}")
+        place.board.wait_wheels(True, 5.0)
+        try:
+            yield
+            if client.poll() is not None:
+                raise BenchError("the program that is to go on commanding has ended")
+        finally:
+            client.kill()
+
+
+def gone(place: Place, before: set[str]) -> list[stats.Row]:
+    """A removal while a program drives, and a purge: what they leave."""
+    progress("removing")
+    with driving(place):
+        place.board.events()
+        place.dpkg("-r", "failstop")
+        motor = [event for event in place.board.events() if event.is_motor]
+        still = bool(motor) and motor[-1].is_stop and not any(place.board.wheels())
+    left = sorted(path for path in place.files() - before if not path.startswith(KEPT))
+    rows = [
+        verdict("a removal stops the wheels", [] if still else ["they turn"]),
+        verdict("a removal leaves settings, incidents and the user alone", left),
+        verdict("and it leaves these", [path for path in KEPT if not place.box.path(path).exists()]),
+    ]
+    progress("purging")
+    place.dpkg("-P", "failstop")
+    left = sorted(place.files() ^ before)
+    known = place.box.run("dpkg-query", "--show", "failstop", check=False).stdout.split()
+    rows.append(verdict("a purge leaves nothing", [*left, *place.accounts(), *known]))
+    processes = place.box.run("pgrep", "--full", "/opt/failstop", check=False).stdout.split()
+    return [*rows, verdict("and no process", processes)]
+
+
+def upgrade_rows(upgrades: list[Away]) -> list[stats.Row]:
+    """What the board and systemd say of them."""
+    away = sorted(upgrade.away_s for upgrade in upgrades)
+    told = ", ".join(f"{seconds:.1f}" for seconds in away)
+    numbers = {"away_s": away}
+    return [
+        stats.count(
+            "upgrades in which the wheels were not stopped", sum(not one.stopped for one in upgrades), len(upgrades)
+        ),
+        stats.count(
+            "motion frames after the stop, in upgrades",
+            sum(one.moved for one in upgrades),
+            sum(one.frames for one in upgrades),
+        ),
+        stats.Row(
+            "how long an upgrade keeps the service away", f"{told} s", f"< {AWAY_S:g} s", away[-1] < AWAY_S, numbers
+        ),
+    ]
+
+
+def verdict(measure: str, wrong: list[str]) -> stats.Row:
+    """A row of what is wrong: nothing."""
+    return stats.Row(measure, "; ".join(wrong[:5]) or "yes", "yes", not wrong, {"wrong": wrong})
+
+
+if __name__ == "__main__":
+    sys.exit(main())
