@@ -36,6 +36,8 @@ class Row:
     skipped: str = ""
     """Why it was not done; empty: it was."""
     note: str = ""
+    unseen_s: float = 0.0
+    """For how long before the rest nobody heard of the wheels: they may have stood by so much sooner."""
     cause_ns: int = 0
     """When it failed (CLOCK_MONOTONIC)."""
 
@@ -45,6 +47,12 @@ class Row:
         if self.skipped:
             return "not tried"
         return "never" if self.stands_s is None else f"{self.stands_s:.2f} s"
+
+    @property
+    def remark(self) -> str:
+        """For people: what else is to be said; empty: nothing."""
+        unseen = f"no report came for {self.unseen_s:.2f} s before: it may be so much less" if self.unseen_s else ""
+        return self.note or unseen
 
     @property
     def colour(self) -> str:
@@ -114,6 +122,7 @@ class Card:
                 "never": not row.skipped and row.stands_s is None,
                 "judged_by": row.by,
                 "skipped": row.skipped,
+                "unseen_s": round(row.unseen_s, 3),
                 "note": row.note,
             }
             for row in self.rows
@@ -127,7 +136,7 @@ class Card:
         lines.append(_boxed(f"{'what failed':<40} {'wheels stand':>13}  judged by"))
         for row in self.rows:
             lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
-            lines += [_boxed(f"  {row.note}")] if row.note else []
+            lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
         lines += [_boxed(f"Ended early: {self.ended}")] if self.ended else []
         return "\n".join([*lines, edge]) + "\n"
@@ -149,6 +158,9 @@ class Card:
                 _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
                 _said(TIMES_AT + 105, y, row.by or "", colour=GREY, size=13),
             ]
+            if row.remark:
+                y += 20
+                parts.append(_said(MARGIN, y, row.remark, colour=GREY, size=13))
         y += 26
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         never = not self.tried or any(row.stands_s is None for row in self.tried)

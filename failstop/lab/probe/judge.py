@@ -21,6 +21,8 @@ NEVER_S = 10.0
 RESTS_S = 0.5
 """A rest lasts for so long before it is believed."""
 NS = 1e9
+USUAL_NS = 50_000_000
+"""Every board reports, or answers, more often."""
 OWN_WORD, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
 
 
@@ -52,6 +54,12 @@ def rest_ns(samples: Sequence[SeenSample]) -> int | None:
         last = tuple(positions)
         found = t_ns
     return found
+
+
+def unseen_s(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> float:
+    """For how long before the rest no report had come, but for what is usual: the wheels may have stood by so much
+    sooner. Reports that had waited are read one right after the other, and count as one."""
+    return shake.blind_ns(samples, cause_ns, rest, USUAL_NS) / NS
 
 
 def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
