@@ -132,6 +132,7 @@ def _serial(arguments: Namespace) -> Card:
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
     try:
         with interruptible(), probe:
+            _say("first, how its wheels look at rest and while they turn ...")
             probe.character()
             for name in names:
                 if name == "plug" and not sys.stdin.isatty():

@@ -18,6 +18,8 @@ TITLE = "Does this robot stop?"
 FORMATS = (".txt", ".json", ".svg")
 GOOD_S, BAD_S = 0.5, 2.0
 """Up to the one a time is shown green, from the other on red."""
+SHARP_S = 0.03
+"""A time that is not known as well as that is shown with how well it is."""
 GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
 LINE, WIDTH, MARGIN, TIMES_AT = 34, 760, 32, 470
 RECKON = "Wheels off the ground. On the ground a base goes on for longer."
@@ -36,8 +38,8 @@ class Row:
     skipped: str = ""
     """Why it was not done; empty: it was."""
     note: str = ""
-    unseen_s: float = 0.0
-    """For how long before the rest nobody heard of the wheels: they may have stood by so much sooner."""
+    within_s: float = 0.0
+    """Give or take so much: half of the time between the two reports that the rest is between."""
     cause_ns: int = 0
     """When it failed (CLOCK_MONOTONIC)."""
 
@@ -51,8 +53,8 @@ class Row:
     @property
     def remark(self) -> str:
         """For people: what else is to be said; empty: nothing."""
-        unseen = f"no report came for {self.unseen_s:.2f} s before: it may be so much less" if self.unseen_s else ""
-        return self.note or unseen
+        late = f"give or take {self.within_s:.2f} s: its reports came late" if self.within_s > SHARP_S else ""
+        return self.note or late
 
     @property
     def colour(self) -> str:
@@ -122,7 +124,7 @@ class Card:
                 "never": not row.skipped and row.stands_s is None,
                 "judged_by": row.by,
                 "skipped": row.skipped,
-                "unseen_s": round(row.unseen_s, 3),
+                "give_or_take_s": round(row.within_s, 3),
                 "note": row.note,
             }
             for row in self.rows

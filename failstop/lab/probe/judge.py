@@ -1,7 +1,7 @@
 """Judge: when the wheels came to rest, by what a board or an odometry reports, or by a person's key. Pure but for the
 key.
 
-A rest is dated by the first report that shows it: the first of those that all say the same place and no speed.
+A rest is between two reports: the first of those that all say the same place and no speed, and the one before it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ NEVER_S = 10.0
 RESTS_S = 0.5
 """A rest lasts for so long before it is believed."""
 NS = 1e9
-USUAL_NS = 50_000_000
-"""Every board reports, or answers, more often."""
 OWN_WORD, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
 
 
@@ -56,10 +54,12 @@ def rest_ns(samples: Sequence[SeenSample]) -> int | None:
     return found
 
 
-def unseen_s(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> float:
-    """For how long before the rest no report had come, but for what is usual: the wheels may have stood by so much
-    sooner. Reports that had waited are read one right after the other, and count as one."""
-    return shake.blind_ns(samples, cause_ns, rest, USUAL_NS) / NS
+def dated(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> tuple[float, float]:
+    """After how many seconds the wheels came to rest, give or take how many: between the last report that came before
+    `rest`, the first of the rest, and that one. Reports that had waited are read one right after the other, and count
+    as one."""
+    unseen = shake.blind_ns(samples, cause_ns, rest, 0)
+    return max(0.0, rest - unseen / 2 - cause_ns) / NS, unseen / 2 / NS
 
 
 def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:

@@ -227,9 +227,10 @@ class SerialProbe:
         self._finish()
         if stands_ns is None:
             return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns)
-        unseen_s = 0.0 if self._by_key else judge.unseen_s(self._samples, cause_ns, stands_ns)
-        seconds = max(0, stands_ns - cause_ns) / 1e9
-        return Row(name, ROWS[name], seconds, self.by, unseen_s=unseen_s, cause_ns=cause_ns)
+        seconds, within_s = (stands_ns - cause_ns) / 1e9, 0.0
+        if not self._by_key:
+            seconds, within_s = judge.dated(self._samples, cause_ns, stands_ns)
+        return Row(name, ROWS[name], seconds, self.by, within_s=within_s, cause_ns=cause_ns)
 
     def _stands(self, cause_ns: int) -> int | None:
         """When the wheels came to rest; None: they did not within NEVER_S."""

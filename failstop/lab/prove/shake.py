@@ -127,8 +127,9 @@ def turning(samples: Sequence[GyroSample], std_radps: float) -> bool:
 
 
 def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int, long_ns: int = BLIND_NS) -> int:
-    """How long nothing was read just before `end_ns`; 0 when it was not for `long_ns`. Samples that had waited, as those of
-    a port whose owner was gone, are read one right after the other: their times are one."""
+    """How long nothing was read just before `end_ns`; 0 when it was not for more than `long_ns`. Samples
+    that had waited, as those of a port whose owner was gone, are read one right after the other: their times are
+    one."""
     woken_ns, last_ns = end_ns, begin_ns
     for t_ns in (t_ns for t_ns, _, _ in reversed(samples) if t_ns < end_ns):
         if woken_ns - t_ns > TOGETHER_NS:
