@@ -7,6 +7,7 @@ import json
 import math
 import os
 import random
+import shlex
 import signal
 import subprocess
 import threading
@@ -26,6 +27,8 @@ from failstop.lab.probe.serial import ROWS, SerialProbe, frame_of
 from failstop.lab.sim.client import SimBoard
 from tests.support.amounts import LONG, amount
 from tests.support.commands import FAILSTOP, failstop
+from tests.support.pages import ROOT, blocks
+from tests.support.typist import Typist
 
 T13 = b'{"T":13,"X":0.1,"Z":0}\n'
 ALONE = [name for name in ROWS if name != "plug"]
@@ -34,6 +37,8 @@ BASES = {"hoverboard": None, "ugv": None, "arduino": None, "rrc": None, "ugv by 
 NEAR_S = 0.05
 ON_THE_WAY_S = 0.02
 """A report is older than its arrival. Where a card is not as exact as that, it says so: the machine was busy."""
+TELLS_S = 0.1
+"""For a terminal to bring a key."""
 MOVES_S, STOPS_S, ENDS_S = 40.0, 40.0, 60.0
 KILLED_WITHIN_S = 20.0
 """From its start: it is killed at the latest then."""
@@ -93,6 +98,43 @@ def test_the_card_says_what_the_board_did(base: str, tmp_path: Path) -> None:
         else:
             near_s = max(NEAR_S, ON_THE_WAY_S + row.within_s)
             assert least_s - near_s <= row.stands_s <= most_s + near_s
+
+
+PAGE = ROOT / "docs/does-your-robot-stop.md"
+COMMANDS = [line for block in blocks(PAGE) for line in block.text.splitlines() if "probe serial" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LONG, reason="make campaigns runs the commands of the page")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_of_the_page_makes_a_card(command: str, tmp_path: Path) -> None:
+    words = shlex.split(command)[1:]
+    words[words.index("--port") + 1] = str(tmp_path / "b")
+    with SimBoard(tmp_path / "b", board="ugv"):
+        done = failstop(*words, "--rows", "silence,plug", "--yes", "--json", "--out", str(tmp_path / "card"))
+    silence, plug = json.loads(done.stdout)["rows"]
+    assert silence["never"] is ("--frame" in words)
+    assert plug["skipped"] == "nobody to pull it"
+    assert done.returncode == int(silence["never"])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LONG, reason="ten seconds of a processor")
+def test_a_person_pulls_the_plug_and_says_when_the_wheels_stand(tmp_path: Path) -> None:
+    port, out = str(tmp_path / "b"), str(tmp_path / "card")
+    words = ["probe", "serial", "--board", "ugv", "--port", port, "--yes", "--rows", "plug", "--out", out]
+    with SimBoard(port, board="ugv") as board, Typist.failstop(*words) as person:
+        person.wait("PULL THE BOARD'S PLUG NOW", MOVES_S)
+        board.unplug()
+        pulled_ns = time.monotonic_ns()
+        board.wait_wheels(False, STOPS_S)
+        really_s = (person.type(b"\n") - pulled_ns) / 1e9
+        person.wait("Plug it in again.", MOVES_S)
+        board.replug()
+        assert person.end(ENDS_S) == 0
+    (row,) = json.loads(Path(f"{out}.json").read_text())["rows"]
+    print(f"plug: {row['stands_s']}, really {really_s:.3f}")
+    assert row["stands_s"] == pytest.approx(really_s, abs=NEAR_S + TELLS_S)
 
 
 def wait_for_its_end(port: Path) -> None:
@@ -161,6 +203,10 @@ def test_the_judge_dates_a_rest_by_its_first_report() -> None:
     assert judge.rest_ns(turning) is None
     assert judge.rest_ns([(at, (), (float(at // 3),)) for at in range(9)]) == 6
     assert judge.rest_ns([]) is None
+    nowhere, confused = (math.nan, 0.0), [(0, (0.1,), (0.0, 0.0)), (1, (math.nan,), (math.nan, 0.0))]
+    assert judge.rest_ns([*confused, *((at, (0.0,), nowhere) for at in range(2, 9))]) == 2
+    late = [(at * 10**7, (0.1,), ()) for at in range(5)] + [(at * 10**7, (0.0,), ()) for at in range(10, 15)]
+    assert judge.dated(late, 0, 10**8) == pytest.approx((0.07, 0.03))
 
 
 def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from failstop.lab.sim.client import SimBoard
-from failstop.setup import ports, robots
+from failstop.setup import finish, ports, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
 from failstop.setup.talk import Left, NotAnAnswer, Talk, option
@@ -202,7 +202,7 @@ def strike(fault: str, board: SimBoard, person: Person) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("step", "fault"), FAULTS if LONG else [("wheel_0", "unplug")])
+@pytest.mark.parametrize(("step", "fault"), FAULTS if LONG else [("wheel_0", "unplug"), ("prove", "ctrl-c")])
 def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: str, place: Path) -> None:
     port = str(place / "b")
     answers = {**GIVEN, "port": port, "prove": "yes", "unproved": "no"}
@@ -230,6 +230,15 @@ def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: 
     assert kept(place) == [
         key for key in list(GIVEN)[: list(GIVEN).index("board" if step == "ask" else step)] if key not in UNKEPT
     ]
+
+
+def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [{"path": path, "verdict": verdict} for path, verdict in (("scan", "PASS"), ("kill-gate", "INVALID"))]
+    finish.closing(talk(place), "/x/s.toml", "left", {"rows": rows, "unproved": ["pad: this board has no gamepad"]})
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 2 stop paths on this robot" in said
+    assert "not proved: kill-gate: the stand test said INVALID not proved: pad: this board has no gamepad" in said
+    assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
 
 
 def test_the_board_is_found_by_what_goes_and_comes(place: Path) -> None:

@@ -136,7 +136,7 @@ def _serial(arguments: Namespace) -> Card:
             probe.character()
             for name in names:
                 if name == "plug" and not sys.stdin.isatty():
-                    card.rows.append(Row(name, serial.ROWS[name], skipped="nobody is here to pull it"))
+                    card.rows.append(Row(name, serial.ROWS[name], skipped="nobody to pull it"))
                     continue
                 _say(f"{serial.ROWS[name]} ...")
                 card.rows.append(row := probe.take(name))

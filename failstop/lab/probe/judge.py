@@ -6,6 +6,7 @@ A rest is between two reports: the first of those that all say the same place an
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import sys
@@ -45,11 +46,13 @@ def rest_ns(samples: Sequence[SeenSample]) -> int | None:
     found = None
     last: tuple[float, ...] | None = None
     for t_ns, speeds, positions in reversed(samples):
-        if any(abs(speed) > AT_REST for speed in speeds) or (last is not None and tuple(positions) != last):
+        # A driver that was sent NaN may report it: as a speed it is no rest, as a place it is nowhere ever after.
+        places = tuple(place for place in positions if not math.isnan(place))
+        if not all(abs(speed) <= AT_REST for speed in speeds) or (last is not None and places != last):
             break
         if not speeds and not positions:
             continue
-        last = tuple(positions)
+        last = places
         found = t_ns
     return found
 

@@ -178,7 +178,7 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
     if name == "driver" and not arguments.key and not listener.samples:
         seconds, note = None, "its odometry ended with it: look at the wheels, and use --key"
     by = judge.PERSON if arguments.key else judge.ODOMETER
-    return Row(name, ROWS[name], seconds, by, note=note, within_s=within_s)
+    return Row(name, ROWS[name], seconds, by, note=note, within_s=within_s, cause_ns=cause_ns)
 
 
 def _stands(by_key: bool, listener: Listener) -> int | None:
