@@ -73,7 +73,7 @@ def permission(look: Look) -> list[Finding]:
         return ok(f"left to the service, whose port is {look.state.device.state}")
     if node.accessible:
         return ok(f"{who} may open it")
-    text = f"{who} may not open {node.path}, which is of the group {node.group}"
+    text = f"user {who} may not open {node.path}, which is of the group {node.group}"
     # Root's group gives more than a port.
     if node.group == "root":
         return fail(text, *RULE)

@@ -125,6 +125,7 @@ def write(talk: Talk, made: str, name: str) -> str:
     """Show the settings, and write them where the person says. Returns the path. Raises Left."""
     style.show([[], [("The settings", style.STRONG)]])
     style.show([[(f"   {line}", style.PLAIN)] for line in made.splitlines()])
+    style.show([[]])
     installed = config.installed(name)
     default = installed if os.access(os.path.dirname(installed), os.W_OK) else os.path.abspath(f"{name}.toml")
 
@@ -184,11 +185,14 @@ def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> No
         talk.say(f"{passed} of {len(rows)} stop paths on this robot, its wheels in the air.", style.OK)
         if any(row["path"] == FROZEN and row["verdict"] == "PASS" for row in rows):
             talk.say("The board's own watchdog: it stopped the wheels while the whole service was frozen.", style.OK)
+    failed = {row["path"]: row["verdict"] for row in rows if row["verdict"] != "PASS"}
+    for path_, verdict in failed.items():
+        talk.say(f"not proved: {path_}: the stand test said {verdict}", style.WARN)
     for reason in (*evidence.get("unproved", ()), "on the ground: wheels take longer to stop there"):
         talk.say(f"not proved: {reason}", style.DIM)
     style.show([[], [("Next", style.STRONG)]])
-    for command in commands(path, name):
-        talk.say(command, style.STRONG)
+    # Whole lines, whatever their length: they are copied.
+    style.show([[(f"   {command}", style.STRONG)] for command in commands(path, name)])
 
 
 def commands(path: str, name: str) -> list[str]:
@@ -198,7 +202,7 @@ def commands(path: str, name: str) -> list[str]:
     start = f"sudo systemctl enable --now {unit_of(name).removesuffix('.service')}"
     if path == installed and os.path.isdir("/run/systemd/system"):
         begin = [start]
-    elif name == DEFAULT_NAME and os.path.isdir(os.path.dirname(installed)):
+    elif path != installed and name == DEFAULT_NAME and os.path.isdir(os.path.dirname(installed)):
         begin = [f"sudo install -m 644 {shlex.quote(path)} {installed}", start]
     else:
         begin = [f"failstop run --config {shlex.quote(path)}{where} &"]

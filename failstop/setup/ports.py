@@ -74,6 +74,13 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
     return min(came)
 
 
+def is_serial(path: str) -> bool:
+    """Whether a device is a terminal of the kernel's, as far as it tells: it tells nothing of a pseudo-terminal."""
+    number = os.stat(path).st_rdev
+    subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
+    return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
+
+
 def choose(talk: Talk, system: System) -> str:
     """The board's port, by the person. Raises Left."""
     found = {} if talk.known("port") else listed(system)
@@ -95,7 +102,7 @@ def choose(talk: Talk, system: System) -> str:
             raise NotAnAnswer(f"type {numbers}a path such as /dev/ttyACM0, or {UNPLUG}")
         if not os.path.exists(path):
             raise NotAnAnswer(f"there is no {path}: plug the board in, or type another")
-        if system.node(path) is None:
+        if system.node(path) is None or not is_serial(path):
             raise NotAnAnswer(f"{path} is no serial port")
         return path
 

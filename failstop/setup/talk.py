@@ -40,16 +40,16 @@ class Talk:
         """The head of a step."""
         style.show([[], [(f"{number}. {title}", style.STRONG)]])
 
-    def say(self, text: str, role: str = style.PLAIN, indent: int = 3) -> None:
-        """A sentence, wrapped."""
+    def say(self, text: str, role: str = style.PLAIN, indent: int = 3, hang: int = 0) -> None:
+        """A sentence, wrapped. `hang`: by how much its further lines begin behind the first."""
         line = [(" " * indent, style.PLAIN), (text, role)]
-        style.show(style.wrap(line, min(WIDEST, style.width()), indent))
+        style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
     def warn(self, text: str, remedy: str = "") -> None:
         """A fault, and what helps."""
         self.say(text, style.WARN)
         if remedy:
-            self.say(f"-> {remedy}", style.STRONG, 5)
+            self.say(f"-> {remedy}", style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
         """The answer to a question. `default`: of an empty line; `keep`: it is taken up again from the draft. Raises

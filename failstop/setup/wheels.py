@@ -18,8 +18,8 @@ FASTEST_RPS = 2.0
 AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
 WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
 STAND = (
-    "WHEELS TURN NOW. The robot is on a stand: every wheel is off the ground and free, nobody and nothing is near, and "
-    "the power switch is at hand. Ctrl-C stops the wheels at any time."
+    "WHEELS TURN NEXT. The robot is on a stand: every wheel is off the ground and free, nobody and nothing is near, "
+    "and the power switch is at hand. Ctrl-C stops the wheels at any time."
 )
 SUPPLY = "are the motors' supply and that motor's plug in?"
 
@@ -106,10 +106,9 @@ class Trial:
             else:
                 answers[id_] = answer
         found: dict[str, object] = {}
-        for id_, answer in sorted(answers.items()):
-            if answer != NONE:
-                number = self._words.index(answer[:-1]) + 1
-                found |= {f"wheels.id_{number}": id_, f"wheels.sign_{number}": 1 if answer[-1] == "+" else -1}
+        ids = {answer[:-1]: (id_, 1 if answer[-1] == "+" else -1) for id_, answer in answers.items() if answer != NONE}
+        for number, word in enumerate(self._words, 1):
+            found[f"wheels.id_{number}"], found[f"wheels.sign_{number}"] = ids[word]
         return found
 
     def _legend(self) -> None:
@@ -117,7 +116,7 @@ class Trial:
         wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
         self._talk.say("One wheel after the other turns slowly for a second. Type which it was, and which way:")
         self._talk.say(f"wheel   {wheels}" if self._count == 4 else f"wheel   {', '.join(self._words)}", indent=5)
-        self._talk.say(f"way     + {self._way}, - the other way: {self._words[0]}+", indent=5)
+        self._talk.say(f"way     + {self._way}, - the other way; as {self._words[0]}+", indent=5)
         self._talk.say(f"else    {AGAIN_WORD}: once more; {FASTER}: twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:

@@ -3,23 +3,31 @@ taken up again. The simulated board is the judge."""
 
 from __future__ import annotations
 
+import json
+import os
 import signal
-from collections.abc import Iterator
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 
-from failstop.doctor.system import Node, System
 from failstop.lab.sim.client import SimBoard
-from failstop.setup import ports, robots
+from failstop.setup import finish, ports, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
-from failstop.setup.talk import Left, NotAnAnswer, Talk
+from failstop.setup.talk import Left, NotAnAnswer, Talk, option
 from failstop.setup.wheels import names, parsed
-from tests.setup.person import Person, Wiring
+from tests.setup.person import Person, is_motion
+from tests.support.amounts import LONG
+from tests.support.children import NOBODY, needs_root
+from tests.support.commands import FAILSTOP
 
 KIND, WHEELS = "ugv", {0: "left+", 1: "right-"}
-STOPS_S = 30.0
+STOPS_S, ENDS_S, WAIT_S = 30.0, 60.0, 90.0
 
 
 def written(place: Path) -> list[Path]:
@@ -27,75 +35,210 @@ def written(place: Path) -> list[Path]:
     return list(place.rglob("*.toml*"))
 
 
-@pytest.mark.slow
-def test_it_is_left_by_every_fault_with_a_remedy_and_taken_up_again(place: Path) -> None:
-    port = str(place / "b")
-    given = ("--port", port, "--robot", "ugv-rover")
-    with SimBoard(port, board=KIND) as board:
-        with Person(place, "--port", port, "--board", "hoverboard") as person:  # the wrong kind
-            person.reads("the board that answers is ugv")
-            person.reads("give --board ugv")
-            assert person.ends() == 1
-        board.deaf(True)
-        with Person(place, "--afresh", *given, "--board", KIND) as person:
-            person.reads("it does not hear; look at the board's power; its cable, whose TX and RX cross")
-            assert person.ends() == 1
-        board.deaf(False)
-        wiring = Wiring(board, WHEELS)
-        with Person(place, "--afresh", *given) as person:  # two wheels with one id, then Ctrl-C while a wheel turns
-            person.says("Type yes:", "yes")
-            person.says("Id 0: which wheel, which way?", "left+")
-            person.says("Id 1: which wheel, which way?", "left-")
-            person.reads("left was said of id 0 and of id 1: one wheel can't have two. Both are turned once more.")
-            board.events()
-            person.reads("Id 0: which wheel, which way?")
-            person.types(wiring.seen())
-            board.wait_wheels(True, STOPS_S)
-            person.typist.type(b"\x03")
-            person.reads("the wheels are stopped, nothing is written; `failstop setup` goes on from here")
-            assert person.ends() == 1
-        board.wait_wheels(False, STOPS_S)
-        with Person(place) as person:  # taken up again; the plug is pulled while a wheel turns
-            person.reads("A setup was left with: ")
-            person.says("Go on with it?", "")
-            person.says("Type yes:", "yes")
-            person.reads("wheel 0: left+ (as before)")
-            board.wait_wheels(True, STOPS_S)
-            board.unplug()
-            person.reads("the wheels were stopped: ")
-            person.reads("if a wheel turns, use the POWER SWITCH; nothing is written")
-            assert person.ends() == 1
-        board.replug()
-        with Person(place) as person:  # and killed while a wheel turns
-            person.says("Go on with it?", "")
-            person.says("Type yes:", "yes")
-            board.wait_wheels(True, STOPS_S)
-            person.typist.process.send_signal(signal.SIGKILL)
-            board.wait_wheels(False, STOPS_S)
-        with Person(place, "--afresh", *given, "--stand", "no") as person:
-            person.reads("nothing was moved: put the robot on a stand; nothing is written")
-    assert not written(place)
-
-
 def talk(place: Path, **given: str) -> Talk:
     return Talk(given, Draft("failstop", {"STATE_DIRECTORY": str(place)}), silent=True)
 
 
-class Locked(System):
-    """A port that this user may not open."""
+GIVEN = {
+    "port": "PORT",
+    "board": KIND,
+    "robot": "ugv-rover",
+    "stand": "yes",
+    "wheel_0": "left+",
+    "wheel_1": "right-",
+    "forward": "yes",
+    "turn": "yes",
+    "diameter_m": "0.08",
+    "track_m": "0.172",
+    "vx_mps": "0.2",
+    "wz_radps": "1",
+    "prove": "no",
+    "file": "made.toml",
+}
+"""Right answers to all questions, in their order, which turn no wheel."""
+UNKEPT = ("stand", "prove", "file")
+"""These are asked each time."""
+WHEELS_TOO = ("wheel_0", "wheel_1")
+LEAVES = "nothing is written; `failstop setup` goes on from here"
+WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
+    "no port": ({"port": "/nowhere"}, (), "there is no /nowhere: plug the board in, or type another"),
+    "no path": ({"port": "ttyUSB0"}, (), "type a path such as /dev/ttyACM0, or unplug"),
+    "no serial port": ({"port": "/dev/null"}, (), "/dev/null is no serial port"),
+    "a folder": ({"port": "/tmp"}, (), "/tmp is no serial port"),
+    "no kind": ({"board": "esp32"}, (), "type rrc, arduino, hoverboard, ugv, or the path of a folder of your own"),
+    "wrong kind": ({"board": "rrc"}, (), "the board that answers is ugv: give --board ugv, or plug the other board in"),
+    "no robot": ({"robot": "9"}, (), "type a number from 1 to 4"),
+    "not on a stand": ({"stand": "no"}, (), "nothing was moved: put the robot on a stand"),
+    "no wheel": ({"wheel_0": "middle+"}, (), "type the wheel (left, right), then + for forward or - for backward"),
+    "two of one": ({"wheel_1": "left-"}, WHEELS_TOO, "left was said of id 0 and of id 1: one wheel can't have two"),
+    "none": (
+        {"wheel_0": "none"},
+        (),
+        "every id of this robot has a wheel: are the motors' supply and",
+    ),
+    "backward": ({"forward": "no"}, WHEELS_TOO, "said of one of the wheels is not so: the wheels are asked once more"),
+    "to the right": ({"turn": "no"}, WHEELS_TOO, "said of one of the wheels is not so: the wheels are asked once more"),
+    "in millimetres": ({"diameter_m": "80"}, (), "type a number from 0.02 to 1, in m"),
+    "no number": ({"wz_radps": "fast"}, (), "in rad/s"),
+    "no folder": ({"file": "/nowhere/made.toml"}, (), "this user may not write to /nowhere: type another path, or no"),
+    "no file": ({"file": "/tmp"}, (), "/tmp is no file: type another path, or no"),
+    "unwritten": ({"file": "no"}, (), "nothing was written"),
+}
+"""Each wrong answer at each step: what is said, which answers before it are asked anew, and the sentence."""
 
-    def node(self, path: str) -> Node | None:
-        return Node(path, path, False, "dialout", accessible=False)
 
-    def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
-        yield from ()
+def run(place: Path, answers: Mapping[str, str], **how: Any) -> subprocess.CompletedProcess[str]:
+    """Setup with these answers and nobody there, from the folder `place`."""
+    words = [word for key, value in answers.items() for word in (option(key), value.replace("PORT", str(place / "b")))]
+    environ = {**os.environ, "STATE_DIRECTORY": str(place / "state"), "FAILSTOP_ROOT": str(place)}
+    streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
+    return subprocess.run(
+        [*FAILSTOP, "setup", *words], cwd=place, env=environ, check=False, timeout=WAIT_S, **streams, **how
+    )
 
 
-def test_missing_rights_end_it_with_the_group(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(Left, match="can't be used so"):
-        ports.step(talk(place, port="/dev/null"), Locked())
+def flat(done: subprocess.CompletedProcess[str]) -> str:
+    """All that it said, as one line."""
+    return " ".join(f"{done.stdout} {done.stderr}".split())
+
+
+def kept(place: Path) -> list[str]:
+    """The questions whose answers were kept."""
+    path = place / "state/setup.json"
+    return list(json.loads(path.read_text())) if path.exists() else []
+
+
+@pytest.fixture(scope="module")
+def wired(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
+    """A board that no wrong answer moves."""
+    with SimBoard(tmp_path_factory.mktemp("wired") / "b", board=KIND) as board:
+        yield board
+
+
+@pytest.fixture
+def connected(wired: SimBoard, place: Path) -> SimBoard:
+    """It, at the port `b` of the folder."""
+    (place / "b").symlink_to(os.path.realpath(wired.link))
+    wired.events()
+    return wired
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", WRONG if LONG else ["to the right"])
+def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
+    wrong: str, connected: SimBoard, place: Path
+) -> None:
+    said, lost, sentence = WRONG[wrong]
+    done = run(place, {**GIVEN, **said})
+    assert done.returncode == 1
+    assert sentence in flat(done)
+    assert LEAVES in flat(done)
+    assert not written(place)
+    before = list(GIVEN)[: list(GIVEN).index(min(said, key=list(GIVEN).index))]
+    assert kept(place) == [key for key in before if key not in (*lost, *UNKEPT)]
+    answers = {key: value for key, value in GIVEN.items() if key not in kept(place)}
+    again = run(place, answers)
+    assert again.returncode == 0, flat(again)
+    assert written(place) == [place / "made.toml"]
+    assert not any(is_motion(event) for event in connected.events())
+
+
+@pytest.mark.slow
+@needs_root
+@pytest.mark.parametrize(
+    ("mode", "sentences"),
+    [
+        (0o600, ("User nobody may not open ", "which is of the group root -> the Debian package", "can't be used so")),
+        (0o666, ("this user may not write to ",)),
+    ],
+)
+def test_missing_rights_are_told_with_what_gives_them(
+    mode: int, sentences: Sequence[str], connected: SimBoard, place: Path
+) -> None:
+    place.chmod(0o755)
+    os.chmod(place / "b", mode)
+    done = run(place, GIVEN, user=NOBODY, group=NOBODY, extra_groups=[])
+    assert done.returncode == 1
+    for sentence in (*sentences, "your answers could not be kept", LEAVES.split(";")[0]):
+        assert sentence in flat(done)
+    assert not written(place)
+    assert not any(is_motion(event) for event in connected.events())
+
+
+GONE = "if a wheel turns, use the POWER SWITCH"
+STOPPED = "the wheels are stopped"
+FAULTS: dict[tuple[str, str], str] = {
+    ("ask", "silent"): "no board that failstop knows answers at",
+    ("ask", "deaf"): "it does not hear; look at the board's power; its cable, whose TX and RX cross",
+    ("ask", "unplug"): "went away",
+    **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
+    **dict.fromkeys(product(("wheel_0", "forward"), ("unplug", "deaf")), GONE),
+    **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("sigkill",)), ""),
+    ("prove", "unplug"): "the robot is not proved",
+    ("prove", "deaf"): "the robot is not proved",
+}
+"""Each fault at each step that has the board at work: of wheels that turn, and before. Empty: nobody is left to say."""
+
+
+def wait_for_its_end(port: str) -> None:
+    """Wait for every process of setup's at this port: nobody is left who could turn a wheel, or stop one."""
+    found = {each: each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])}
+    left = [each for each, words in found.items() if port in words and "failstop.lab.sim" not in words]
+    assert not psutil.wait_procs(left, ENDS_S)[1]
+
+
+def strike(fault: str, board: SimBoard, person: Person) -> None:
+    """The fault."""
+    if fault == "ctrl-c":
+        person.typist.type(b"\x03")
+    elif fault == "hang-up":
+        person.typist.process.send_signal(signal.SIGHUP)
+    elif fault == "sigkill":
+        person.typist.process.send_signal(signal.SIGKILL)
+    elif fault == "unplug":
+        board.unplug()
+    else:
+        board.deaf(True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "fault"), FAULTS if LONG else [("wheel_0", "unplug"), ("prove", "ctrl-c")])
+def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: str, place: Path) -> None:
+    port = str(place / "b")
+    answers = {**GIVEN, "port": port, "prove": "yes", "unproved": "no"}
+    turned = answers if step in ("ask", "prove") else {key: answers[key] for key in answers if key != step}
+    words = [word for key, value in turned.items() for word in (option(key), value)]
+    sentence = FAULTS[step, fault]
+    with SimBoard(port, board=KIND) as board:
+        if step == "ask" and fault != "unplug":
+            board.deaf(True)
+        with Person(place, *words) as person:
+            if step == "ask" and fault == "unplug":
+                person.reads("is asked what it is")
+                board.unplug()
+            elif step != "ask":
+                board.wait_wheels(True, STOPS_S)
+                strike(fault, board, person)
+            if sentence:
+                person.reads(sentence)
+                person.reads(LEAVES)
+                assert person.ends() == 1
+        board.wait_wheels(False, STOPS_S)
+        wait_for_its_end(port)
+        assert not any(board.wheels())
+    assert not written(place)
+    assert kept(place) == [
+        key for key in list(GIVEN)[: list(GIVEN).index("board" if step == "ask" else step)] if key not in UNKEPT
+    ]
+
+
+def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [{"path": path, "verdict": verdict} for path, verdict in (("scan", "PASS"), ("kill-gate", "INVALID"))]
+    finish.closing(talk(place), "/x/s.toml", "left", {"rows": rows, "unproved": ["pad: this board has no gamepad"]})
     said = " ".join(capsys.readouterr().out.split())
-    assert "which is of the group dialout -> sudo usermod -aG dialout" in said
+    assert "1 of 2 stop paths on this robot" in said
+    assert "not proved: kill-gate: the stand test said INVALID not proved: pad: this board has no gamepad" in said
+    assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
 
 
 def test_the_board_is_found_by_what_goes_and_comes(place: Path) -> None:

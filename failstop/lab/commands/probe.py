@@ -132,10 +132,11 @@ def _serial(arguments: Namespace) -> Card:
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
     try:
         with interruptible(), probe:
+            _say("first, how its wheels look at rest and while they turn ...")
             probe.character()
             for name in names:
                 if name == "plug" and not sys.stdin.isatty():
-                    card.rows.append(Row(name, serial.ROWS[name], skipped="nobody is here to pull it"))
+                    card.rows.append(Row(name, serial.ROWS[name], skipped="nobody to pull it"))
                     continue
                 _say(f"{serial.ROWS[name]} ...")
                 card.rows.append(row := probe.take(name))

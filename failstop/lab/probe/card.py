@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import escape
 
+from failstop.cli.style import cut
 from failstop.lab.probe.judge import NEVER_S
 from failstop.version import VERSION
 
@@ -18,8 +19,12 @@ TITLE = "Does this robot stop?"
 FORMATS = (".txt", ".json", ".svg")
 GOOD_S, BAD_S = 0.5, 2.0
 """Up to the one a time is shown green, from the other on red."""
+SHARP_S = 0.03
+"""A time that is not known as well as that is shown with how well it is."""
 GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
-LINE, WIDTH, MARGIN, TIMES_AT = 34, 760, 32, 470
+LINE, WIDTH, MARGIN, TIMES_AT, BY_AT = 34, 760, 32, 450, 570
+VALUE = 64
+"""Letters of a value in the picture."""
 RECKON = "Wheels off the ground. On the ground a base goes on for longer."
 
 
@@ -36,6 +41,8 @@ class Row:
     skipped: str = ""
     """Why it was not done; empty: it was."""
     note: str = ""
+    within_s: float = 0.0
+    """Give or take so much: half of the time between the two reports that the rest is between."""
     cause_ns: int = 0
     """When it failed (CLOCK_MONOTONIC)."""
 
@@ -45,6 +52,12 @@ class Row:
         if self.skipped:
             return "not tried"
         return "never" if self.stands_s is None else f"{self.stands_s:.2f} s"
+
+    @property
+    def remark(self) -> str:
+        """For people: what else is to be said; empty: nothing."""
+        late = f"give or take {self.within_s:.2f} s: its reports came late" if self.within_s > SHARP_S else ""
+        return self.note or late
 
     @property
     def colour(self) -> str:
@@ -87,8 +100,9 @@ class Card:
             return "Nothing was tried."
         if never:
             return f"It does NOT stop in {len(never)} of {len(self.tried)} failures: it drove on for {NEVER_S:g} s."
-        late = "It stops LATE: after up to" if self.slowest_s >= BAD_S else "It stops: within"
-        return f"{late} {self.slowest_s:.2f} s; failures tried: {len(self.tried)}."
+        late = "It stops LATE" if self.slowest_s >= BAD_S else "It stops"
+        failures = f"each of {len(self.tried)} failures" if len(self.tried) > 1 else "the one failure tried"
+        return f"{late}: within {self.slowest_s:.2f} s of {failures}."
 
     @property
     def slowest_s(self) -> float:
@@ -114,6 +128,8 @@ class Card:
                 "never": not row.skipped and row.stands_s is None,
                 "judged_by": row.by,
                 "skipped": row.skipped,
+                "failed_at_monotonic_s": round(row.cause_ns / 1e9, 6),
+                "give_or_take_s": round(row.within_s, 3),
                 "note": row.note,
             }
             for row in self.rows
@@ -127,7 +143,7 @@ class Card:
         lines.append(_boxed(f"{'what failed':<40} {'wheels stand':>13}  judged by"))
         for row in self.rows:
             lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
-            lines += [_boxed(f"  {row.note}")] if row.note else []
+            lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
         lines += [_boxed(f"Ended early: {self.ended}")] if self.ended else []
         return "\n".join([*lines, edge]) + "\n"
@@ -139,16 +155,22 @@ class Card:
         y += 12
         for name, what in self.heads():
             y += 24
-            parts += [_said(MARGIN, y, name, colour=GREY, size=15), _said(MARGIN + 100, y, what, size=15)]
+            parts += [_said(MARGIN, y, name, colour=GREY, size=15), _said(MARGIN + 100, y, cut(what, VALUE), size=15)]
         y += 28
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
+        y += 24
+        for x, head in ((MARGIN, "what failed"), (TIMES_AT, "wheels stand"), (BY_AT, "judged by")):
+            parts.append(_said(x, y, head, colour=GREY, size=13))
         for row in self.rows:
             y += LINE
             parts += [
                 _said(MARGIN, y, row.words, size=18),
                 _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
-                _said(TIMES_AT + 105, y, row.by or "", colour=GREY, size=13),
+                _said(BY_AT, y, row.by or row.skipped, colour=GREY, size=13),
             ]
+            if row.remark:
+                y += 20
+                parts.append(_said(MARGIN, y, row.remark, colour=GREY, size=13))
         y += 26
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         never = not self.tried or any(row.stands_s is None for row in self.tried)
@@ -171,8 +193,7 @@ class Card:
 
 
 def _boxed(line: str) -> str:
-    room = COLUMNS - 2
-    return f"| {line if len(line) <= room else f'{line[: room - 3]}...':<{room}} |"
+    return f"| {cut(line, COLUMNS - 2):<{COLUMNS - 2}} |"
 
 
 def _said(x: int, y: int, text: str, *, colour: str = "#1f2328", size: int, weight: str = "normal") -> str:

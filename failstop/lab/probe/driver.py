@@ -1,7 +1,8 @@
 """Driver: the throw-away process of a probe, which drives as vendors' drivers do: one frame again and again, no watch.
 
 `python -m failstop.lab.probe.driver PORT BAUD DTR RTS HEX PERIOD_S`. SIGUSR1: it falls silent and goes on living;
-SIGUSR2: it closes the port and goes on living. It prints a line when the first frame is out.
+SIGUSR2: it closes the port and goes on living. It begins at a line on standard input, by which its watcher knows of it,
+and ends where that never comes; it prints a line when the first frame is out.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from failstop.board.wire import Port
 def main(words: list[str]) -> None:
     """Until it is killed."""
     path, baud, dtr, rts, frame, period_s = words
+    if not sys.stdin.readline():
+        return
     line = Port(baud=int(baud), dtr=dtr == "1", rts=rts == "1", deaf_ns=0, opening=())
     fd = open_port(path, exclusive=False, line=line)
     data, drives = bytes.fromhex(frame), True

@@ -1,11 +1,12 @@
 """Judge: when the wheels came to rest, by what a board or an odometry reports, or by a person's key. Pure but for the
 key.
 
-A rest is dated by the first report that shows it: the first of those that all say the same place and no speed.
+A rest is between two reports: the first of those that all say the same place and no speed, and the one before it.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import sys
@@ -45,13 +46,23 @@ def rest_ns(samples: Sequence[SeenSample]) -> int | None:
     found = None
     last: tuple[float, ...] | None = None
     for t_ns, speeds, positions in reversed(samples):
-        if any(abs(speed) > AT_REST for speed in speeds) or (last is not None and tuple(positions) != last):
+        # A driver that was sent NaN may report it: as a speed it is no rest, as a place it is nowhere ever after.
+        places = tuple(place for place in positions if not math.isnan(place))
+        if not all(abs(speed) <= AT_REST for speed in speeds) or (last is not None and places != last):
             break
         if not speeds and not positions:
             continue
-        last = tuple(positions)
+        last = places
         found = t_ns
     return found
+
+
+def dated(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> tuple[float, float]:
+    """After how many seconds the wheels came to rest, give or take how many: between the last report that came before
+    `rest`, the first of the rest, and that one. Reports that had waited are read one right after the other, and count
+    as one."""
+    unseen = shake.blind_ns(samples, cause_ns, rest, 0)
+    return max(0.0, rest - unseen / 2 - cause_ns) / NS, unseen / 2 / NS
 
 
 def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:

@@ -171,11 +171,14 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
             publisher.end()
         guard.told("zero")
         listener.until(judge.RESTS_S)
-    seconds = None if rest is None else max(0, rest - cause_ns) / 1e9
+    seconds, within_s = None if rest is None else (rest - cause_ns) / 1e9, 0.0
+    if rest is not None and not arguments.key:
+        seconds, within_s = judge.dated(listener.samples, cause_ns, rest)
     note = ""
     if name == "driver" and not arguments.key and not listener.samples:
         seconds, note = None, "its odometry ended with it: look at the wheels, and use --key"
-    return Row(name, ROWS[name], seconds, judge.PERSON if arguments.key else judge.ODOMETER, note=note)
+    by = judge.PERSON if arguments.key else judge.ODOMETER
+    return Row(name, ROWS[name], seconds, by, note=note, within_s=within_s, cause_ns=cause_ns)
 
 
 def _stands(by_key: bool, listener: Listener) -> int | None:

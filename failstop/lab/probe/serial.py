@@ -14,9 +14,10 @@ import termios
 import time
 from collections.abc import Callable
 
+from failstop import stopping
 from failstop.api.errors import FailstopError
 from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
-from failstop.board.port import has_lines, open_port
+from failstop.board.port import PortError, has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
@@ -37,6 +38,7 @@ STARTS_S = 15.0
 HERE_S = 1.0
 """Between two words to the watcher."""
 PLUG_S = 60.0
+ENDED = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
 ROWS = {
     "sigkill": "its driver is killed (SIGKILL)",
     "sigstop": "its driver hangs (SIGSTOP)",
@@ -110,6 +112,9 @@ class SerialProbe:
                 self._watcher.stdout.close()
         self._end_driver()
         self._let_go()
+        if self._watcher and self._watcher.returncode:  # somebody has killed it
+            with contextlib.suppress(PortError):
+                stopping.stop(self._path, self._board, lambda _: STARTS_S, lambda _: None)
 
     def _open(self) -> None:
         self._let_go()
@@ -125,16 +130,24 @@ class SerialProbe:
 
     def _tell(self, line: str) -> None:
         """The watcher's answer is awaited: it knows what it is to stop before anything turns."""
+        self._write(line)
         assert self._watcher
-        assert self._watcher.stdin
         assert self._watcher.stdout
-        self._watcher.stdin.write(f"{line}\n")
-        self._watcher.stdin.flush()
         answer = self._watcher.stdout.readline().strip()
         if not answer:
-            raise FailstopError("the watcher has ended: if a wheel turns, use the POWER SWITCH")
+            raise FailstopError(ENDED)
         if answer == "late":
             raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
+
+    def _write(self, line: str) -> None:
+        """A line to the watcher. Raises FailstopError when it is gone."""
+        assert self._watcher
+        assert self._watcher.stdin
+        try:
+            self._watcher.stdin.write(f"{line}\n")
+            self._watcher.stdin.flush()
+        except OSError:
+            raise FailstopError(ENDED) from None
 
     def look(self) -> None:
         """Take in what the board says. A port that goes away is let go."""
@@ -161,7 +174,7 @@ class SerialProbe:
         while (now_s := time.monotonic()) < until_s:
             if now_s >= self._here_s:
                 self._here_s = now_s + HERE_S
-                self._here()
+                self._write(HERE)  # this process runs
             self.look()
             if found():
                 return True
@@ -190,13 +203,6 @@ class SerialProbe:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._by_key = True
 
-    def _here(self) -> None:
-        """Tell the watcher that this process runs."""
-        assert self._watcher
-        assert self._watcher.stdin
-        self._watcher.stdin.write(f"{HERE}\n")
-        self._watcher.stdin.flush()
-
     def _rest_ns(self) -> int | None:
         if self._board.observed_by == BY_IMU:
             return self._shaking.rest_ns(self._samples) if self._shaking else None
@@ -219,8 +225,12 @@ class SerialProbe:
             self._lower_lines()
         stands_ns = self._stands(cause_ns)
         self._finish()
-        seconds = None if stands_ns is None else max(0, stands_ns - cause_ns) / 1e9
-        return Row(name, ROWS[name], seconds, self.by, cause_ns=cause_ns)
+        if stands_ns is None:
+            return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns)
+        seconds, within_s = (stands_ns - cause_ns) / 1e9, 0.0
+        if not self._by_key:
+            seconds, within_s = judge.dated(self._samples, cause_ns, stands_ns)
+        return Row(name, ROWS[name], seconds, self.by, within_s=within_s, cause_ns=cause_ns)
 
     def _stands(self, cause_ns: int) -> int | None:
         """When the wheels came to rest; None: they did not within NEVER_S."""
@@ -273,10 +283,16 @@ class SerialProbe:
         line = self._board.port
         words = [sys.executable, "-m", "failstop.lab.probe.driver", self._path, str(line.baud)]
         words += [str(int(line.dtr)), str(int(line.rts)), self._frame.hex(), str(PERIOD_S)]
-        self._driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_parent)
+        self._driver = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_parent
+        )
         self._tell(f"drive {self._driver.pid}")
-        said = self._driver.stdout
+        told, said = self._driver.stdin, self._driver.stdout
+        assert told
         assert said
+        # Not before the watcher knows of it: a probe that is killed in between would leave it to drive on.
+        told.write("drive\n")
+        told.flush()
         if not self._until(STARTS_S, lambda: bool(select.select([said], [], [], 0)[0])):
             raise FailstopError(f"the driver did not start within {STARTS_S:g} s")
         if not said.readline():
@@ -294,8 +310,10 @@ class SerialProbe:
         if self._driver:
             self._driver.kill()
             self._driver.wait()
-            if self._driver.stdout:
-                self._driver.stdout.close()
+            for pipe in (self._driver.stdin, self._driver.stdout):
+                if pipe:
+                    with contextlib.suppress(OSError):
+                        pipe.close()
             self._driver = None
 
 

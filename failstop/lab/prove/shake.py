@@ -126,16 +126,17 @@ def turning(samples: Sequence[GyroSample], std_radps: float) -> bool:
     return bool(levels) and min(levels) >= std_radps
 
 
-def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
-    """How long nothing was read just before `end_ns`; 0 when it was not for long. Samples that had waited, as those of
-    a port whose owner was gone, are read one right after the other: their times are one."""
+def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int, long_ns: int = BLIND_NS) -> int:
+    """How long nothing was read just before `end_ns`; 0 when it was not for more than `long_ns`. Samples
+    that had waited, as those of a port whose owner was gone, are read one right after the other: their times are
+    one."""
     woken_ns, last_ns = end_ns, begin_ns
     for t_ns in (t_ns for t_ns, _, _ in reversed(samples) if t_ns < end_ns):
         if woken_ns - t_ns > TOGETHER_NS:
             last_ns = max(begin_ns, t_ns)
             break
         woken_ns = t_ns
-    return end_ns - last_ns if woken_ns - last_ns > BLIND_NS else 0
+    return end_ns - last_ns if woken_ns - last_ns > long_ns else 0
 
 
 def longest_silence_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
