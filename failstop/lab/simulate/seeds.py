@@ -26,8 +26,9 @@ from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
+from failstop.lab.simulate.kinds import GROUP_OF
 from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
-from failstop.lab.simulate.schedule import GROUP_OF, Event, Schedule
+from failstop.lab.simulate.schedule import Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
 from failstop.policy.layouts import BOARDS
@@ -106,6 +107,8 @@ class Seeds:
     rounds: int = 0
     twice: int = 0
     """So many runs were made twice, and were the same to the byte."""
+    found_s: float = 0.0
+    """Of a processor, to the first that was wrong."""
     wrong: list[Seeded] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
     groups: Counter[str] = field(default_factory=Counter)
@@ -287,6 +290,7 @@ def seeds(
                 run.violations.append("the same tape is another run")
         found.add(run)
         if run.violations and len(found.wrong) <= MOST_SHRUNK:
+            found.found_s = found.found_s or used_s() - begun_s
             found.wrong[-1] = nursery.shrunk(run)
             if patches:
                 break
