@@ -2,8 +2,8 @@
 
 A run is a chain of scenarios, the rounds, on one service. In each, events come at calls of the system and at loads and
 stores of shared memory, some few of them apart; after each the faults are off, and a program must be able to drive
-again. An event is a draw whose label is its place: the round, the process and which of its calls in the round it is. So
-one that is left out moves none of the others, as long as its process goes the same way.
+again. An event is a draw whose label is its place: the round, the process, and which of its accesses to one place of
+shared memory it is, or which call behind the last such store. So one that is left out moves few of the others.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ WEIGHTS = {"port_owner": 1.0, "supervisor": 0.6, "stopper": 0.6, "gate": 0.5, "t
 """How often an event that is due at a process comes; at any other one 0.2."""
 ON = 0.6
 """How often a group of kinds is on in a run."""
-GAPS = (30, 1000)
+GAPS = (15, 500)
 """Between these is a run's longest distance of two events, in calls; they are as often in each decade below it."""
 AT_RARE = (0.02, 1.0)
 """Between these is how often one comes, in a run, at the first store of a place or at the call behind it; at the n-th
@@ -58,6 +58,8 @@ HEAVY = 4
 ORDERS = 1 << 16
 
 Act = Callable[[int], object]
+Place = tuple[int, str, int | str]
+"""A process's number, the name of a call or access, and where in shared memory it is, or the last store before it."""
 Kinds = dict[str, Act]
 """The events that may happen at a place, by their kinds: called with its measure, one happens."""
 
@@ -93,7 +95,10 @@ class Schedule:
         self._due = 0
         self._heavy = 0
         self._here: dict[str, int] = {}
-        self._counts: dict[int, int] = {}
+        self._counts: dict[Place, int] = {}
+        """How often each place was come to in the round."""
+        self._behind: dict[int, str] = {}
+        """By pid: its last store."""
         self._names: dict[int, str] = {}
         """By pid: `gate 2` is the second gate of the round. Given at its begin and at each start, so that they hang on
         nothing else that happens."""
@@ -123,7 +128,7 @@ class Schedule:
             if machine.processes[pid].reaped or machine.processes[pid].parent is None:
                 del machine.processes[pid]
         self._round, self._heavy, prefix = number, HEAVY, f"{number} "
-        self._counts, self._names = {}, {}
+        self._counts, self._names, self._behind = {}, {}, {}
         for process in machine.processes.values():
             if not process.dead:
                 self._give_name(process)
@@ -170,23 +175,34 @@ class Schedule:
 
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         process = thread.process
-        number = self._counts[process.pid] = self._counts.get(process.pid, 0) + 1
+        if self._stage.witness.violations:
+            return  # what comes now has no part in it
+        pid = process.pid
+        key = (pid, call, about[1]) if call in ("load", "store") else (pid, call, self._behind.get(pid, ""))
+        number = self._counts[key] = self._counts.get(key, 0) + 1
+        if call == "store":
+            self._behind[pid] = f"{about[1]}:{number}"
         self.calls += 1
         if self._free:
             self._due -= 1
             if thread is self._marked or (call == "store" and self._is_rare(thread, about[1])):
                 self._marked = None
-                self._come(thread, call, about, number)
+                self._come(thread, call, about, key)
             elif self._due <= 0:
                 self._due = self._gap()
                 if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
-                    self._come(thread, call, about, number)
+                    self._come(thread, call, about, key)
         elif self._here:
-            place = f"{self._names[process.pid]} {number}"
+            place = self._label(key)
             if value := self._here.get(place):
                 kinds = dict(self._possible(thread, call, about))
                 if act := kinds.get(DRAWN_KINDS[(value - 1) // MEASURES]):
                     self._happen(f"{self._round} {place}", value, act, thread, call, about)
+
+    def _label(self, place: Place) -> str:
+        """Where the process is, the last time that it came to that place."""
+        pid, call, at = place
+        return f"{self._names[pid]} {call} {at} {self._counts[place]}"
 
     def _is_rare(self, thread: Thread, at: int) -> bool:
         """Whether an event comes at this store; at the call behind it one comes as often."""
@@ -203,9 +219,9 @@ class Schedule:
         """It has seen that a store is late: what comes next is worth an event."""
         self._marked = thread
 
-    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], number: int) -> None:
+    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], place: Place) -> None:
         """An event, if any is on that may happen here."""
-        process, dice = thread.process, self._tape.dice
+        dice = self._tape.dice
         groups = dict[str, Kinds]()
         for kind, act in self._possible(thread, call, about):
             group = GROUP_OF[kind]
@@ -217,9 +233,7 @@ class Schedule:
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
         value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
-        self._happen(
-            f"{self._round} {self._names[process.pid]} {number}", value, groups[group][kind], thread, call, about
-        )
+        self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         self._tape.put(label, value)

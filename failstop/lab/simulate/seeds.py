@@ -48,6 +48,9 @@ EVERY_TWICE = 100
 """One of so many runs is made twice, the second time by its tape."""
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
+EVENT_WORDS = 2
+SUFFIXES = (1, 2, 4, 8, 16, 32)
+"""Of a failure's events only so many are kept, the last of them, before parts are left out: most need no others."""
 MOST_SHRUNK = 5
 """So many failures of a campaign are shrunk."""
 COLD = 0.1
@@ -254,6 +257,11 @@ class Nursery:
             kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
             if skipped > 0 and fails({**kept, "skipped": skipped}) is not None:
                 break
+        for most in SUFFIXES:
+            last = set([label for label in best.draws if _is_event(label)][-most:])
+            kept = {label: value for label, value in best.draws.items() if label in last or not _is_event(label)}
+            if fails(kept) is not None:
+                break
         shrunk(best.draws, fails)
         return best
 
@@ -261,6 +269,11 @@ class Nursery:
 def _stays_down(name: str) -> bool:
     """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
     return "restart.deaths" in SETTINGS.get(SCENARIOS[name], {})
+
+
+def _is_event(label: str) -> bool:
+    """Whether a draw is of a place, and so comes at its time: with the round, process, which of that name, and call."""
+    return len(label.split()) > EVENT_WORDS
 
 
 def _before(label: str, number: int) -> bool:
