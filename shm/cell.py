@@ -112,14 +112,16 @@ class _Cells:
         return slice(at, at + self._size)
 
     def _last(self) -> int:
-        """The number of the newest whole entry; 0: there is none. Where nothing was ever written, as in every ring at
-        the start of a run, one look is enough: cell by cell it takes long."""
-        raw = self._view[self._at : self._at + self._cells * self._size]
-        return 0 if raw.count(0) == len(raw) else max(self._whole(), default=0)
+        """The number of the newest whole entry; 0: there is none."""
+        return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries. Looks at every cell: not for a hot path."""
-        found = [check(self._view[self._slice(i)], self._seed) for i in range(self._cells)]
+        """Sequence numbers of all whole entries, in one copy of all cells: not for a hot path. Where nothing was ever
+        written, as in every ring at the start of a run, no cell is checked."""
+        raw = self._view[self._at : self._at + self._cells * self._size]
+        if raw.count(0) == len(raw):
+            return []
+        found = [check(raw[i * self._size : (i + 1) * self._size], self._seed) for i in range(self._cells)]
         return [entry[0] for i, entry in enumerate(found) if entry and entry[0] % self._cells == i]
 
 

@@ -52,7 +52,7 @@ class Stopper:
         self._port_owner_bell = context.bell("port_owner_bell")
         self._written_word = context.own.word("written_ns")
         self._bells = (context.bell("bell"), context.early.bell)
-        self._turned_ns = self._excused_ns = monotonic_ns()
+        self._turned_ns, self._excused_ns = monotonic_ns(), 0
         self._parent = Parent(context, self.loop, 1)
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0

@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+from failstop.lab.machine.buffers import AGAIN, BUT_LAST, EARLY, LATE
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.loading import Loader
-from failstop.lab.machine.memory import BUT_LAST, EARLY, LATE, WeakMachine
+from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Process, Thread
 
 PATH, A, B = "/dev/shm/both", 0, 64
@@ -22,16 +23,16 @@ Body = Callable[[Any, Any], object]
 
 class Both:
     """Two programs that map one file. In the first a pause comes at its access of number `at`; the other waits for a
-    pipe's byte, or for its time."""
+    pipe's byte, or for its time. `races`: it comes at a store, until the other looks, whose loads are early then."""
 
-    def __init__(self, at: int, late: int = 0, early: int = 0) -> None:
+    def __init__(self, at: int, late: int = 0, early: int = 0, *, races: bool = False) -> None:
         self.machine = WeakMachine()
         self.loader = Loader(self.machine)
         self.machine.weaken(self.loader)
         file = Regular()
         file.resize(4096)
         self.machine.root.folder("/dev/shm").put("both", file)
-        self._at, self._late, self._early = at, late, early
+        self._at, self._late, self._early, self._races = at, late, early, races
         self._accesses = 0
 
     def run(self, first: Body, second: Body) -> None:
@@ -52,10 +53,12 @@ class Both:
 
         return run
 
-    def _pause(self, thread: Thread, call: str, about: object) -> None:
+    def _pause(self, thread: Thread, call: str, about: Any) -> None:
         if thread.process.name == "first" and call in ("load", "store"):
             self._accesses += 1
-            if self._accesses == self._at:
+            if self._accesses == self._at and self._races:
+                self.machine.race(SECOND_NS // 10, about[0], self._early)
+            elif self._accesses == self._at:
                 self.machine.pause(1_000_000, self._late, self._early)
 
 
@@ -104,6 +107,29 @@ def test_a_later_load_is_older_where_no_barrier_is_between(ordered: bool) -> Non
     assert ((1, 0) in {reader_pauses(early, ordered=ordered) for early in (0, *EARLY)}) is not ordered
 
 
+@pytest.mark.parametrize("ordered", [False, True])
+def test_who_looks_where_another_is_about_to_store_sees_it_in_another_order(ordered: bool) -> None:
+    seen = set[tuple[int, int]]()
+    for early in EARLY:
+        both, found = Both(1, early=early, races=True), list[int]()
+
+        def write(words: Any, mapped: Any) -> None:
+            words.Word(mapped, A).set(1)
+            words.Word(mapped, B).set(1)
+
+        def read(words: Any, mapped: Any, found: list[int] = found) -> None:
+            barrier = words.Barrier()
+            found.append(words.Word(mapped, B).get())
+            if ordered:
+                barrier()
+            found.append(words.Word(mapped, A).get())
+
+        both.run(write, read)
+        seen.add((found[0], found[1]))
+    assert ((1, 0) in seen) is not ordered
+    assert seen & {(1, 1), (0, 1)}
+
+
 def test_stores_of_one_word_are_seen_in_their_order() -> None:
     for late in LATE:
         both, found = Both(3, late), list[int]()
@@ -132,6 +158,34 @@ def test_a_cell_is_torn_between_words_and_not_in_them() -> None:
 
         both.run(write, lambda words, mapped: seen.add(mapped[CELL]))
     assert seen == {OLD, NEW, NEW[:16] + OLD[16:], OLD[:16] + NEW[16:]}
+
+
+def test_a_cell_is_torn_when_the_next_one_is_whole() -> None:
+    seen = set[tuple[int, bytes]]()
+    for late in LATE:
+        both = Both(3, late)
+
+        def write(words: Any, mapped: Any) -> None:
+            mapped[CELL] = NEW
+            words.Word(mapped, B).set(1)
+            words.Word(mapped, A).get()
+
+        both.run(write, lambda words, mapped: seen.add((words.Word(mapped, B).get(), mapped[CELL])))
+    assert {(1, NEW[:16] + OLD[16:]), (1, OLD[:16] + NEW[16:])} <= seen
+
+
+def test_who_looks_again_may_see_again_what_it_saw() -> None:
+    both, found = Both(2, 0, AGAIN), list[int]()
+
+    def read(words: Any, mapped: Any) -> None:
+        found.extend(words.Word(mapped, each).get() for each in (A, B, A))
+
+    def write(words: Any, mapped: Any) -> None:
+        words.Word(mapped, A).set(1)
+        words.Word(mapped, B).set(1)
+
+    both.run(read, write)
+    assert found == [0, 1, 0]
 
 
 def test_a_wait_in_the_kernel_is_a_barrier() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from failstop.lab.simulate import controls, seeds
 from failstop.lab.simulate.controls import CONTROLS
-from failstop.lab.simulate.schedule import DRAWN_KINDS, GROUPS
+from failstop.lab.simulate.kinds import DRAWN_KINDS, GROUPS
 from failstop.lab.simulate.seeds import Nursery, Seeded
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
 from failstop.lab.simulate.weak_controls import WEAK_CONTROLS

@@ -159,6 +159,14 @@ def test_a_stopper_that_was_frozen_with_the_rest_waits_anew(scene: Scene, late_n
     assert scene.written(fences_ms, alive=False) == [(fences_ms, BURST)]
 
 
+def test_a_stopper_that_is_started_anew_counts_a_silence_from_before_it(scene: Scene) -> None:
+    """The one before has died meanwhile, and the supervisor may be silent too: nobody else would end it."""
+    scene.clock.now_ns += HANG_NS - MS
+    scene.stopper = scene.load("failstop.procs.stopper.main").Stopper(scene)
+    assert scene.turn(alive=False) == b""
+    assert scene.turn(MS, alive=False) == BURST
+
+
 def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None:
     for number, let_go in ((0, False), (2, False), (1, True)):
         lost = records.PORT.pack(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")

@@ -14,7 +14,7 @@ ALLOWED = {
     # A word's one store, which the module is about.
     ("shm/words.py", "store through a memoryview"),
     # The simulated machine's own, of one Python process.
-    ("failstop/lab/machine/memory.py", "store through a memoryview"),
+    ("failstop/lab/machine/mapped.py", "store through a memoryview"),
     # A message for ROS, in a buffer of this process alone.
     ("failstop/ros2/stencil.py", "pack_into"),
 }

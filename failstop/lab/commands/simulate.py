@@ -7,6 +7,7 @@ import json
 import os
 import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from fnmatch import fnmatch
 
 from failstop.api.errors import FailstopError
 from failstop.lab.commands import matching
@@ -29,6 +30,7 @@ failstop simulate --tape FILE     # a failure, by the tape that was printed
 failstop simulate --controls      # parts of the protocol are taken out
 """
 CONTROL_S = 60.0
+EVERY = "*"
 SEEDS_A_DAY = 1_000_000
 STORIES = 3
 
@@ -47,7 +49,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--seed", type=int, metavar="N", help="this run alone, as a story; with --seeds: the first one")
     add("--tape", metavar="TAPE", help="this tape alone, as it was printed, or a file with it")
     add("--day", action="store_true", help="with --seeds: the first seed is the date")
-    add("--controls", action="store_true", help="take parts of the protocol out, and see that each is missed")
+    add(
+        "--controls",
+        nargs="?",
+        const=EVERY,
+        metavar="ROW",
+        help="take parts of the protocol out, and see that each is missed; ROW: those alone, each with its story",
+    )
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 
@@ -75,7 +83,7 @@ def main(arguments: Namespace) -> int:
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
-        return _controls(board)
+        return _controls(board, arguments.controls)
     chosen = names if arguments.scenario else None
     if arguments.tape is not None:
         return _tape(arguments.tape, chosen, board)
@@ -108,16 +116,23 @@ def _part(text: str) -> tuple[int, int]:
     return int(number) - 1, int(parts)
 
 
-def _controls(board: str) -> int:
+def _controls(board: str, wanted: str) -> int:
     from failstop.lab.simulate import controls, weak_controls
 
+    def asked(row: str) -> bool:
+        return fnmatch(row, wanted)
+
+    print("| " + " | ".join(controls.HEAD) + " |\n|" + "---|" * len(controls.HEAD))
     gaps = 0
-    weak = weak_controls.search_weak(CONTROL_S) if board == BOARDS[0] else ()
-    for found in itertools.chain(controls.search(CONTROL_S, board), weak):
-        print(f"{found.row:<42} {found.by:<14} {found.took_s:6.1f} s  {found.faults} faults", flush=True)
-        gaps += not found.story
+    weak = weak_controls.search_weak(CONTROL_S, asked) if board == BOARDS[0] else ()
+    for found in itertools.chain(controls.search(CONTROL_S, board, asked), weak):
+        print(found.text(), flush=True)
+        if wanted != EVERY:
+            print(found.story)
+        gaps += not found.wrong
     for row, why in controls.NOT_EXPRESSED.items():
-        print(f"{row:<42} not expressed: {why}")
+        if asked(row):
+            print(f"| {row} | not expressed: {why} | | | |")
     return int(bool(gaps))
 
 

@@ -18,68 +18,35 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
+from failstop.lab.machine.buffers import (
+    AGAIN,
+    ALL,
+    BEGIN_OF_FIRST,
+    BUT_FIRST,
+    BUT_LAST,
+    END_OF_FIRST,
+    EVERY,
+    HALVES,
+    WORD_BYTES,
+    Race,
+    Store,
+    View,
+)
 from failstop.lab.machine.calls import Calls
 from failstop.lab.machine.files import Counter, Fifo, Regular, Socket
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
-from failstop.lab.machine.process import Death, Process, Thread
-from failstop.lab.machine.system_threads import Lock
+from failstop.lab.machine.mapped import Mapped, OrderingLock, Words
+from failstop.lab.machine.process import Process, Thread
 
-WORD_BYTES = 8
 REMEMBERED = 256
 """Stores of all processes that a load may not have seen yet: far more than there are in any pause."""
 RINGS, HEARS = ("write", "sendmsg", "spawn", "futex_wake", "kill"), ("read", "readv", "recvmsg", "pread")
-ALL, LAST, BUT_LAST, FIRST_HALF, SECOND_HALF = LATE = range(1, 6)
-"""The stores that are late, or a part of the last one."""
-EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST = EARLY = range(1, 6)
-"""The loads that are early, or a part of the first one."""
-
-
-@dataclass(eq=False)
-class Store:
-    """A store, or a part of one, and what was there before."""
-
-    stamp: int
-    """When others could see it."""
-    process: Process
-    node: Regular
-    at: int
-    before: bytes
-    data: bytes
-    made: int
-    """Its stamp when it was made."""
-
-    def cut(self, begin: int, end: int) -> Store:
-        """A part of it."""
-        before, data = self.before[begin:end], self.data[begin:end]
-        return Store(self.stamp, self.process, self.node, self.at + begin, before, data, self.made)
-
-    def touches(self, other: Store) -> bool:
-        """Whether both are of one word."""
-        return self.node is other.node and self.at < other.at + len(other.data) and other.at < self.at + len(self.data)
-
-
-@dataclass
-class View:
-    """The state of one thread's processor."""
-
-    since: list[Store] = field(default_factory=list)
-    """Stores behind its last barrier that nobody can have seen."""
-    late: list[Store] = field(default_factory=list)
-    """Those that are taken back while it pauses."""
-    released: int = -1
-    """How many of `since` were made when it released a lock; -1: it has released none."""
-    before: int = 0
-    """Loads may be as old as this stamp, up to the next barrier; 0: they are new."""
-    early: int = 0
-    """Those of them that are, of EARLY."""
-    loads: int = 0
-    """How many there were since the pause."""
-    seen: set[tuple[int, int]] = field(default_factory=set)
-    """Places that were looked at since, and are not older at the next look."""
+ORDERING = frozenset((*RINGS, *HEARS))
+MET_NS = 50_000
+"""Whoever looks where another was about to store pauses for so long: the other makes its stores."""
 
 
 class WeakMachine(Machine):
@@ -91,7 +58,9 @@ class WeakMachine(Machine):
         """By which of all orders threads that could run are chosen; 0: first come, first served."""
         self.lowered: dict[int, int] = {}
         """Threads that run behind all others, by their numbers, each further one lower."""
-        self._views: dict[int, View] = {}
+        self._held_back: dict[int, View] = {}
+        """Of the threads, by their numbers, whose stores are late."""
+        self._race: Race | None = None
         self.stamp = 1
         """Of the newest store."""
         self._stores: deque[Store] = deque(maxlen=REMEMBERED)
@@ -99,6 +68,8 @@ class WeakMachine(Machine):
         self.on_load: Callable[[Thread, Mapped, int, int], None] | None = None
         """Told of each load: its place, and the stamp of the store that it sees."""
         self.on_store: Callable[[Thread, Mapped, int, int], None] | None = None
+        self.on_late: Callable[[Thread], None] | None = None
+        """Told of a thread that looks where another's store is late."""
 
     def weaken(self, loader: Loader) -> None:
         """Before anything is loaded: shared memory, locks and views of it are those of this module."""
@@ -120,34 +91,39 @@ class WeakMachine(Machine):
 
     def view(self, thread: Thread) -> View:
         """The state of a thread's processor."""
-        found = self._views.get(thread.number)
-        if found is None:
-            found = self._views[thread.number] = View()
-        return found
+        if thread.view is None:
+            thread.view = View()
+        view: View = thread.view
+        return view
 
     def load(self, mapped: Mapped, at: int, end: int) -> bytes:
         """The bytes that the thread that runs reads there."""
         thread = self.caller()
+        node = mapped.node
         assert self.at_seam is not None
-        self.at_seam(thread, "load", (mapped.node, at, end - at))
+        self.at_seam(thread, "load", (node, at, end - at))
+        if self._race is not None:
+            self._meet(thread, node)
+        if self._held_back and self.on_late:
+            late = (each for number, view in self._held_back.items() if number != thread.number for each in view.late)
+            if any(each.node is node and at < each.at + len(each.data) and each.at < end for each in late):
+                self.on_late(thread)
         now = bytes(mapped.data[at:end])
-        view = self._views.get(thread.number)
-        if view is not None and view.before:
-            old = self._older(view, mapped, at, end, now)
-            if self.on_load:
-                self.on_load(thread, mapped, at, self.stamp if old is None else view.before)
-            return now if old is None else old
+        view = self.view(thread)
+        place = view.last = node.number, at
+        old = self._older(view, mapped, place, end, now) if view.before else None
         if self.on_load:
-            self.on_load(thread, mapped, at, self.stamp)
-        return now
+            self.on_load(thread, mapped, at, self.stamp if old is None else view.before)
+        return now if old is None else old
 
-    def _older(self, view: View, mapped: Mapped, at: int, end: int, now: bytes) -> bytes | None:
+    def _older(self, view: View, mapped: Mapped, place: tuple[int, int], end: int, now: bytes) -> bytes | None:
         """The bytes that a load finds there that was made early; None: this one was not."""
         view.loads += 1
-        place = id(mapped.node), at
+        at, first = place[1], view.loads == 1
+        if view.early == AGAIN:
+            return self._as_of(view.before, mapped, at, now) if place == view.again else None
         again = place in view.seen
         view.seen.add(place)
-        first = view.loads == 1
         if again or (view.early == BUT_FIRST and first) or (view.early not in (EVERY, BUT_FIRST) and not first):
             return None
         old = self._as_of(view.before, mapped, at, now)
@@ -173,9 +149,9 @@ class WeakMachine(Machine):
         assert self.at_seam is not None
         self.at_seam(thread, "store", (mapped.node, at, len(data)))
         self.stamp += 1
-        before, made = bytes(mapped.data[at : at + len(data)]), self.stamp
-        store = Store(made, mapped.process, mapped.node, at, before, bytes(data), made)
-        mapped.data[at : at + len(data)] = data
+        end, made = at + len(data), self.stamp
+        store = Store(made, mapped.process, mapped.node, at, bytes(mapped.data[at:end]), bytes(data), made)
+        mapped.data[at:end] = data
         self._stores.append(store)
         self.view(thread).since.append(store)
         if self.on_store:
@@ -183,9 +159,11 @@ class WeakMachine(Machine):
 
     def unseen(self, stamp: int) -> set[int]:
         """The stores, by when they were made, that a load as of that stamp does not see."""
-        late = {each.made for view in self._views.values() for each in view.late}
-        later = itertools.takewhile(lambda each: each.stamp > stamp, reversed(self._stores))
-        return late.union(each.made for each in later)
+        late = {each.made for view in self._held_back.values() for each in view.late}
+        if stamp < self.stamp:
+            later = itertools.takewhile(lambda each: each.stamp > stamp, reversed(self._stores))
+            late.update(each.made for each in later)
+        return late
 
     # Pauses.
 
@@ -193,20 +171,20 @@ class WeakMachine(Machine):
         """Take stores back that have not left the thread's buffer; returns how many. All others are seen from now
         on."""
         view = self.view(thread)
-        since = view.since
-        chosen = {0: [], ALL: since, BUT_LAST: since[:-1]}.get(which, since[-1:])
-        if since and which in (FIRST_HALF, SECOND_HALF):
-            last = since[-1]
-            half = len(last.data) // 2 // WORD_BYTES * WORD_BYTES
-            begin, end = (0, half) if which == FIRST_HALF else (half, len(last.data))
-            chosen = [last.cut(begin, end)] if half else []
-        whole = which not in (FIRST_HALF, SECOND_HALF)
-        out = [each for each in since if each not in chosen] if whole else []
+        since, (which_one, first) = view.since, HALVES.get(which, (0, False))
+        if which_one:
+            half = since[which_one].half(first=first) if len(since) >= -which_one else None
+            chosen, out = [half] if half else [], since[len(since) + which_one + 1 :]
+        else:
+            chosen = {0: [], ALL: since, BUT_LAST: since[:-1]}.get(which, since[-1:])
+            out = [each for each in since if each not in chosen]
         chosen = [each for each in chosen if not any(each.stamp < later.stamp and each.touches(later) for later in out)]
         for each in reversed(chosen):
             self._put(each, each.before)
         view.late = list(chosen)
         view.since = [each for each in since if each in chosen]
+        if chosen:
+            self._held_back[thread.number] = view
         return len(chosen)
 
     def _put(self, store: Store, data: bytes) -> None:
@@ -214,8 +192,8 @@ class WeakMachine(Machine):
 
     def let_out(self, thread: Thread) -> None:
         """Let the stores out that were taken back."""
-        view = self._views.get(thread.number)
-        if view is None or not view.late:
+        view = self._held_back.pop(thread.number, None)
+        if view is None:
             return
         late, view.late = view.late, []
         for each in late:
@@ -226,14 +204,14 @@ class WeakMachine(Machine):
     def make_early(self, thread: Thread, stamp: int, which: int) -> None:
         """Up to its next barrier these loads of the thread may be as old as that."""
         view = self.view(thread)
-        view.before, view.early, view.loads = stamp, which, 0
+        view.before, view.early, view.loads, view.again = stamp, which, 0, view.last
         view.seen.clear()
 
     # Barriers.
 
     def order_all(self, thread: Thread, most: int | None = None) -> None:
         """A barrier; `most`: behind so many of the stores since the one before."""
-        view = self._views.get(thread.number)
+        view: View | None = thread.view
         if view:
             self.let_out(thread)
             del view.since[:most]
@@ -242,7 +220,7 @@ class WeakMachine(Machine):
 
     def call(self, name: str, *about: Any) -> Process:
         process = super().call(name, *about)
-        if (name in RINGS or name in HEARS) and self.current and (view := self._views.get(self.current.number)):
+        if name in ORDERING and self.current and (view := self.current.view) and (view.since or view.before):
             opened = process.files.get(about[0]) if about and isinstance(about[0], int) else None
             rings = opened is None or isinstance(opened.node, (Counter, Fifo, Socket))
             if rings and name in RINGS:
@@ -278,6 +256,31 @@ class WeakMachine(Machine):
             self.make_early(thread, stamp, early)
         return held
 
+    def race(self, ns: int, node: Regular, early: int) -> None:
+        """The thread that runs is about to store in that file, and does once another process looks there, at the latest
+        after so long. That one waits for it, and its loads up to its next barrier may have been made before."""
+        thread, until_ns = self.caller(), self.now_ns + ns
+        self.hold_back(thread, 0)
+        race = self._race = Race(thread, node, early)
+        while self._race is race and self.now_ns < until_ns:
+            super().block(until_ns)
+        if self._race is race:
+            self._race = None
+
+    def _meet(self, thread: Thread, node: Regular) -> None:
+        race = self._race
+        if race and race.node is node and race.thread.process is not thread.process:
+            self._race = None
+            self.wake(race.thread)
+            self.pause(MET_NS, 0, race.early)
+
+    def calm(self) -> None:
+        """From now on nothing is seen in another order."""
+        self.order, self._race = 0, None
+        self.lowered.clear()
+        for process in self.processes.values():
+            self._settle(process.threads)
+
     def hold(self, process: Process, ns: int, *, starved: bool = False) -> None:
         self._settle(process.threads)
         super().hold(process, ns, starved=starved)
@@ -309,87 +312,3 @@ class WeakMachine(Machine):
             self._orderings[key] = len(self._orderings)
         mixed = (self._orderings[key] + 1) * 0x9E3779B1 * self.order >> 8 & 0xFFFF
         return self.lowered.get(thread.number, 0), mixed if self.order else 0
-
-
-class Mapped:
-    """A process's map of a file."""
-
-    __slots__ = ("data", "machine", "node", "process")
-
-    def __init__(self, machine: WeakMachine, process: Process, node: Regular) -> None:
-        self.machine, self.process, self.node = machine, process, node
-        self.data = node.mapped()
-
-    def __len__(self) -> int:
-        return len(self.data)
-
-    def __getitem__(self, where: slice) -> bytes:
-        if self.machine.at_seam is None or self.machine.current is None:
-            return self.data[where]
-        return self.machine.load(self, where.start, where.stop)
-
-    def __setitem__(self, where: slice, data: bytes) -> None:
-        if self.process.dead:
-            raise Death
-        if self.machine.at_seam is None or self.machine.current is None:
-            self.data[where] = data
-        else:
-            self.machine.store(self, where.start, data)
-
-    def close(self) -> None:
-        """Nothing: a simulated file keeps its map."""
-
-
-class Words:
-    """As memoryview(map).cast("Q")."""
-
-    __slots__ = ("_words", "obj")
-
-    def __init__(self, mapped: Mapped) -> None:
-        self.obj = mapped
-        self._words = memoryview(mapped.data)
-
-    def cast(self, kind: str) -> Words:
-        """Eight bytes each."""
-        self._words = self._words.cast(kind)  # type: ignore[call-overload]
-        return self
-
-    def __getitem__(self, index: int) -> int:
-        machine = self.obj.machine
-        if machine.at_seam is None or machine.current is None:
-            return self._words[index]
-        at = index * WORD_BYTES
-        return int.from_bytes(machine.load(self.obj, at, at + WORD_BYTES), "little")
-
-    def __setitem__(self, index: int, value: int) -> None:
-        if self.obj.process.dead:
-            raise Death
-        machine = self.obj.machine
-        if machine.at_seam is None or machine.current is None:
-            self._words[index] = value
-        else:
-            machine.store(self.obj, index * WORD_BYTES, value.to_bytes(WORD_BYTES, "little"))
-
-
-class OrderingLock(Lock):
-    """A lock that orders what is before its release ahead of what is behind the next acquire of the same thread."""
-
-    __slots__ = ()
-
-    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        taken = super().acquire(blocking, timeout)
-        view = self._view()
-        if taken and view and view.released >= 0:
-            machine: Any = self._calls.machine
-            machine.order_all(machine.current, view.released)
-        return taken
-
-    def release(self) -> None:
-        if view := self._view():
-            view.released = len(view.since)
-        super().release()
-
-    def _view(self) -> View | None:
-        machine: Any = self._calls.machine
-        thread = machine.current
-        return machine._views.get(thread.number) if thread else None

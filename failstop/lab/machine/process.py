@@ -37,7 +37,19 @@ class Thread:
     """A thread of a process. It is `waiting` while a call of it blocks."""
 
     __slots__ = (
-        *("body", "greenlet", "number", "process", "ready", "robust", "scheduling", "token", "waiting", "woken"),
+        *(
+            "body",
+            "greenlet",
+            "number",
+            "process",
+            "ready",
+            "robust",
+            "scheduling",
+            "token",
+            "view",
+            "waiting",
+            "woken",
+        ),
     )
 
     def __init__(self, process: Process, body: Callable[[], object], number: int, hub: greenlet | None = None) -> None:
@@ -54,6 +66,8 @@ class Thread:
         """Policy and priority: every process of a service has real-time rights here."""
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
+        self.view: Any = None
+        """What its processor has seen of a weak memory (buffers.py)."""
         self.waiting = False
         self.woken = False
 

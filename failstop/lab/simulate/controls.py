@@ -4,8 +4,9 @@ piece of source that is there once, so a change of that code makes the control f
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from failstop.lab.machine.loading import Patches
 from failstop.lab.simulate.campaign import Plan, explore
@@ -214,19 +215,40 @@ CONTROLS = (
 
 @dataclass(frozen=True)
 class Found:
-    """How a control was found: by which campaign, after how much of a processor's time, with how many faults."""
+    """How a control was found: by which campaign, after how many of its runs and how much of a processor's time; with
+    how many faults or draws it happens again, and what was wrong. Not found: `wrong` is empty."""
 
     row: str
     by: str
+    runs: int
     took_s: float
-    faults: int
+    draws: int = 0
+    wrong: str = ""
     story: str = ""
 
+    def text(self) -> str:
+        """One line of the table."""
+        told = f"{self.runs} {self.by}" if self.wrong else f"NOT FOUND by {self.runs} {self.by}"
+        return f"| {self.row} | {told} | {self.took_s:.1f} | {self.draws if self.wrong else ''} | {self.wrong} |"
 
-def search(seconds: float, board: str = BOARDS[0]) -> Iterator[Found]:
-    """Each control of a kind of board, by the single faults of its scenario, and else by seeds of it for so long."""
+
+HEAD = ("control", "found by", "s of a processor", "draws that are needed", "what is wrong then")
+
+
+def drawn(row: str, seconds: float, patches: Patches, scenario: str, **options: Any) -> Found:
+    """A control is looked for by seeds of its scenario, for so long."""
+    found = seeds(0, 1, seconds, patches, [scenario], **options)
+    if not found.wrong:
+        return Found(row, "seeds", found.runs, found.took_s)
+    run = found.wrong[0]
+    return Found(row, "seeds", found.runs, found.found_s, len(run.draws), run.violations[0], run.text())
+
+
+def search(seconds: float, board: str = BOARDS[0], wanted: Callable[[str], bool] = lambda row: True) -> Iterator[Found]:
+    """Each control of a kind of board, by the single faults of its scenario, and else by seeds of it for so long.
+    `wanted`: asked with its row."""
     for control in CONTROLS:
-        if control.board != board:
+        if control.board != board or not wanted(control.row):
             continue
         begun_s = used_s()
         single = explore(
@@ -234,10 +256,8 @@ def search(seconds: float, board: str = BOARDS[0]) -> Iterator[Found]:
         )
         if single.wrong:
             run = single.wrong[0]
-            how = "single faults" if run.fault else "the scenario"
-            yield Found(control.row, how, used_s() - begun_s, int(bool(run.fault)), run.text())
-            continue
-        drawn = seeds(0, 1, seconds, control.patches, [control.scenario], board)
-        by = "seeds" if drawn.wrong else "NOTHING"
-        story, faults = (drawn.wrong[0].text(), len(drawn.wrong[0].events)) if drawn.wrong else ("", 0)
-        yield Found(control.row, by, used_s() - begun_s, faults, story)
+            by = "single faults" if run.fault else "run without a fault"
+            faults = int(bool(run.fault))
+            yield Found(control.row, by, single.runs, used_s() - begun_s, faults, run.violations[0], run.text())
+        else:
+            yield drawn(control.row, seconds, control.patches, control.scenario, board=board)

@@ -9,7 +9,8 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Any
 
-from failstop.lab.machine.memory import Mapped, WeakMachine
+from failstop.lab.machine.mapped import Mapped
+from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.witness import SERVICE_PROCESSES, Witness
 from failstop.messages import layout

@@ -2,8 +2,8 @@
 
 A run is a chain of scenarios, the rounds, on one service. In each, events come at calls of the system and at loads and
 stores of shared memory, some few of them apart; after each the faults are off, and a program must be able to drive
-again. An event is a draw whose label is its place: the round, the process and which of its calls in the round it is. So
-one that is left out moves none of the others, as long as its process goes the same way.
+again. An event is a draw whose label is its place: the round, the process, and which of its accesses to one place of
+shared memory it is, or which call behind the last such store. So one that is left out moves few of the others.
 """
 
 from __future__ import annotations
@@ -14,89 +14,52 @@ from dataclasses import dataclass
 from typing import Any
 from zlib import crc32
 
+from failstop.lab.machine.buffers import BEGIN_OF_FIRST, BUT_LAST, END_OF_FIRST, HALVES, WORD_BYTES, Store
 from failstop.lab.machine.epoll import Epoll
-from failstop.lab.machine.memory import BEGIN_OF_FIRST, BUT_LAST, EARLY, FIRST_HALF, LATE, WORD_BYTES, WeakMachine
+from failstop.lab.machine.memory import MET_NS, WeakMachine
 from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.faults import faults, line_of
+from failstop.lab.simulate.kinds import (
+    BOARD_DEAF,
+    DRAWN_KINDS,
+    EARLIER,
+    GROUP_OF,
+    GROUPS,
+    HELD_FOR_NS,
+    KEEPS,
+    LATER,
+    LIGHT,
+    LOWERED,
+    MEASURES,
+    PAUSES,
+    PULLED,
+    RACES,
+    REFUSES,
+    SEEN_NS,
+    SHORT_NS,
+)
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
 from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
 from failstop.messages import layout
 
-MEASURES = 16
-SHORT_NS = [round(1_000 * 10 ** (step * 4 / (MEASURES - 1))) for step in range(MEASURES)]
-"""For so long a thread pauses, 1 us to 10 ms."""
-SEEN_NS = [20 * each // 10 + 20_000 for each in SHORT_NS]
-"""For so long it pauses where memory is seen in another order, up to 20 ms: a tick of all who look without a bell."""
-HELD_FOR_NS = [round(20 * MS * 75 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
-"""For so long a process is held up, or a board gone: 20 ms to 1.5 s."""
 WEIGHTS = {"port_owner": 1.0, "supervisor": 0.6, "stopper": 0.6, "gate": 0.5, "telemetry": 0.3}
 """How often an event that is due at a process comes; at any other one 0.2."""
 ON = 0.6
 """How often a group of kinds is on in a run."""
-GAPS = (30, 1000)
+GAPS = (15, 500)
 """Between these is a run's longest distance of two events, in calls; they are as often in each decade below it."""
+AT_RARE = (0.02, 1.0)
+"""Between these is how often one comes, in a run, at the first store of a place or at the call behind it; at the n-th
+it is n times as seldom. What is stored often is met by the distances too."""
 HEAVY = 4
 """At most so many events of a round are more than a pause."""
 ORDERS = 1 << 16
 
-PAUSES = "a thread pauses"
-LATER = dict(
-    zip(
-        LATE,
-        (
-            f"{PAUSES}, its stores are late",
-            f"{PAUSES}, its last store is late",
-            f"{PAUSES}, its stores but the last are late",
-            f"{PAUSES}, the first half of its last store is late",
-            f"{PAUSES}, the second half of its last store is late",
-        ),
-        strict=True,
-    )
-)
-EARLIER = dict(
-    zip(
-        EARLY,
-        (
-            f"{PAUSES}, its next loads are older",
-            f"{PAUSES}, its next load is older",
-            f"{PAUSES}, its next loads but the first are older",
-            f"{PAUSES}, the first half of its next load is older",
-            f"{PAUSES}, the second half of its next load is older",
-        ),
-        strict=True,
-    )
-)
-LOWERED = "a thread runs behind all others"
-REFUSES, KEEPS, BOARD_DEAF, PULLED = (
-    "the port refuses",
-    "the port does not drain",
-    "the board is deaf",
-    "the plug is pulled",
-)
-BESIDE = [f"{name} dies beside{hears}" for name in SERVICE_PROCESSES for hears in ("", ", and a thread hears")]
-GROUPS: dict[str, tuple[str, ...]] = {
-    "pauses": (PAUSES,),
-    "memory": (*LATER.values(), *EARLIER.values()),
-    "order": (LOWERED,),
-    "held": ("held", "held in the write"),
-    "starved": ("starved",),
-    "dies": ("dies", "dies in mid-write"),
-    "beside": tuple(BESIDE),
-    "asked": ("somebody asks for a stop",),
-    "sleeps": ("machine sleeps",),
-    "cut": ("short write", "short write, while somebody asks for a stop"),
-    "refused": ("EAGAIN", "EIO", "ENOSPC", "EMFILE"),
-    "port": (REFUSES, KEEPS),
-    "board": (BOARD_DEAF, PULLED),
-}
-LIGHT = ("pauses", "memory", "order")
-MEMORY = ("memory",)
-DRAWN_KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
-"""A tape has their numbers: a new one comes last."""
-GROUP_OF = {kind: group for group, kinds in GROUPS.items() for kind in kinds}
 Act = Callable[[int], object]
+Place = tuple[int, str, int | str]
+"""A process's number, the name of a call or access, and where in shared memory it is, or the last store before it."""
 Kinds = dict[str, Act]
 """The events that may happen at a place, by their kinds: called with its measure, one happens."""
 
@@ -121,15 +84,24 @@ class Schedule:
         dice = tape.dice
         self._on = {group for group in groups or GROUPS if groups or dice.random() < ON}
         self._most_gap = GAPS[0] * (GAPS[1] / GAPS[0]) ** dice.random()
+        self._at_rare = AT_RARE[0] * (AT_RARE[1] / AT_RARE[0]) ** dice.random()
+        self._stored: dict[tuple[str, int], int] = {}
+        """How often each process has stored at each place."""
+        self._marked: Thread | None = None
+        """At its next call or access an event comes."""
         self.events: list[Event] = []
         self.calls = 0
         self._round = 0
         self._due = 0
         self._heavy = 0
         self._here: dict[str, int] = {}
-        self._counts: dict[int, int] = {}
+        self._counts: dict[Place, int] = {}
+        """How often each place was come to in the round."""
+        self._behind: dict[int, str] = {}
+        """By pid: its last store."""
         self._names: dict[int, str] = {}
-        self._first: set[int] = set()
+        """By pid: `gate 2` is the second gate of the round. Given at its begin and at each start, so that they hang on
+        nothing else that happens."""
         self._crc = 0
         heard = stage.robot.board.on_bytes
 
@@ -138,6 +110,16 @@ class Schedule:
             heard(data)
 
         stage.robot.board.on_bytes = hears
+        told = machine.told
+
+        def tells(kind: str, process: Process, what: object) -> None:
+            if kind == "started":
+                self._give_name(process)
+            told(kind, process, what)
+
+        machine.told = tells
+        if self._free:
+            machine.on_late = self._mark
 
     def begin(self, number: int) -> None:
         """A round, of this number."""
@@ -146,8 +128,10 @@ class Schedule:
             if machine.processes[pid].reaped or machine.processes[pid].parent is None:
                 del machine.processes[pid]
         self._round, self._heavy, prefix = number, HEAVY, f"{number} "
-        self._first = set(machine.processes)
-        self._counts, self._names = {}, {}
+        self._counts, self._names, self._behind = {}, {}, {}
+        for process in machine.processes.values():
+            if not process.dead:
+                self._give_name(process)
         self._here = {}
         if tape.fixed is not None:
             self._here = {each[len(prefix) :]: value for each, value in tape.fixed.items() if each.startswith(prefix)}
@@ -158,13 +142,8 @@ class Schedule:
 
     def end(self) -> None:
         """The faults are off."""
-        machine = self._machine
-        machine.at_seam = None
-        machine.order = 0
-        machine.lowered.clear()
-        for process in machine.processes.values():
-            for thread in process.threads:
-                machine.order_all(thread)
+        self._machine.at_seam = None
+        self._machine.calm()
 
     def kind(self, event: Event) -> str:
         """Its kind, of DRAWN_KINDS."""
@@ -190,39 +169,59 @@ class Schedule:
 
         return late_ns
 
-    def _name(self, process: Process) -> str:
-        """`gate 2` is the second gate of the round."""
-        found = self._names.get(process.pid)
-        if found is None:
-            same = [
-                each
-                for each in self._machine.processes.values()
-                if each.name == process.name and (each.pid not in self._first or not each.dead)
-            ]
-            found = self._names[process.pid] = f"{process.name} {1 + same.index(process) if process in same else 0}"
-        return found
+    def _give_name(self, process: Process) -> None:
+        same = sum(self._machine.processes[pid].name == process.name for pid in self._names)
+        self._names[process.pid] = f"{process.name} {same + 1}"
 
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         process = thread.process
-        number = self._counts[process.pid] = self._counts.get(process.pid, 0) + 1
+        if self._stage.witness.violations:
+            return  # what comes now has no part in it
+        pid = process.pid
+        key = (pid, call, about[1]) if call in ("load", "store") else (pid, call, self._behind.get(pid, ""))
+        number = self._counts[key] = self._counts.get(key, 0) + 1
+        if call == "store":
+            self._behind[pid] = f"{about[1]}:{number}"
         self.calls += 1
         if self._free:
             self._due -= 1
-            if self._due <= 0:
+            if thread is self._marked or (call == "store" and self._is_rare(thread, about[1])):
+                self._marked = None
+                self._come(thread, call, about, key)
+            elif self._due <= 0:
                 self._due = self._gap()
-                self._come(thread, call, about, number)
+                if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
+                    self._come(thread, call, about, key)
         elif self._here:
-            place = f"{self._name(process)} {number}"
+            place = self._label(key)
             if value := self._here.get(place):
                 kinds = dict(self._possible(thread, call, about))
                 if act := kinds.get(DRAWN_KINDS[(value - 1) // MEASURES]):
                     self._happen(f"{self._round} {place}", value, act, thread, call, about)
 
-    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], number: int) -> None:
+    def _label(self, place: Place) -> str:
+        """Where the process is, the last time that it came to that place."""
+        pid, call, at = place
+        return f"{self._names[pid]} {call} {at} {self._counts[place]}"
+
+    def _is_rare(self, thread: Thread, at: int) -> bool:
+        """Whether an event comes at this store; at the call behind it one comes as often."""
+        place, dice = (thread.process.name, at), self._tape.dice
+        count = self._stored[place] = self._stored.get(place, 0) + 1
+        if dice.random() * count >= self._at_rare:
+            return False
+        if dice.random() < 0.5:
+            return True
+        self._marked = thread
+        return False
+
+    def _mark(self, thread: Thread) -> None:
+        """It has seen that a store is late: what comes next is worth an event."""
+        self._marked = thread
+
+    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], place: Place) -> None:
         """An event, if any is on that may happen here."""
-        process, dice = thread.process, self._tape.dice
-        if dice.random() >= WEIGHTS.get(process.name, 0.2):
-            return
+        dice = self._tape.dice
         groups = dict[str, Kinds]()
         for kind, act in self._possible(thread, call, about):
             group = GROUP_OF[kind]
@@ -234,7 +233,7 @@ class Schedule:
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
         value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
-        self._happen(f"{self._round} {self._name(process)} {number}", value, groups[group][kind], thread, call, about)
+        self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         self._tape.put(label, value)
@@ -276,14 +275,18 @@ class Schedule:
             machine.pause(ns, late, early)
 
         yield PAUSES, pauses
-        if since := machine.view(thread).since:
-            for late, kind in LATER.items():
-                if (late != BUT_LAST or len(since) > 1) and (late < FIRST_HALF or len(since[-1].data) > WORD_BYTES):
-                    yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
-        if call == "load":
+        since = machine.view(thread).since
+        for late, kind in LATER.items() if since else ():
+            if _may_be_late(since, late):
+                yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
+        if call in ("load", "store"):
             for early, kind in EARLIER.items():
-                if early < BEGIN_OF_FIRST or about[2] > WORD_BYTES:
+                if early in (BEGIN_OF_FIRST, END_OF_FIRST) and about[2] <= WORD_BYTES:
+                    continue
+                if call == "load":
                     yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+                elif early in RACES:
+                    yield RACES[early], lambda measure, early=early: self._race(thread, about[0], early, measure)  # type: ignore[misc]
         yield LOWERED, lambda measure: machine.lower(thread)
         names = [name for name, _ in faults(stage, thread, call, about)]
         for index, name in enumerate(names):
@@ -294,6 +297,12 @@ class Schedule:
             yield KEEPS, lambda measure: self._keep(HELD_FOR_NS[measure])
             yield BOARD_DEAF, lambda measure: self._deafen(HELD_FOR_NS[measure])
             yield PULLED, lambda measure: self._pull(HELD_FOR_NS[measure])
+
+    def _race(self, thread: Thread, node: Any, early: int, measure: int) -> None:
+        ns = SEEN_NS[measure]
+        self._say(f"{RACES[early]}, for {ns / MS:g} ms at most")
+        self._stage.witness.late(thread.process, ns + MET_NS)
+        self._machine.race(ns, node, early)
 
     def _fault(self, thread: Thread, call: str, about: tuple[Any, ...], index: int, measure: int) -> None:
         name, inject = next(
@@ -340,3 +349,10 @@ class Schedule:
         stage = self._stage
         stage.unplug()
         self._later(ns, lambda: None if stage.robot.board.port else stage.replug())
+
+
+def _may_be_late(since: list[Store], late: int) -> bool:
+    if late in HALVES:
+        number, _ = HALVES[late]
+        return len(since) >= -number and len(since[number].data) > WORD_BYTES
+    return late != BUT_LAST or len(since) > 1

@@ -26,8 +26,9 @@ from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
+from failstop.lab.simulate.kinds import GROUP_OF
 from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
-from failstop.lab.simulate.schedule import GROUP_OF, Event, Schedule
+from failstop.lab.simulate.schedule import Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
 from failstop.policy.layouts import BOARDS
@@ -47,6 +48,9 @@ EVERY_TWICE = 100
 """One of so many runs is made twice, the second time by its tape."""
 RUN_S = 60
 """A run that takes longer in real time has gone astray."""
+EVENT_WORDS = 2
+SUFFIXES = (1, 2, 4, 8, 16, 32)
+"""Of a failure's events only so many are kept, the last of them, before parts are left out: most need no others."""
 MOST_SHRUNK = 5
 """So many failures of a campaign are shrunk."""
 COLD = 0.1
@@ -106,6 +110,8 @@ class Seeds:
     rounds: int = 0
     twice: int = 0
     """So many runs were made twice, and were the same to the byte."""
+    found_s: float = 0.0
+    """Of a processor, to the first that was wrong."""
     wrong: list[Seeded] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
     groups: Counter[str] = field(default_factory=Counter)
@@ -251,6 +257,11 @@ class Nursery:
             kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
             if skipped > 0 and fails({**kept, "skipped": skipped}) is not None:
                 break
+        for most in SUFFIXES:
+            last = set([label for label in best.draws if _is_event(label)][-most:])
+            kept = {label: value for label, value in best.draws.items() if label in last or not _is_event(label)}
+            if fails(kept) is not None:
+                break
         shrunk(best.draws, fails)
         return best
 
@@ -258,6 +269,11 @@ class Nursery:
 def _stays_down(name: str) -> bool:
     """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
     return "restart.deaths" in SETTINGS.get(SCENARIOS[name], {})
+
+
+def _is_event(label: str) -> bool:
+    """Whether a draw is of a place, and so comes at its time: with the round, process, which of that name, and call."""
+    return len(label.split()) > EVENT_WORDS
 
 
 def _before(label: str, number: int) -> bool:
@@ -287,6 +303,7 @@ def seeds(
                 run.violations.append("the same tape is another run")
         found.add(run)
         if run.violations and len(found.wrong) <= MOST_SHRUNK:
+            found.found_s = found.found_s or used_s() - begun_s
             found.wrong[-1] = nursery.shrunk(run)
             if patches:
                 break

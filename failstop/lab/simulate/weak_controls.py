@@ -3,13 +3,12 @@ and the scenario in which seeds must see that it is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from failstop.lab.machine.loading import Patches
-from failstop.lab.simulate.controls import PORT_OWNER_MODULE, SUPERVISOR_MODULE, Found
-from failstop.lab.simulate.schedule import MEMORY
-from failstop.lab.simulate.seeds import seeds, used_s
+from failstop.lab.simulate.controls import PORT_OWNER_MODULE, SUPERVISOR_MODULE, Found, drawn
+from failstop.lab.simulate.kinds import MEMORY
 
 LATCH_MODULE, MONITOR_MODULE = "failstop.supervisor.latch", "failstop.supervisor.monitor"
 GATE_MODULE, REQUESTS_MODULE = "failstop.procs.gate.main", "failstop.procs.gate.requests"
@@ -129,12 +128,8 @@ WEAK_CONTROLS = (
 )
 
 
-def search_weak(seconds: float) -> Iterator[Found]:
-    """Each of them, by seeds for so long."""
+def search_weak(seconds: float, wanted: Callable[[str], bool] = lambda row: True) -> Iterator[Found]:
+    """Each of them, by seeds for so long. `wanted`: asked with its row."""
     for control in WEAK_CONTROLS:
-        begun_s = used_s()
-        drawn = seeds(0, 1, seconds, control.patches, [control.scenario], groups=control.groups)
-        wrong = drawn.wrong[:1]
-        told = f"{drawn.runs} seeds" if wrong else "NOTHING"
-        deviations = len(wrong[0].draws) if wrong else 0
-        yield Found(control.row, told, used_s() - begun_s, deviations, wrong[0].text() if wrong else "")
+        if wanted(control.row):
+            yield drawn(control.row, seconds, control.patches, control.scenario, groups=control.groups)

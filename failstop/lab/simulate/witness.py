@@ -138,11 +138,10 @@ class Witness:
 
     def must_stop(self, why: str, within_ns: int) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
-        goes first."""
+        goes first, and a thread that pauses goes on first."""
         self.tell(why)
-        self._judge_in(
-            within_ns, why, self.asked_for_motion, reached=True, after_ns=self._wire_ns - self._machine.now_ns
-        )
+        after_ns = max(self._wire_ns, self._late_ns) - self._machine.now_ns
+        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns)
 
     def _judge_in(
         self,
