@@ -2,8 +2,7 @@
 
 The arm moves only while motion is disabled and nothing is latched: a stop and an enable take it from whoever moves it.
 Its way is streamed, each joint a move of arm.period_s after the other, a few servos a frame, so that an arm whose gate
-dies stands when its last move ends. While it moves nothing is read, and what was stopped on its way is read before it
-moves again.
+dies stands when its last move ends. What was stopped on its way is read before it moves again.
 """
 
 from __future__ import annotations
@@ -60,8 +59,6 @@ class ArmCore:
         self.released = False
         self.refused = ""
         """The reason why the last goal of a stream was not taken."""
-
-    # Goals.
 
     @property
     def way(self) -> Journey | None:
@@ -136,8 +133,6 @@ class ArmCore:
     def _ends(self, purpose: str) -> dict[Joint, float]:
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
-    # Ends.
-
     def drop(self, why: str, cause: Cause | None = None) -> bool:
         """Forget every goal; True: a stop is to be written, as the arm may still move. `cause`: of a latched stop."""
         was = self.streaming()
@@ -172,8 +167,6 @@ class ArmCore:
             joint.loaded = False
         self.active_ns, self.released = 0, True
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
-
-    # Time.
 
     def streaming(self) -> bool:
         """A servo may be on its way."""
@@ -293,8 +286,6 @@ class ArmCore:
                 return f"joint {joint.name} (servo {joint.servo}) {by}"
         return ""
 
-    # Frames.
-
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
         """Switch on a torque that is not known to be on, one after the other."""
         if now_ns < self._free_ns():
@@ -331,8 +322,6 @@ class ArmCore:
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         return frame, hold
-
-    # News.
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:

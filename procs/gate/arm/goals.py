@@ -103,7 +103,6 @@ class Journey:
         return {joint: a + share * (end[joint] - a) for joint, a in begin.items()}
 
     def left_s(self, now_ns: int) -> float:
-        """The time until its end."""
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
@@ -111,7 +110,6 @@ class Journey:
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:
-        """How far it is, for who waits."""
         left_s = self.left_s(now_ns)
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 

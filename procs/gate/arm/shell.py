@@ -21,10 +21,6 @@ from failstop.procs.gate.core import WHEELS_ENABLED
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
 NOT_IN_POSE = "arm is not in the drive pose"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
@@ -47,7 +43,6 @@ class Waiter(Data):
 
 class Arm:
     def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
-        """`requests`: where they are answered; `notes`: where news for people is put."""
         settings = context.settings
         self.core = ArmCore(settings, context.board, now_ns)
         self._frames, self._requests, self._notes = frames, requests, notes
@@ -69,8 +64,6 @@ class Arm:
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """The last news of each joint for people."""
-
-    # The gate's turn.
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
         """Answers of the servos, and the gamepad; returns the cause to stop for. `closed`, here and below: why the arm
@@ -99,12 +92,6 @@ class Arm:
             self._boxed, self._boxed_ns = what, now_ns
             ends = followed.ends.items() if followed else ()
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
-
-    # News.
-
-    def stop(self, why: str, cause: Cause | None = None) -> None:
-        """A stop is written: it ends whatever moves the arm. `cause`: of one that is latched."""
-        self.core.stop(why, cause)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
@@ -168,8 +155,7 @@ class Arm:
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Any other request about the arm, while it takes goals; returns what becomes of it, or the cause to stop
-        for."""
+        """Act on any other request about the arm; returns what becomes of it, or the cause to stop for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -239,8 +225,6 @@ class Arm:
             self._requests.answer(request, refused(fault, journey.stopped_for) if fault else there)
         return None
 
-    # Enabling motion.
-
     def enable(self, request: Request, now_ns: int) -> Reply | None:
         """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
         have no drive pose, so the arm stands where it is, and motion may be enabled now."""
@@ -266,8 +250,6 @@ class Arm:
             return ""
         fault = journey.outcome or core.off_pose(goals.DRIVE)
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
-
-    # For people.
 
     def _follow_tuck(self, closed: str, now_ns: int) -> None:
         """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
@@ -317,7 +299,7 @@ class Arm:
                     f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
                 )
 
-    def state(self, closed: str, now_ns: int) -> dict[str, Any]:
+    def state(self, closed: str, now_ns: int) -> dict[str, object]:
         """Its part of the gate's state: what people and programs are told."""
         core = self.core
         way, followed = core.way, core.followed

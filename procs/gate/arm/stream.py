@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import inf
 
 from failstop.board.interface import Board
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.board.servos import LONGEST_MOVE_NS, MOST_MOVES, MOVE_NS
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
@@ -17,7 +17,6 @@ from failstop.procs.gate.arm.goals import Goal, Journey
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
-MOVES_NS = LONGEST_MOVE_MS * 1_000_000
 
 
 class Space:
@@ -124,7 +123,7 @@ class Stream:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
-            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+            elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
             joint.stepped_ns = now_ns
             if followed.mode != goals.JOG and joint in targets:
                 joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
