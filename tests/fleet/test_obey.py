@@ -88,10 +88,10 @@ def test_what_confirms_is_what_the_board_and_the_imu_can_give(
 
 def test_an_answer_of_an_older_version_confirms_by_the_board() -> None:
     body = {"id": order().id, "robot": "r", "reached": {levels.WRITTEN: 0.1}, "why": ""}
-    assert levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, body)).confirms == levels.ACKNOWLEDGED
+    assert levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, body)).confirms == levels.ACKNOWLEDGED
     for wrong in ("asked", "nothing", 7, None):
         with pytest.raises(signed.Forged):
-            levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, {**body, "confirms": wrong}))
+            levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, {**body, "confirms": wrong}))
 
 
 def test_levels_may_come_at_once_and_out_of_order(robot: Obedience) -> None:
