@@ -19,7 +19,7 @@ from .gate_bench import MS, T0, TICK, Gate
 
 Make = Callable[..., Scene]
 """A scene with other settings; two underscores are a point."""
-ANSWER_NS = 2 * MS
+SERVO_ANSWER_NS = 2 * MS
 """From a question to its answer."""
 ME, OTHER = 11, 12
 """Sessions of clients."""
@@ -62,7 +62,7 @@ class ArmBench:
         if frame:
             self.frames.append((self.now, frame[4:-1]))
             if answer := self.servos.execute(frame[4:-1], self.now):
-                self._answer = self.now + ANSWER_NS, answer
+                self._answer = self.now + SERVO_ANSWER_NS, answer
 
     def run(self, seconds: float) -> None:
         until_ns = self.now + round(seconds * 1e9)

@@ -16,7 +16,7 @@ from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import SERVOS
 
-from .arm_bench import ANSWER_NS, ME, OTHER, ArmBench
+from .arm_bench import ME, OTHER, SERVO_ANSWER_NS, ArmBench
 from .gate_bench import MS, T0, TICK
 
 PERIOD_NS = 40 * MS
@@ -51,7 +51,7 @@ def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> Non
         (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
         for number, servo in enumerate(SERVOS, 1)
     ]
-    bench.now += ANSWER_NS
+    bench.now += SERVO_ANSWER_NS
     bench.travel((0.0, 500.0))
     assert not bench.core.released
     bench.until(lambda: bench.times(servos.TORQUE_ON))
