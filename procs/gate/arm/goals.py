@@ -1,7 +1,7 @@
 """Goals: what the arm is asked to do, and for whom. Pure.
 
-A journey is a way with an end, which is read back. Follow and jog are goals that a client renews, and that count for
-the settings' arm.goal_timeout_s, the newest of them, while there is no journey.
+A trajectory has an end, which is read back. Follow and jog are goals that a client renews, and that count for
+the settings' arm.goal_timeout_s, the newest of them, while there is no trajectory.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Goal(Data):
         return self.ends
 
 
-class Journey:
+class Trajectory:
     """A trajectory, a pose among them: where each joint is to be when, until its end is read back."""
 
     mode = TRAJECTORY

@@ -13,7 +13,7 @@ from failstop.policy.capsules import Model, would_hit
 from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
@@ -101,7 +101,7 @@ class Stream:
             joint.forget()
         self._schedule = []
 
-    def move(self, followed: Goal | Journey, now_ns: int) -> tuple[bytes, str]:
+    def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
         """The frame of the moves that are due, toward what is followed. Where the arm would hit something its joints
         stay where they are, and the text says what."""
         due_ns, group = self._schedule[0]
@@ -119,7 +119,7 @@ class Stream:
         moves = [(joint.servo, round(joint.position)) for joint in group]
         return self._board.servo_move(moves, self._move_ms), hit
 
-    def _advance(self, group: list[Joint], followed: Goal | Journey, now_ns: int) -> None:
+    def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
