@@ -107,7 +107,7 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
         self.processes.reap(ready, now_ns)
-        self.processes.arm()
+        self.processes.watch_early()
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         if not self._unanswered and self.epochs.decide_reset():  # once the last stop is carried out

@@ -106,7 +106,7 @@ class ProcessTable:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
-    def arm(self) -> None:
+    def watch_early(self) -> None:
         """Wait for the early news of the death of each that runs; the news of the port owner's stops at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
@@ -114,7 +114,7 @@ class ProcessTable:
                 self._tell_watchers()
                 if child.life:
                     stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None
-                    self.early.arm(child.life, child.block, 0, stop, child.row.priority)
+                    self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""
