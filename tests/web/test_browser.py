@@ -90,7 +90,7 @@ def driving(trial: Trial, tab: Tab) -> None:
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
     enabled(trial)
     trial.drive(0.3)
-    assert trial.moving()
+    assert trial.turning()
     trial.board.events()
 
 
@@ -135,7 +135,7 @@ def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab
     asked_ns = time.monotonic_ns()
     lift = paired.press("#stop")
     wait_for("the latch", lambda: trial.robot.state.estop)
-    seen = judge(trial.board.events(), asked_ns, was_moving=True)
+    seen = judge(trial.board.events(), asked_ns, was_turning=True)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
     lift()
@@ -256,7 +256,7 @@ def test_a_page_that_is_hidden_gives_up_at_once(trial: Trial, browser: Browser, 
     other.call("Page.bringToFront")
     trial.drive(LEASE_S + 0.2)
     assert "operator gone: Anna" in str(trial.robot.state.estop)
-    assert not trial.moving()
+    assert not trial.turning()
     paired.call("Page.bringToFront")
 
 
@@ -267,7 +267,7 @@ def test_a_browser_that_is_suspended_stops_the_robot(trial: Trial, browser: Brow
     suspended_ns = time.monotonic_ns()
     try:
         trial.drive(LEASE_S + 0.3)
-        seen = judge(trial.board.events(), suspended_ns, was_moving=True)
+        seen = judge(trial.board.events(), suspended_ns, was_turning=True)
     finally:
         browser.signal(signal.SIGCONT)
     assert "operator gone: Anna, was not heard" in str(trial.robot.state.estop)

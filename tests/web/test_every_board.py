@@ -35,17 +35,17 @@ def test_a_stop_on_the_page_stops_every_board_and_shows_its_proofs(kind: str, tm
 
         trial.enable()
         with driven(trial):
-            wait_for("the wheels to turn", trial.moving)
+            wait_for("the wheels to turn", trial.turning)
             assert web.until("MOVING")["link"] == ("alive" if HAS_PINGS in traits.parts else "unasked")
             trial.board.events()
-            moving, asked_ns = trial.moving(), time.monotonic_ns()
+            moving, asked_ns = trial.turning(), time.monotonic_ns()
             status, said = web.post("/api/stop")
             assert (status, said["written"], moving) == (200, True, True)
             assert web.until("STOPPED")["stop"]["written"]
         seen = judge(trial.board.events(), asked_ns, moving)
         assert seen.stop_ns is not None
         assert seen.motion_after == 0
-        assert not trial.moving()
+        assert not trial.turning()
         if traits.language.acknowledged_by:
             wait_for("the board's acknowledgement", lambda: face()["stop"]["acknowledged"])
         if traits.language.observed_by == BY_WHEELS:

@@ -23,14 +23,14 @@ def test_a_stop_on_the_page_stops_the_wheels(trial: Trial, web: Web) -> None:
     trial.drive(0.3)
     assert web.get("/api/state")["face"]["word"] == "MOVING"
     trial.board.events()
-    moving, asked_ns = trial.moving(), time.monotonic_ns()
+    moving, asked_ns = trial.turning(), time.monotonic_ns()
     status, said = web.post("/api/stop")
     assert (status, said["written"], moving) == (200, True, True)
     trial.drive(0.2)
     seen = judge(trial.board.events(), asked_ns, moving)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
-    assert not trial.moving()
+    assert not trial.turning()
     found = web.until("STOPPED")
     assert found["latched"]
     assert 'asked for a stop: "STOP on the page"' in found["why"]
@@ -153,9 +153,9 @@ def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> 
         trial.drive(0.3)
         os.kill(other.process.pid, signal.SIGSTOP)
         trial.drive(0.3)
-        assert trial.moving()
+        assert trial.turning()
         os.kill(other.process.pid, signal.SIGKILL)
         trial.drive(0.3)
-        assert trial.moving()
+        assert trial.turning()
         assert trial.robot.state.estop is None
     trial.robot.disable()

@@ -62,7 +62,7 @@ def driving(trial: Trial) -> int:
     """The wheels turn; returns the epoch."""
     trial.enable()
     trial.drive(0.2)
-    assert trial.moving()
+    assert trial.turning()
     return trial.robot.state.epoch
 
 
