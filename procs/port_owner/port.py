@@ -1,7 +1,7 @@
 """The open port, beside what is written to it on the way of a stop: its loss, the next one, what a board that has just
 been opened is told, and what the board sends while no telemetry runs, which reads it else.
 
-A board that opening resets is deaf at first: the port counts as open, for motion too, once it hears and was told.
+A board that opening resets is deaf at first. Its port counts as open, for motion too, once it hears and was told.
 """
 
 from __future__ import annotations
