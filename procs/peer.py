@@ -85,7 +85,7 @@ class Peer:
                 return died
             self._loop.watch(self.life.fd, READ)
         if self.life and not self.life.watched and self.heart.running(pid):
-            self._early.arm(self.life, block, _LINE, lambda: self._stop_early(pid), self._priority)
+            self._early.watch_block(self.life, block, _LINE, lambda: self._stop_early(pid), self._priority)
         return died
 
     def _stop_early(self, pid: int) -> None:
