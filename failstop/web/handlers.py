@@ -218,7 +218,7 @@ class Verb(Guarded):
         if verb == "limit" and percent is not None and percent > self.page.limit():
             self.refuse(409, "a higher limit is held for, on the page")
             return
-        done, said = await self.page.hands.ask(verb, self.who(), percent)
+        done, said = await self.page.workers.ask(verb, self.who(), percent)
         if done:
             if verb == "limit":
                 self.page.driving.chose(device.id)

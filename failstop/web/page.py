@@ -15,10 +15,10 @@ from failstop.web import assets, devices, guard, kept, stopping
 from failstop.web.attending import Attending
 from failstop.web.door import Places
 from failstop.web.driving import Driving
-from failstop.web.hands import Hands
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
+from failstop.web.workers import Workers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Page:
         self.story_limit = Limit(10.0, 60)
         self.defect_limit = Limit(1 / 60, 2)
         self.asked = stopping.Asked(name)
-        self.hands = Hands(name)
+        self.workers = Workers(name)
         self.driving = Driving(name, settings)
         self.attending = Attending(name, self.driving.end)
         self.incidents = Incidents(name)
@@ -159,5 +159,5 @@ class Page:
         self._timer.stop()
         self.attending.close()
         self.driving.close()
-        self.hands.close()
+        self.workers.close()
         self.incidents.close()

@@ -13,8 +13,8 @@ from tornado.web import Application
 
 from failstop.web import control, handlers, sockets, whereabouts
 from failstop.web.door import Door
-from failstop.web.hands import TOUCHED
 from failstop.web.page import Page
+from failstop.web.workers import TOUCHED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

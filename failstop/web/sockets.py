@@ -186,7 +186,7 @@ class Live(Socket):
         elif self.page.newest_stop() != held.epoch:
             done, said = False, hold.NEWER_STOP
         else:
-            done, said = await self.page.hands.ask(held.verb, self.who(), held.percent, held.epoch)
+            done, said = await self.page.workers.ask(held.verb, self.who(), held.percent, held.epoch)
             if done and held.verb == "limit" and (device := self.device()):
                 self.page.driving.chose(device.id)
         self._end(held.identity, said, done=done)

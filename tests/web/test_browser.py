@@ -95,7 +95,7 @@ def driving(trial: Trial, tab: Tab) -> None:
 
 
 def test_a_stranger_sees_and_stops_and_nothing_else(trial: Trial, tab: Tab) -> None:
-    assert tab.run("document.getElementById('hands').hidden")
+    assert tab.run("document.getElementById('buttons').hidden")
     assert tab.run("document.getElementById('attendance').hidden")
     assert not tab.run("document.getElementById('pair').hidden")
 
@@ -200,7 +200,7 @@ def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: 
 TOPS = """
 window.tops = new Set();
 (function look() {
-  tops.add(JSON.stringify([...document.querySelectorAll("#hands button, #attend")].map((button) =>
+  tops.add(JSON.stringify([...document.querySelectorAll("#buttons button, #attend")].map((button) =>
     [button.id || button.dataset.percent, Math.round(button.getBoundingClientRect().top + scrollY)])));
   requestAnimationFrame(look);
 })()"""

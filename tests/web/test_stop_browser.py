@@ -246,7 +246,7 @@ def test_behind_a_proxy_that_ends_tls_a_setting_makes_it_work(
         tab.until(SEEN)
         tab.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
         tab.run("document.querySelector('#pair form').requestSubmit()")
-        tab.until("!document.getElementById('hands').hidden")
+        tab.until("!document.getElementById('buttons').hidden")
         stops_soon(trial, tab, driving(trial))
         tab.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
         assert tab.run("document.cookie") == ""

@@ -1,7 +1,7 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
 import {Chart, later, seldom} from "/chart.js";
 import {connect} from "/link.js";
-import "/hands.js";
+import "/buttons.js";
 import "/device.js";
 import "/attend.js";
 import "/drive.js";
