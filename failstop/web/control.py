@@ -51,7 +51,7 @@ class _Pair(_Asked):
             return
         code = devices.code_of(secrets.token_bytes(5))
         self.page.pairing.offer(code, time.monotonic())
-        self.finish({"code": code, **self.page.whereabouts()})
+        self.finish({"code": code, **self.page.addresses()})
 
 
 class _Devices(_Asked):

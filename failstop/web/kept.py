@@ -12,8 +12,8 @@ from typing import NoReturn
 
 from failstop.api.errors import FailstopError
 from failstop.files import durable, root
+from failstop.web.addresses import own_addresses
 from failstop.web.devices import Devices
-from failstop.web.whereabouts import own_addresses
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

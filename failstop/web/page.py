@@ -74,7 +74,7 @@ class Page:
             return None
         return self._kept.tls(sorted(self.names))
 
-    def whereabouts(self) -> dict[str, Any]:
+    def addresses(self) -> dict[str, Any]:
         """Where it listens, for whoever is to find it."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}

@@ -11,7 +11,7 @@ from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import control, handlers, sockets, whereabouts
+from failstop.web import addresses, control, handlers, sockets
 from failstop.web.door import Door
 from failstop.web.page import Page
 from failstop.web.workers import TOUCHED
@@ -63,7 +63,7 @@ async def serve(name: str, settings: Settings) -> None:
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    print("\n".join(whereabouts.listening(page.whereabouts())), flush=True)
+    print("\n".join(addresses.listening(page.addresses())), flush=True)
     await ended.wait()
     door.stop()
     commands.stop()
