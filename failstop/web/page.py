@@ -11,7 +11,7 @@ from typing import Any
 from tornado.ioloop import PeriodicCallback
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, devices, guard, kept, stopping
+from failstop.web import assets, devices, guard, stopping, storage
 from failstop.web.attending import Attending
 from failstop.web.door import Places
 from failstop.web.driving import Driving
@@ -62,17 +62,17 @@ class Page:
         self.driving = Driving(name, settings)
         self.attending = Attending(name, self.driving.end)
         self.incidents = Incidents(name)
-        self._kept = kept.Kept(kept.folder(name, os.environ))
-        self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
+        self._storage = storage.Storage(storage.folder(name, os.environ))
+        self.devices = self._storage.devices() if self.pairing_on else devices.Devices()
         self.tls = self._tls(settings.text("web.tls"))
-        self.fingerprint = self._kept.fingerprint() if self.tls else ""
-        self.control_path = self._kept.path(kept.CONTROL)
+        self.fingerprint = self._storage.fingerprint() if self.tls else ""
+        self.control_path = self._storage.path(storage.CONTROL)
         self._timer = PeriodicCallback(self._tick, PERIOD_S * 1e3)
 
     def _tls(self, wanted: str) -> ssl.SSLContext | None:
         if wanted == "off" or (wanted == "auto" and guard.only_here(self.address)):
             return None
-        return self._kept.tls(sorted(self.names))
+        return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
         """Where it listens, for whoever is to find it."""
@@ -111,7 +111,7 @@ class Page:
         )
         self.devices.add(made)
         try:
-            self._kept.keep(self.devices)
+            self._storage.keep(self.devices)
         except Exception:
             self.devices.revoke(made.id)
             raise
@@ -127,7 +127,7 @@ class Page:
             if viewer.device() is None:
                 self.attending.end(viewer)
         try:
-            self._kept.keep_fewer(self.devices)
+            self._storage.keep_fewer(self.devices)
         except FailstopError as error:
             raise FailstopError(f"{found.name} is revoked, and back after a restart of the page: {error}") from None
         return found.name

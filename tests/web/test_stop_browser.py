@@ -13,7 +13,7 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.front import Front
 from bench.web.parts import Web
 from failstop.lab.trial import Trial, wait_for
-from failstop.web.kept import Kept
+from failstop.web.storage import Storage
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -221,7 +221,7 @@ def test_while_the_board_is_away_the_page_says_what_is_known(browser: Browser) -
 @pytest.fixture
 def proxy(tmp_path: Path) -> Iterator[Front]:
     """A proxy that ends TLS."""
-    with Front(tls=Kept(str(tmp_path / "proxy")).tls(["localhost"])) as running:
+    with Front(tls=Storage(str(tmp_path / "proxy")).tls(["localhost"])) as running:
         yield running
 
 
