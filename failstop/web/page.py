@@ -13,7 +13,7 @@ from tornado.ioloop import PeriodicCallback
 from failstop.api.errors import FailstopError, NoService
 from failstop.web import assets, devices, guard, stopping, storage
 from failstop.web.attending import Attending
-from failstop.web.door import Places
+from failstop.web.connections import Places
 from failstop.web.driving import Driving
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit

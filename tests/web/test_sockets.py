@@ -14,12 +14,12 @@ import pytest
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
-from failstop.web import door, hold, page
+from failstop.web import connections, hold, page
 from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
 
-IDLE = door.MOST + 5
+IDLE = connections.MOST + 5
 STOPS = "/api/stop/live"
 DEEP = "[" * 4000
 TOO_LARGE = "1" + "0" * 3000
