@@ -131,7 +131,7 @@ class State(Guarded):
     def get(self) -> None:
         """Everything at once."""
         self.page.look()
-        self.finish({"t": time.time(), "live": self.page.watcher.values, "face": self.page.watcher.shown})
+        self.finish({"t": time.time(), "live": self.page.watcher.values, "view": self.page.watcher.shown})
 
 
 class StopHandler(Guarded):

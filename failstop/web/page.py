@@ -90,7 +90,7 @@ class Page:
             return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
         written = await stopping.written(self.name, request.asked_ns)
         self.look()
-        return 200, {"asked": request.unix_s, "written": written, "face": self.watcher.shown}
+        return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
     def newest_stop(self) -> int:
         """The epoch that is in force now; 0: no service runs."""

@@ -207,7 +207,7 @@ class Live(Socket):
             message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
         if self._number != watcher.number:
             self._number = watcher.number
-            message["face"] = watcher.shown
+            message["view"] = watcher.shown
         self._sending = self.send(message)
         self._sent_s = now_s
 

@@ -70,7 +70,7 @@ def test_fifty_viewers_see_it_ten_times_a_second(trial: Trial, web: Web) -> None
     with ExitStack() as stack:
         viewers = [stack.enter_context(Viewer(web)) for _ in range(CROWD)]
         for viewer in viewers:
-            assert viewer.next()["face"]["name"] == trial.name
+            assert viewer.next()["view"]["name"] == trial.name
         first = viewers[0].next()["t"]
         for _ in range(10):
             last = viewers[0].next()["t"]
@@ -84,7 +84,7 @@ def test_too_many_viewers_are_refused_and_can_stop(trial: Trial, web: Web) -> No
             stack.enter_context(Viewer(web))
         with pytest.raises(Exception, match="503"), Viewer(web):
             pass
-        assert web.get("/api/state")["face"]["name"] == trial.name
+        assert web.get("/api/state")["view"]["name"] == trial.name
         assert stops(trial, web) < SOON_S
 
 

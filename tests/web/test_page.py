@@ -21,7 +21,7 @@ MOST_BYTES = 150_000
 def test_a_stop_on_the_page_stops_the_wheels(trial: Trial, web: Web) -> None:
     trial.enable()
     trial.drive(0.3)
-    assert web.get("/api/state")["face"]["word"] == "MOVING"
+    assert web.get("/api/state")["view"]["word"] == "MOVING"
     trial.board.events()
     moving, asked_ns = trial.turning(), time.monotonic_ns()
     status, said = web.post("/api/stop")
@@ -125,12 +125,12 @@ def test_garbage_is_answered_with_nothing_of_the_inside(web: Web) -> None:
             connection.shutdown(socket.SHUT_WR)
             said = connection.makefile("rb").read()
         assert b"Traceback" not in said
-    assert web.get("/api/state")["face"]["word"] == "STOPPED"
+    assert web.get("/api/state")["view"]["word"] == "STOPPED"
 
 
 def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
     with Web("web-nobody") as alone:
-        assert alone.get("/api/state")["face"]["word"] == "NO SERVICE"
+        assert alone.get("/api/state")["view"]["word"] == "NO SERVICE"
         status, said = alone.post("/api/stop")
         assert status == 503
         assert "no service" in said["error"]

@@ -61,7 +61,7 @@ def test_a_stop_is_answered_by_the_way_that_it_came(trial: Trial, web: Web) -> N
     with Viewer(web, path=STOPS) as stopping:
         stopping.send(stop="a")
         found = stopping.next()
-        assert (found["id"], found["written"], found["face"]["latched"]) == ("a", True, True)
+        assert (found["id"], found["written"], found["view"]["latched"]) == ("a", True, True)
         assert trial.robot.state.epoch == before + 1
         stopping.send(stop="a")
         assert stopping.next()["written"], "the same stop, asked for again"
@@ -227,7 +227,7 @@ def test_stops_do_not_wait_for_each_other(trial: Trial, web: Web) -> None:
         asked = [each["asked"] for each in found]
         assert max(asked) < min(asked) + WRITTEN_S
         assert [each["written"] for each in found] == [False] * 6
-        assert found[-1]["face"]["latched"]
+        assert found[-1]["view"]["latched"]
         trial.board.replug()
 
 

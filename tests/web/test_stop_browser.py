@@ -139,25 +139,25 @@ def test_opened_cards_take_one_connection_and_give_it_up_for_a_stop(trial: Trial
     wait_for("the connection to be given up", lambda: not front.held)
 
 
-STOPPED = "dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, face: FACE}}))"
-LATCHED = "{...face, latched: true, epoch: face.epoch + 1}"
+STOPPED = "dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, view: FACE}}))"
+LATCHED = "{...view, latched: true, epoch: view.epoch + 1}"
 
 
 def test_a_state_from_before_a_stop_that_comes_after_the_word_of_it_ends_nothing(trial: Trial, tab: Tab) -> None:
-    tab.run("addEventListener('face', ({detail}) => { window.face = detail; })")
+    tab.run("addEventListener('view', ({detail}) => { window.view = detail; })")
     tab.run("window.over = 0; addEventListener('unstopped', () => { over++; })")
     trial.robot.estop("one that is shown")
     wait_for("the latch", lambda: trial.robot.state.estop)
     driving(trial)
-    tab.until("window.face && face.enabled && face.stop")
+    tab.until("window.view && view.enabled && view.stop")
     tab.run("dispatchEvent(new Event('stopping'))")
-    for percent, found in ((90, "face"), (80, LATCHED)):
+    for percent, found in ((90, "view"), (80, LATCHED)):
         tab.run(STOPPED.replace("FACE", found))
         trial.robot.limit_speed(percent / 100)
-        tab.until(f"face.limit === {percent} && !face.latched")
+        tab.until(f"view.limit === {percent} && !view.latched")
         assert tab.run("over") == 0
     trial.robot.estop("somebody's")
-    tab.until("face.latched")
+    tab.until("view.latched")
     trial.robot.reset()
     tab.until("over === 1")
     trial.robot.limit_speed(1.0)

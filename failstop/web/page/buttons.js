@@ -111,7 +111,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
   asking = "";
   said(text, !done);
 });
-addEventListener("face", (event) => {
+addEventListener("view", (event) => {
   ({can, limit} = event.detail);
   if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
   ({epoch} = event.detail);
