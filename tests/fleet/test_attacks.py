@@ -168,7 +168,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        pump("the flood", lambda: publisher.obedience.forged > 500, publisher)
+        pump("the flood", lambda: publisher.duties.forged > 500, publisher)
         tally = stop_all(settings, publisher)
     finally:
         ended.set()
