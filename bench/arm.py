@@ -51,7 +51,7 @@ def absent(name: str, say: Callable[[str], None]) -> Row:
             try:
                 trial.robot.enable()
                 trial.drive(0.3)
-                said.append("wheels turn" if trial.moving() else "wheels stand")
+                said.append("wheels turn" if trial.turning() else "wheels stand")
             except Refused as error:
                 said.append("refused" if "arm.absent" in str(error) else str(error))
     measure = "arm in the settings but absent: one refusal, then wheels with the setting"

@@ -12,7 +12,7 @@ import time
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-STOP = "bare/stop"
+TOPIC = "bare/stop"
 ANSWERS = "bare/answer"
 PROOFS = 3
 """Answers of each client to a stop: as many as a robot gives."""
@@ -47,7 +47,7 @@ def main(port: int, first: int, count: int) -> None:
     for number in range(first, first + count):
         each = client(port, f"bare-{number}")
         each.user_data_set(f"robot-{number}")
-        each.on_connect = lambda made, *_: made.subscribe(STOP)
+        each.on_connect = lambda made, *_: made.subscribe(TOPIC)
         each.on_subscribe = subscribed
         each.on_message = answer
         connection = each.socket()
@@ -85,7 +85,7 @@ def stop(port: int, count: int) -> int:
             raise TimeoutError(f"{heard} of {PROOFS * count} answers of bare clients came")
         if listening and not begun_ns:
             begun_ns = time.monotonic_ns()
-            sender.publish(STOP, PAYLOAD)
+            sender.publish(TOPIC, PAYLOAD)
         sender.loop(0.05)
     took_ns = time.monotonic_ns() - begun_ns
     sender.disconnect()

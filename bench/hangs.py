@@ -37,14 +37,14 @@ def measure(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
             pid = trial.service.pids()[process]
             trial.board.events()
             trial.drive(chance.uniform(0.1, 0.2))
-            was_moving = trial.moving()
+            was_turning = trial.turning()
             hung_ns = time.monotonic_ns()
             os.kill(pid, signal.SIGSTOP)
             trial.drive(deadline_ms / 1000 + AFTERMATH_S)
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)  # a process that was fenced is gone
             trial.drive(AFTERMATH_S)
-            found[process].append(judge(trial.board.events(), hung_ns, was_moving))
+            found[process].append(judge(trial.board.events(), hung_ns, was_turning))
             wait_for("the service to be whole again", trial.service.ready)
     return rows_of(found)
 
@@ -57,7 +57,7 @@ def rows_of(found: dict[str, list[Stopped]]) -> list[stats.Row]:
         times = [stopped.stop_ns for stopped in row if stopped.stop_ns is not None]
         rows.append(row_of(process, deadlines[process], times))
     every = [stopped for row in found.values() for stopped in row]
-    missed = sum(stopped.stop_ns is None or not stopped.was_moving for stopped in every)
+    missed = sum(stopped.stop_ns is None or not stopped.was_turning for stopped in every)
     moved = sum(stopped.motion_after for stopped in every)
     return [
         *rows,

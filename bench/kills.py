@@ -86,7 +86,7 @@ def rows_of(pidfds: list[int], floors: list[int], found: dict[str, list[Stopped]
     rows.append(stats.count(f"stops missed{what}", missed, len(every)))
     moved = sum(stopped.motion_after for stopped in every)
     rows.append(stats.count(f"motion frames after the stop{what}", moved, len(every)))
-    resting = sum(not stopped.was_moving for stopped in every)
+    resting = sum(not stopped.was_turning for stopped in every)
     rows.append(stats.count(f"kills that found the wheels at rest{what}", resting, len(every)))
     if pidfds:
         wire = [s.executed_ns - s.stop_ns for s in every if s.executed_ns is not None and s.stop_ns is not None]

@@ -107,7 +107,7 @@ def sample(peer: Peer, board: SimBoard, drive_s: float) -> int:
 
 def checked_ns(label: str, stopped: Stopped) -> int:
     """A sample counts only if the wheels turned before, and the stop came and held."""
-    if stopped.stop_ns is None or stopped.motion_after or not stopped.was_moving:
+    if stopped.stop_ns is None or stopped.motion_after or not stopped.was_turning:
         raise PeerFailed(f"{label}: this was no stop of turning wheels: {stopped}")
     return stopped.stop_ns
 

@@ -114,7 +114,7 @@ class Scene:
         def moves() -> bool:
             with contextlib.suppress(FailstopError):
                 self.trial.enable()
-            return self.trial.moving()
+            return self.trial.turning()
 
         wait_for("the wheels to turn", moves, LEASE_S)
 

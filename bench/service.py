@@ -115,7 +115,7 @@ def rows_of(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
     every = [stopped for samples in found.values() for stopped in samples.stops]
     rows.append(stats.count("systemd: stops missed", sum(s.stop_ns is None for s in every), len(every)))
     rows.append(stats.count("systemd: motion frames after the stop", sum(s.motion_after for s in every), len(every)))
-    rows.append(stats.count("systemd: wheels found at rest", sum(not s.was_moving for s in every), len(every)))
+    rows.append(stats.count("systemd: wheels found at rest", sum(not s.was_turning for s in every), len(every)))
     return rows
 
 

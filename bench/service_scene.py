@@ -163,14 +163,14 @@ class Scene:
         later, and at least until its stop, if one comes at all, and a little longer."""
         self.drive()
         time.sleep(drive_s)
-        was_moving = any(self.board.wheels())
+        was_turning = any(self.board.wheels())
         self.board.events()
         fault_ns = time.monotonic_ns()
         what()
         with contextlib.suppress(TimeoutError):
             self.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= fault_ns, NEVER_S)
         time.sleep(max(AFTER_STOP_S, aftermath_s - (time.monotonic_ns() - fault_ns) / 1e9))
-        return judge(self.board.events(), fault_ns, was_moving)
+        return judge(self.board.events(), fault_ns, was_turning)
 
     def kill(self, process: str) -> Callable[[], None]:
         """The SIGKILL of one process of the service, to be done later."""

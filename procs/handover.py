@@ -10,12 +10,11 @@ from collections.abc import Callable
 
 from failstop.messages import layout, records
 from failstop.messages.records import PATH_BYTES, cut
-from failstop.procs.loop import GONE
+from failstop.procs.loop import GONE, Loop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
 
 _FD = struct.Struct("i")
 _NUMBER = struct.Struct("<Q")
@@ -38,8 +37,7 @@ class Control:
             return
 
     def receive(self) -> tuple[int, int, str] | None:
-        """Return (descriptor, number, path) of a port that was sent; None: none waits, it was lost, the peer is
-        gone."""
+        """Return (descriptor, number, path) of a port that was sent; None: none waits, or it was lost."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
             data, ancillary, _, _ = self._socket.recvmsg(_NUMBER.size + PATH_BYTES, _socket.CMSG_LEN(_FD.size), flags)

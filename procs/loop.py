@@ -31,8 +31,6 @@ NEVER = 2**63 - 1
 class Timer:
     """A point in time (CLOCK_MONOTONIC ns), or NEVER; and those after it."""
 
-    __slots__ = ("_then", "ns")
-
     def __init__(self) -> None:
         self.set(NEVER)
 

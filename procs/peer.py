@@ -29,7 +29,7 @@ class Parent:
         """When its death was noticed; 0: it lives."""
         self._loop = loop
         self._leave = loop.timer()
-        context.early.arm(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if port else None)
+        context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if port else None)
         for fd in (self.life.fd, self.control.fd):
             loop.watch(fd, READ)
 
@@ -84,8 +84,8 @@ class Peer:
             except ProcessLookupError:
                 return died
             self._loop.watch(self.life.fd, READ)
-        if self.life and not self.life.armed and self.heart.running(pid):
-            self._early.arm(self.life, block, _LINE, lambda: self._stop_early(pid), self._priority)
+        if self.life and not self.life.watched and self.heart.running(pid):
+            self._early.watch_block(self.life, block, _LINE, lambda: self._stop_early(pid), self._priority)
         return died
 
     def _stop_early(self, pid: int) -> None:
@@ -96,7 +96,7 @@ class Peer:
 
     def runs(self) -> bool:
         """True from when it has said that it runs until its death is answered."""
-        return self.life is not None and self.life.armed
+        return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
         """Its pid when this wake-up, or the early news before it, says that it has died, else 0."""

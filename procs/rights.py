@@ -91,8 +91,7 @@ def take_rights(priority: int) -> int:
 
 
 def settle(loop_us: int = LOOP_US) -> None:
-    """End of the start-up: collect once, freeze what is there and leave reference counting to do the rest; from here on
-    a loop of `loop_us` is the end."""
+    """End the start-up: collect once, and leave the rest to reference counting; a loop of `loop_us` is now the end."""
     gc.collect()
     gc.freeze()
     gc.disable()

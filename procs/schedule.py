@@ -3,9 +3,8 @@
 After a cause the burst is repeated at the board's times, in case it lost the first. While stopped a zero frame goes
 out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
 
-Pings ask the board whether it hears. It handles frames in order, so an answer to a ping that went out after a stop
-proves that its receiver was in step when the stop had passed it. One goes out right after each stop, and otherwise with
-a period.
+Pings ask the board whether it hears, right after each stop and else with a period. It handles frames in order, so the
+answer to a ping that was written after a stop proves that its receiver was in step when the stop had passed it.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ REPEAT = 1
 REFRESH = 2
 ZERO_EVERY_NS = 200_000_000
 PING_GAP_NS = 50_000_000
-"""Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
-few milliseconds, is long due."""
+"""Two pings are at least this far apart: one of the four indices is used again when its answer is long due."""
 
 QUICK = 10
 """After the start so many pings follow each other at once: telemetry, which hears the answers, takes some tenths of a
@@ -40,8 +38,7 @@ class Repeats:
         self._due.set(*(now_ns + after for after in (*self._after_ns, ZERO_EVERY_NS)))
 
     def end(self) -> None:
-        """Motion was written, or is another process's to write: a stop must not cut into it. No zeros before the next
-        stop."""
+        """Write nothing before the next stop: it would cut into motion, of this process or of another."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
@@ -63,8 +60,7 @@ class Pings:
     """When to ask; `index` is that of the next ping."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is. `quick`: so
-        many at first follow each other at once."""
+        """`count` different pings (0: none, and nobody may wait for `due`); `quick`: so many come at once at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS

@@ -1,5 +1,4 @@
-"""Suspend: a sleep of the machine, after which no frame and no command looks too old, since CLOCK_MONOTONIC stood
-still."""
+"""Suspend: a sleep of the machine, in which CLOCK_MONOTONIC stands still, so that no frame looks too old after it."""
 
 from __future__ import annotations
 
@@ -29,7 +28,6 @@ class SuspendWatch:
         now_ns = gained_ns()
         slept_ns = now_ns - self._gained_ns
         if slept_ns < SLEPT_NS:
-            # A reading that was held up is too small: the best one so far is the truth.
             self._gained_ns = max(self._gained_ns, now_ns)
             return 0
         self._gained_ns = now_ns

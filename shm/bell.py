@@ -18,8 +18,6 @@ _ONE = (1).to_bytes(8, "little")
 class EventBell:
     """An eventfd: any number of rings are one wake-up."""
 
-    __slots__ = ("fd",)
-
     def __init__(self, fd: int) -> None:
         self.fd = fd
 
@@ -75,8 +73,7 @@ def open_pipe(path: str) -> int:
 
 
 def open_pipe_to_write(path: str) -> int:
-    """A client's end. Raises FileNotFoundError or OSError(ENXIO) without a service, PermissionError,
-    place.Untrusted."""
+    """A client's end. Raises OSError (FileNotFoundError or ENXIO without a service), place.Untrusted among them."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 

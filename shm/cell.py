@@ -96,8 +96,6 @@ def cell_bytes(capacity: int) -> int:
 class _Cells:
     """The cells of one record, one after another."""
 
-    __slots__ = ("_at", "_capacity", "_cells", "_seed", "_size", "_view")
-
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         self._view = view
         self._at = offset
@@ -128,8 +126,6 @@ class _Cells:
 class LatestReader(_Cells):
     """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
     compared, which is a third of the work. A record that nobody has written is zeros."""
-
-    __slots__ = ("_known", "_raw", "_seen", "_where")
 
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, 2, crc_seed)
@@ -163,8 +159,6 @@ class _Writer(_Cells):
     """The one writer of a record. One that takes over from a dead one goes on after the newest whole entry: a cell that
     was torn by the death is overwritten, and the entry before it stays readable."""
 
-    __slots__ = ("_barrier", "seq")
-
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._barrier = Barrier()
@@ -185,8 +179,6 @@ class _Writer(_Cells):
 class LatestWriter(_Writer):
     """Publishes values of which the newest counts."""
 
-    __slots__ = ()
-
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, 2, crc_seed)
 
@@ -197,8 +189,6 @@ class RingWriter(_Writer):
     """Appends entries in order, for any number of readers. There is no shared head or tail, no reader state in shared
     memory and no lock: entry `n` lives in cell `n % cells`. Whoever sees an entry sees what its writer stored before
     it, and the entries before it among that: a barrier is between."""
-
-    __slots__ = ()
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
         """Publish bytes of any length, in entries that hold them."""
@@ -212,13 +202,10 @@ class RingReader(_Cells):
     Reading entry n: (1) one slice copy of cell n % cells, (2) check it:
         its seq is n                       -> the entry
         its seq is below n, or never used  -> not published yet
-        its seq is above n                 -> lapped: go on at the oldest entry that can still be whole, count what was
-                                              lost
+        its seq is above n                 -> lapped: go on at the oldest entry that can still be whole
         not whole                          -> being written, or damaged: once a later entry is whole, n is gone for
-                                              good, so go on at the oldest of those and count what was lost
+                                              good, so go on at the oldest of those
     """
-
-    __slots__ = ("_blank", "_next", "_old", "_where", "lost")
 
     def __init__(
         self, view: View, offset: int, capacity: int, cells: int, crc_seed: int, *, from_oldest: bool = False

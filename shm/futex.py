@@ -54,8 +54,7 @@ class Futex:
     """
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-        """Lines that belong together are in one page. Whoever waits needs the caller's descriptor open. Raises
-        OSError."""
+        """Map the page that has all the lines. Whoever waits needs the caller's descriptor open. Raises OSError."""
         self._fd = fd
         self._owned = False
         self._offset = offset
@@ -86,7 +85,7 @@ class Futex:
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
         following = [_POINTER.pack(entry).ljust(LINE_BYTES, b"\0") for entry in (*entries[1:], head)]
         kept.raw = _LIST_HEAD.pack(entries[0], self._address - entries[0], 0) + b"".join(following)
-        if _set_robust_list(kept):
+        if _libc.syscall(_SET_ROBUST_LIST, kept, _LIST_HEAD.size):
             return None
         word = (_thread.get_native_id() | _WAITERS).to_bytes(4, "little")
         try:
@@ -131,11 +130,6 @@ class Futex:
             os.close(self._fd)
 
 
-def _set_robust_list(kept: ctypes.Array[ctypes.c_char]) -> int:
-    failed: int = _libc.syscall(_SET_ROBUST_LIST, kept, _LIST_HEAD.size)
-    return failed
-
-
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
 """The empty list: its first entry is itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
@@ -143,7 +137,7 @@ _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 def let_go() -> None:
     """The death of the calling thread is told nowhere from here on."""
-    _set_robust_list(_NOTHING)
+    _libc.syscall(_SET_ROBUST_LIST, _NOTHING, _LIST_HEAD.size)
 
 
 def leave_no_dump() -> None:

@@ -53,9 +53,9 @@ class Lifeline:
         ProcessLookupError when there is no such process."""
         self.pid = pid
         self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
-        self.armed = False
+        self.watched = False
         self.early: Futex | None = None
-        """Once it is armed: where a thread waits for the early news."""
+        """Once it is watched: where a thread waits for the early news."""
         self.marked = False
         """The early news has come."""
 
@@ -107,7 +107,7 @@ class EarlyNews:
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
-    def arm(self, life: Lifeline, block: int, watcher: int, stop: Stops = None, dying: int = 0) -> None:
+    def watch_block(self, life: Lifeline, block: int, watcher: int, stop: Stops = None, dying: int = 0) -> None:
         """Wait for the death of the process of the service that holds this block already."""
         self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop, dying)
 
@@ -116,8 +116,8 @@ class EarlyNews:
         `stop`: what that thread does before the bell rings; then it makes way for the bytes. `dying`: the priority of
         who holds the line. A thread that stops runs above it, where its process has real-time rights: on one core it
         would wait until the kernel has taken the dying down."""
-        if not life.armed:
-            life.armed = True
+        if not life.watched:
+            life.watched = True
             # A machine that is out of threads or memory still has the late news.
             with contextlib.suppress(RuntimeError, OSError):
                 life.early = segment.futex("held", line)

@@ -101,8 +101,7 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty a client's own slot, whatever its holder before left there, all but a goodbye: the gate may not have
-        seen it yet, and would take it for a death."""
+        """Empty a client's own slot, all but the goodbyes: one that the gate has not seen would look like a death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 

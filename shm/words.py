@@ -14,10 +14,6 @@ LINE_BYTES = 64
 
 
 class Word:
-    """One u64 in shared memory."""
-
-    __slots__ = ("_index", "_words")
-
     def __init__(self, mapped: mmap, offset: int) -> None:
         if offset % LINE_BYTES:
             raise ValueError(f"word at offset {offset}: not at the start of a {LINE_BYTES}-byte line")
@@ -43,8 +39,6 @@ class Barrier:
 
     docs/dev/memory-order.md names the pairs that need one; model/aarch64 has each as a litmus test.
     """
-
-    __slots__ = ("_acquire", "_release")
 
     def __init__(self) -> None:
         lock = _thread.allocate_lock()

@@ -82,7 +82,7 @@ class BlackBox:
         if self._savers:
             self._reap()
         if self._waiting and now_ns >= self._waiting[0][0]:
-            self._save_live()
+            self._start(self._waiting.pop(0)[1], self._run.readable)
 
     def _sample(self, now_ns: int) -> None:
         self._sampled_ns = now_ns
@@ -98,10 +98,6 @@ class BlackBox:
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
         while left:
             os.close(left.popitem()[1])
-
-    def _save_live(self) -> None:
-        _, words = self._waiting.pop(0)
-        self._start(words, self._run.readable)
 
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
         """Start a saver and return its pid; 0: the machine is out of descriptors or processes, and that is all."""
@@ -157,7 +153,7 @@ class BlackBox:
     def finish(self) -> None:
         """The end of the service, its stops written: what is being saved is saved now."""
         while self._waiting:
-            self._save_live()
+            self._start(self._waiting.pop(0)[1], self._run.readable)
         until_ns = monotonic_ns() + round(FINISH_S * 1e9)
         for pid in self._savers:
             self._hasten(pid)

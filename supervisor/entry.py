@@ -26,8 +26,7 @@ def start(words: dict[str, str]) -> int:
     rights.name_process(SUPERVISOR_COMM)
     # A parent may have left signals ignored or blocked, and exec hands that on: without SIGCHLD no child can be
     # collected, and a blocked signal can't end the service. SIGHUP stays ignored where it is: a user of nohup wants
-    # that. SIGCONT lets a suspended process go on all the same, and is asked for (main.py): a handler might run after
-    # the turn that needs it.
+    # that. SIGCONT is asked for (main.py), and lets a process go on all the same: a handler might run too late.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])

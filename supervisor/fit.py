@@ -12,8 +12,7 @@ from failstop.policy.settings import Settings
 
 
 def checked_board(settings: Settings, path: str | None) -> Board:
-    """The board of the settings of this file. Raises SettingError for one that does not take what they drive, and
-    OwnBoardError."""
+    """The board of the settings of this file. Raises SettingError (it does not take what they drive), OwnBoardError."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
     if board.wheels != settings.speeds:
         layout = settings.text("wheels.layout")
@@ -30,8 +29,7 @@ def checked_board(settings: Settings, path: str | None) -> Board:
 
 
 def slowest_mps(settings: Settings) -> float:
-    """The smallest speed of a wheel at its rim that the board can be told, in m/s: a slower one is rounded to rest; 0:
-    it has no such step."""
+    """The smallest speed of a wheel's rim that the board can be told, m/s: a slower one is rounded to rest; 0: any."""
     kind, diameter_m, per_rps, _ = settings.board()
     if not is_described(kind):
         return 0.0

@@ -48,8 +48,7 @@ EXCUSE_NS = 60_000_000
 CLIENT_SILENT_NS = 150_000_000
 """A client that beats ten times a second, and was silent for this long, was held up."""
 HEAR_NS = 300_000_000
-"""How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
-ping may be 50 ms away (schedule.py)."""
+"""How long the service's end waits for the board's answer to its stop: the ping may be 50 ms away (schedule.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
@@ -103,16 +102,16 @@ class Supervisor:
         self._bells[0].ring()
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up."""
         now_ns = monotonic_ns()
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
         self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
         self.processes.reap(ready, now_ns)
-        self.processes.arm()
+        self.processes.watch_early()
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
-        self._follow_reset(now_ns)
+        if not self._unanswered and self.epochs.decide_reset():  # once the last stop is carried out
+            self.processes.recall(now_ns)
         self.processes.follow_spared(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
@@ -255,14 +254,8 @@ class Supervisor:
                 self.monitor.also(stop)
         self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
 
-    def _follow_reset(self, now_ns: int) -> None:
-        """Decide the reset that waits, once the last stop is carried out."""
-        if not self._unanswered and self.epochs.decide_reset():
-            self.processes.recall(now_ns)
-
     def _follow_answer(self, now_ns: int) -> None:
-        """The port owner answers a raised epoch with a stop. If it does not, or can't, the supervisor writes the
-        burst."""
+        """Take the port owner's answer to a raised epoch, a stop; if it gives none, the supervisor writes the burst."""
         stop = self._unanswered
         if stop is None:
             return

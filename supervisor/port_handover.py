@@ -74,8 +74,7 @@ class OwnPort(StopPort):
         self.number += fd >= 0
 
     def holds(self) -> bool:
-        """True while the kernel holds bytes that it has taken and not passed on, of whoever; False too where the port
-        can't say."""
+        """True while the kernel holds bytes that it has taken, of whoever; False too where the port can't say."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError:
@@ -95,8 +94,7 @@ class Opener:
     """A thread of the supervisor's that opens a lost port when it is back, and writes the burst on it.
 
     An open may take seconds, of a board that is slow to wake up: it holds nobody up here. The burst does not wait for
-    the supervisor's loop either; what follows from it does. `finder` is the thread's from look() until take() has
-    returned something, and the loop's else.
+    the supervisor's loop either. `finder` is the thread's from look() until take() has returned something.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
@@ -186,8 +184,7 @@ class PortHandover:
         return True
 
     def opened(self, now_ns: int) -> int | None:
-        """When the burst was written (0: it was not) on a port that has just come back; None: none has. It is passed
-        on to the others."""
+        """Share a port that has just come back, and return when its burst was written (0: not); None: none has come."""
         found = self.opener.take()
         if found is None:
             return None

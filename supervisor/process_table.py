@@ -47,9 +47,9 @@ class ProcessTable:
             Child(row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns) for row in PROCESSES
         ]
         self._advice = advice
-        self._starved_told_ns = self._starved_ns = self._starved_times = self._starved_ms = 0
-        self._starved = ""
-        """The process that the machine did not run for longest, for so many ms, of those that are shown."""
+        self._starved_told_ns = self._starved_ns = self._starved_times = 0
+        self._starved = (0, "")
+        """The longest silence of those that are shown, in ms, and whose it was."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -106,16 +106,15 @@ class ProcessTable:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
-    def arm(self) -> None:
-        """A process that runs holds its block: wait for the early news of its death, which stops at once on the port
-        when it is the port owner's."""
+    def watch_early(self) -> None:
+        """Wait for the early news of the death of each that runs; the news of the port owner's stops at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
                 self._tell_watchers()
                 if child.life:
                     stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None
-                    self.early.arm(child.life, child.block, 0, stop, child.row.priority)
+                    self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""
@@ -179,25 +178,22 @@ class ProcessTable:
     def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
         """The machine did not run a process for so long; told at once, then at most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
-        self._forget_starved(now_ns)
+        self._starved = max(self._shown_starved(now_ns), (silent_ms, name))
         self._starved_times += 1
         self._starved_ns = now_ns
-        if silent_ms > self._starved_ms:
-            self._starved_ms, self._starved = silent_ms, name
         if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
             return
         self._starved_told_ns = now_ns
         text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
         self._events.tell("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
 
-    def _forget_starved(self, now_ns: int) -> None:
-        if now_ns - self._starved_ns >= STARVED_SHOWN_NS:
-            self._starved, self._starved_ms = "", 0
+    def _shown_starved(self, now_ns: int) -> tuple[int, str]:
+        return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")
 
     def starved_record(self) -> dict[str, object]:
         """For clients: the longest of the silences that are shown, and how many there were in this run."""
-        self._forget_starved(monotonic_ns())
-        shown = {"longest_ms": self._starved_ms, "process": self._starved} if self._starved else None
+        longest_ms, process = self._shown_starved(monotonic_ns())
+        shown = {"longest_ms": longest_ms, "process": process} if process else None
         return {"starved": shown, "starved_times": self._starved_times}
 
     def _free_block(self) -> int:

@@ -46,9 +46,8 @@ class Proof:
     """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
-        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. Where that is late, board
-        and wheels have the usual time from now on. `by`: what can acknowledge it, and what can observe it, in the words
-        of the board's interface."""
+        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. Where that is late,
+        board and wheels have the usual time from now on. `by`: what acknowledges and observes it (interface.py)."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9

@@ -121,8 +121,7 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self) -> None:
-        """Let the run be found by its name: by now everything is there that clients read at once. How it was started is
-        kept for when it has ended. Raises OSError."""
+        """Let the run be found by its name: all that clients read is there. Keep how it was started. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))
@@ -141,8 +140,7 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Why the service can't go on, as others can't find what they need any more; None while it can. What was taken
-        away is told of. Looks once a second."""
+        """Look, once a second, for what others need and can't find any more, and tell of it; the cause to end for."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns

@@ -1,8 +1,7 @@
 """Starting processes, the supervisor itself among them: which interpreter, with what on its command line. Their end is
 collected here too.
 
-`-I -S` and the search path handed over: the site module, and a virtual environment's hooks with it, cost a small
-process more than all of its own imports.
+`-I -S` and the search path handed over: the site module costs a small process more than all of its own imports.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ def _sleep(scene: Scene, name: str, words: tuple[str, ...], *, stands: bool) -> 
         result.wrong.append(str(error))
     time.sleep(SETTLE_S)
     found += scene.board.events()
-    seen = judge(found, since_ns, was_moving=turning)
+    seen = judge(found, since_ns, was_turning=turning)
     result.missed, result.after = int(seen.stop_ns is None), seen.motion_after
     if seen.stop_ns is not None:
         result.ms = scene.clock.theirs(since_ns + seen.stop_ns) / 1e6 - scene.resumed_s() * 1e3
@@ -213,7 +213,7 @@ def hibernate(scene: Scene) -> Result:
     began_s, resumed_s = scene.told_s("hibernation: hibernation entry"), scene.resumed_s()
     stops_s = [scene.clock.theirs(event.arrival_ns) / 1e9 for event in found if event.is_stop]
     woken_s = [at_s for at_s in stops_s if at_s > resumed_s]
-    result = Result("hibernate", missed=int(not woken_s), after=judge(found, since_ns, was_moving=True).motion_after)
+    result = Result("hibernate", missed=int(not woken_s), after=judge(found, since_ns, was_turning=True).motion_after)
     if woken_s:
         result.ms = (woken_s[0] - resumed_s) * 1e3
     if not stops_s or stops_s[0] > began_s:
@@ -225,7 +225,7 @@ def hibernate(scene: Scene) -> Result:
 
 def _ended(scene: Scene, name: str, since_ns: int, found: list[Event]) -> Result:
     """Judge a guest that went away while its client commanded."""
-    seen = judge(found, since_ns, was_moving=True)
+    seen = judge(found, since_ns, was_turning=True)
     result = Result(name, missed=int(seen.stop_ns is None), after=seen.motion_after)
     if seen.stop_ns is not None:
         sent_ns = scene.clock.theirs(since_ns)
@@ -264,7 +264,7 @@ def boot(scene: Scene) -> Result:
     _stopped(scene, found, since_ns)
     scene.ready()
     found += scene.board.events()
-    seen = judge(found, since_ns, was_moving=True)
+    seen = judge(found, since_ns, was_turning=True)
     result = Result("boot", missed=int(seen.stop_ns is None), after=seen.motion_after)
     if any(scene.board.wheels()):
         result.wrong.append("the wheels turn at the end")

@@ -95,7 +95,7 @@ class Scene:
             self.until("a stop", stopped, wait_s)
         self.run(AFTERMATH_S)
         found.extend(self.board.events())
-        seen = judge(found, since_ns, was_moving=True)
+        seen = judge(found, since_ns, was_turning=True)
         result = Result(name, missed=int(seen.stop_ns is None), after=seen.motion_after)
         if seen.stop_ns is not None:
             result.ms = seen.stop_ns / 1e6

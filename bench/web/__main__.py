@@ -53,7 +53,7 @@ def moving(trial: Trial) -> None:
         if not trial.robot.state.enabled:
             with contextlib.suppress(Refused):
                 trial.enable()
-        return trial.moving()
+        return trial.turning()
 
     wait_for("motion", turns)
     trial.board.events()
@@ -104,7 +104,7 @@ def _page_taps(trial: Trial, tab: Tab, turn: range, found: list[int]) -> int:
         before_ns = time.monotonic_ns()
         tab.tap("#stop")
         wait_for("the latch", lambda: trial.robot.state.estop)
-        seen = judge(trial.board.events(), before_ns, was_moving=True)
+        seen = judge(trial.board.events(), before_ns, was_turning=True)
         touched_ns = round((zero_s + tab.run("window.touched") / 1e3) * 1e9)
         missed += seen.stop_ns is None or seen.motion_after > 0
         if seen.stop_ns is not None:
@@ -161,7 +161,7 @@ def ends(trial: Trial, tab: Tab, begin: Fault, mend: Fault) -> tuple[int | None,
     with contextlib.suppress(Exception):
         wait_for("the stop", lambda: trial.robot.state.estop, 5)
     time.sleep(0.1)
-    seen = judge(trial.board.events(), fault_ns, was_moving=True)
+    seen = judge(trial.board.events(), fault_ns, was_turning=True)
     mend()
     return seen.stop_ns, seen.motion_after
 

@@ -75,7 +75,7 @@ def _hold(trial: Trial, tab: Tab) -> None:
     x, y = tab.place("#stick")
     high = tab.run("document.getElementById('stick').clientHeight")
     tab.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y - 0.45 * high}])
-    wait_for("motion", trial.moving, 3)
+    wait_for("motion", trial.turning, 3)
 
 
 def ends(
@@ -92,7 +92,7 @@ def ends(
     with contextlib.suppress(TrialError):
         wait_for("the operator to be gone", lambda: trial.robot.state.estop, LEASE_S + 4)
     time.sleep(0.1)
-    seen = judge(trial.board.events(), begun_ns, was_moving=True)
+    seen = judge(trial.board.events(), begun_ns, was_turning=True)
     mend()
     with contextlib.suppress(Exception):
         tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])

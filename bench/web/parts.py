@@ -129,8 +129,8 @@ class Web:
 
     def until(self, word: str) -> dict[str, Any]:
         """Wait until the page shows this word; returns what it shows."""
-        wait_for(f"{word} on the page", lambda: self.get("/api/state")["face"]["word"] == word)
-        found: dict[str, Any] = self.get("/api/state")["face"]
+        wait_for(f"{word} on the page", lambda: self.get("/api/state")["view"]["word"] == word)
+        found: dict[str, Any] = self.get("/api/state")["view"]
         return found
 
 

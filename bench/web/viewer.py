@@ -107,8 +107,8 @@ class Viewer:
                 return {}
 
     def epoch(self) -> int:
-        """The number in the newest face; 0: there was none yet."""
-        return next((message["face"]["epoch"] for message in reversed(self.seen) if "face" in message), 0)
+        """The number in the newest view; 0: there was none yet."""
+        return next((message["view"]["epoch"] for message in reversed(self.seen) if "view" in message), 0)
 
     def stay(self, seconds: float, drive: str = "") -> None:
         """Answer every nonce for so long, with that command if one is given."""

@@ -34,6 +34,7 @@ EVERY_SERVO = 254
 """Addresses all of them; not used on a robot before a stand has proved it."""
 HIGHEST_POSITION = 1000
 LONGEST_MOVE_MS = 60
+LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 
 HELD_NS = 2_000_000
 """The longest that a stop may have to wait for the servos' bus."""

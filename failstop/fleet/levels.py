@@ -42,12 +42,12 @@ class Order:
     def message(self, key: bytes) -> bytes:
         """Signed; no longer than robots read, whatever the reason."""
         body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
-        return signed.sign(key, signed.STOP, body)
+        return signed.sign(key, signed.STOP_PURPOSE, body)
 
 
 def read_order(key: bytes, message: bytes) -> Order:
     """Raises signed.Forged."""
-    body = signed.verify(key, signed.STOP, message)
+    body = signed.verify(key, signed.STOP_PURPOSE, message)
     return Order(_id(body), _number(body, "t"), _text(body, "reason"), _text(body, "by"))
 
 
@@ -68,12 +68,12 @@ class StopAnswer:
     def message(self, key: bytes) -> bytes:
         """Signed."""
         body = {"id": self.id, "robot": self.robot, "reached": self.reached, "why": self.why, "confirms": self.confirms}
-        return signed.sign(key, signed.ANSWER, body)
+        return signed.sign(key, signed.ANSWER_PURPOSE, body)
 
 
 def read_answer(key: bytes, message: bytes) -> StopAnswer:
     """Raises signed.Forged."""
-    body = signed.verify(key, signed.ANSWER, message)
+    body = signed.verify(key, signed.ANSWER_PURPOSE, message)
     reached = body.get("reached")
     if not isinstance(reached, dict) or not set(reached) <= set(ORDER):
         raise signed.Forged("no levels")

@@ -19,7 +19,7 @@ from failstop.files import durable
 from failstop.files.root import state_directory
 from failstop.fleet import FleetError, signed, topics, vda5050
 from failstop.fleet.broker import ANYHOW, Broker
-from failstop.fleet.obey import Obedience
+from failstop.fleet.duties import Duties
 from failstop.fleet.replay import Seen
 from failstop.messages import records
 
@@ -116,7 +116,7 @@ class Publisher:
         self._key, self._off = _key(settings)
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
-        self.obedience = Obedience(self._key, robot_id, self._seen)
+        self.duties = Duties(self._key, robot_id, self._seen)
         """Judges what claims to be a stop of the fleet."""
         self.unsaved = False
         """Written after the answers have left: a disk may take its time."""
@@ -152,7 +152,7 @@ class Publisher:
             return
         busy = self.busy(now_s)
         state, note = self._robot.read()
-        for answer in self.obedience.look(state, now_s):
+        for answer in self.duties.look(state, now_s):
             self._answer(answer)
         self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
         if busy and now_s - self._built_s < BUSY_STATE_S:
@@ -176,10 +176,10 @@ class Publisher:
 
     def busy(self, now_s: float) -> bool:
         """True while a stop of the fleet is carried out."""
-        return self.obedience.busy(now_s)
+        return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
-        return BUSY_LOOK_S if self.obedience.waits(now_s) else LAST_LOOK_S
+        return BUSY_LOOK_S if self.duties.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
         """In order: the broker confirms that the robot is OFFLINE, which is not lost. One that does not within CLOSE_S
@@ -241,15 +241,15 @@ class Publisher:
         if self._off:
             return
         now_s, unix_s = time.monotonic(), time.time()
-        order, answer = self.obedience.hear(payload, now_s, unix_s)
+        order, answer = self.duties.hear(payload, now_s, unix_s)
         if order:
             state, _ = self._robot.read()
             if not self.busy(now_s):
                 self._built_s = now_s
             if problem := self._robot.stop(order.reason, order.by):
-                answer = self.obedience.failed(order, problem)
+                answer = self.duties.failed(order, problem)
             else:
-                self.obedience.begin(order, now_s, unix_s, state)
+                self.duties.begin(order, now_s, unix_s, state)
                 self._look_at_s, self.unsaved = now_s + FIRST_LOOK_S, True
             standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
         if answer:
@@ -257,10 +257,10 @@ class Publisher:
         self._note_forged(now_s)
 
     def _note_forged(self, now_s: float) -> None:
-        if self.obedience.forged > self._said_forged:
+        if self.duties.forged > self._said_forged:
             if now_s - self._forged_s > FORGED_S:
-                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.obedience.last_forged}")
-            self._said_forged, self._forged_s = self.obedience.forged, now_s
+                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.duties.last_forged}")
+            self._said_forged, self._forged_s = self.duties.forged, now_s
 
     def _answer(self, answer: StopAnswer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 KEY_BYTES = 32
 MOST_BYTES = 4096
 """Of a message: what is longer is refused unread."""
-STOP = "failstop fleet stop 1"
-ANSWER = "failstop fleet answer 1"
+STOP_PURPOSE = "failstop fleet stop 1"
+ANSWER_PURPOSE = "failstop fleet answer 1"
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 

@@ -61,7 +61,7 @@ def _connected(trial: Trial) -> None:
 def _moving(trial: Trial) -> None:
     wait_for("the node to be seen", lambda: _sees(trial, "cmd_vel: /nav; scan: /lidar"), SEEN_S)
     trial.enable()
-    wait_for("the wheels to turn", trial.moving, SEEN_S)
+    wait_for("the wheels to turn", trial.turning, SEEN_S)
     time.sleep(MOVED_S)
 
 
@@ -73,9 +73,9 @@ def _second(trial: Trial, second: StageProcess) -> Stopped:
 
 def _judged(trial: Trial, fault_ns: int) -> Stopped:
     """The board's view, once its wheels stand."""
-    wait_for("the wheels to stand", lambda: not trial.moving(), SEEN_S)
+    wait_for("the wheels to stand", lambda: not trial.turning(), SEEN_S)
     time.sleep(MOVED_S)
-    return judge(trial.board.events(), fault_ns, was_moving=True)
+    return judge(trial.board.events(), fault_ns, was_turning=True)
 
 
 __all__ = ["Row", "rows"]

@@ -24,15 +24,15 @@ class Stopped:
     """To the last wheel at zero."""
     motion_after: int
     """Motor frames executed after that stop that moved a wheel."""
-    was_moving: bool
+    was_turning: bool
 
 
-def judge(events: Sequence[Event | Frame], fault_ns: int, was_moving: bool) -> Stopped:
+def judge(events: Sequence[Event | Frame], fault_ns: int, was_turning: bool) -> Stopped:
     """Judge a fault at `fault_ns` by the board's events."""
     after = [event for event in events if event.is_motor and event.arrival_ns >= fault_ns]
     stop = next((event for event in after if event.is_stop), None)
     if stop is None:
-        return Stopped(fault_ns, None, None, None, sum(event.is_motion for event in after), was_moving)
+        return Stopped(fault_ns, None, None, None, sum(event.is_motion for event in after), was_turning)
     still = next((event for event in after if not any(event.speeds)), None)
     return Stopped(
         fault_ns,
@@ -40,5 +40,5 @@ def judge(events: Sequence[Event | Frame], fault_ns: int, was_moving: bool) -> S
         stop.executed_ns - fault_ns,
         None if still is None else still.executed_ns - fault_ns,
         sum(event.is_motion for event in after if event.index > stop.index),
-        was_moving,
+        was_turning,
     )

@@ -244,7 +244,7 @@ class Trial:
                 each()
             time.sleep(min(COMMAND_EVERY_S, left_s))
 
-    def moving(self) -> bool:
+    def turning(self) -> bool:
         """The board's word on whether a wheel turns."""
         return any(self.board.wheels())
 
@@ -253,13 +253,13 @@ class Trial:
         pid = self.service.pids()[process]
         self.board.events()
         self.drive(drive_s)
-        was_moving = self.moving()
+        was_turning = self.turning()
         self.fault_s = time.monotonic()
         self._running_again_s = None
         fault_ns = time.monotonic_ns()
         os.kill(pid, signal.SIGKILL)
         self.drive(AFTERMATH_S, each=lambda: self._see_restart(process, pid))
-        return judge(self.board.events(), fault_ns, was_moving)
+        return judge(self.board.events(), fault_ns, was_turning)
 
     def _see_restart(self, process: str, pid: int) -> None:
         found = self.robot.state.processes[process]

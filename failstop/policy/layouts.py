@@ -76,8 +76,8 @@ OF_THE_BASE = (
         "steering.kind", "pwm", "", None, None, "pulses of a pwm servo are us, of a bus servo 0.24 degrees", SERVOS
     ),
     Setting("steering.servo", 3, "", 1, 253, "the id of the servo that steers; of a pwm servo 1 to 4"),
-    Setting("steering.centre", 1500, "", 1, 2500, "its pulses for straight ahead"),
-    Setting("steering.per_rad", 636.62, "", 1.0, 2000.0, "its pulses for a radian"),
+    Setting("steering.centre", 1500, "", 1, 2500, "pulses of the steering servo for straight ahead"),
+    Setting("steering.per_rad", 636.62, "", 1.0, 2000.0, "pulses of the steering servo for a radian"),
     Setting("steering.sign", -1, "", None, None, "-1: more pulses are an angle to the right", (1, -1)),
     Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle of the steered wheels"),
 )

@@ -162,18 +162,20 @@ OUTWARD = (
 )
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Qos(100), 50, "odom to base_link, only with `publish_tf`")
 
-ENABLE = Service("~/enable", "std_srvs/srv/SetBool", "enables or disables motion; the message is the gate's answer")
-RESET = Service(
+ENABLE_SERVICE = Service(
+    "~/enable", "std_srvs/srv/SetBool", "enables or disables motion; the message is the gate's answer"
+)
+RESET_SERVICE = Service(
     "~/reset_estop",
     "std_srvs/srv/Trigger",
     "clears the latched stop and nothing else; refused while a nonzero cmd_vel arrives, or two nodes publish it",
 )
-STOP = Service(
+STOP_SERVICE = Service(
     "~/stop",
     "std_srvs/srv/Trigger",
     "a latched stop; a success when it is known to be written, with what is known of it within 1 s",
 )
-SERVICES = (ENABLE, RESET, STOP)
+SERVICES = (ENABLE_SERVICE, RESET_SERVICE, STOP_SERVICE)
 ARM_SERVICES = tuple(
     Service(f"~/arm/{name}", "std_srvs/srv/Trigger", text)
     for name, text in (

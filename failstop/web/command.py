@@ -64,10 +64,10 @@ def _settings(arguments: Namespace) -> Settings:
 
 
 def _pair(arguments: Namespace) -> int:
-    from failstop.web import control, whereabouts
+    from failstop.web import addresses, control
 
     found = control.ask(arguments.name, os.environ, "POST", "/pair")
-    print(whereabouts.told(found))
+    print(addresses.told(found))
     return 0
 
 

@@ -16,7 +16,7 @@ from tornado.netutil import bind_unix_socket
 from tornado.web import Application, RequestHandler
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.web import devices, kept
+from failstop.web import devices, storage
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class _Pair(_Asked):
             return
         code = devices.code_of(secrets.token_bytes(5))
         self.page.pairing.offer(code, time.monotonic())
-        self.finish({"code": code, **self.page.whereabouts()})
+        self.finish({"code": code, **self.page.addresses()})
 
 
 class _Devices(_Asked):
@@ -90,8 +90,8 @@ class _Connection(http.client.HTTPConnection):
 def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: object = None) -> dict[str, Any]:
     """Ask the page that runs for this service. Raises Refused, FailstopError."""
     denied = ""
-    for folder in kept.folders(name, environ):
-        connection = _Connection(os.path.join(folder, kept.CONTROL))
+    for folder in storage.folders(name, environ):
+        connection = _Connection(os.path.join(folder, storage.CONTROL))
         try:
             connection.request(method, path, json.dumps(body))
             answer = connection.getresponse()

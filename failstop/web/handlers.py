@@ -131,7 +131,7 @@ class State(Guarded):
     def get(self) -> None:
         """Everything at once."""
         self.page.look()
-        self.finish({"t": time.time(), "live": self.page.watcher.values, "face": self.page.watcher.shown})
+        self.finish({"t": time.time(), "live": self.page.watcher.values, "view": self.page.watcher.shown})
 
 
 class StopHandler(Guarded):
@@ -218,7 +218,7 @@ class Verb(Guarded):
         if verb == "limit" and percent is not None and percent > self.page.limit():
             self.refuse(409, "a higher limit is held for, on the page")
             return
-        done, said = await self.page.hands.ask(verb, self.who(), percent)
+        done, said = await self.page.workers.ask(verb, self.who(), percent)
         if done:
             if verb == "limit":
                 self.page.driving.chose(device.id)

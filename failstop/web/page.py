@@ -11,14 +11,14 @@ from typing import Any
 from tornado.ioloop import PeriodicCallback
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, devices, guard, kept, stopping
+from failstop.web import assets, devices, guard, stopping, storage
 from failstop.web.attending import Attending
-from failstop.web.door import Places
+from failstop.web.connections import Places
 from failstop.web.driving import Driving
-from failstop.web.hands import Hands
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
+from failstop.web.workers import Workers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -59,23 +59,23 @@ class Page:
         self.defect_limit = Limit(1 / 60, 2)
         self.stop_pipe = stopping.Pipe(name)
         self.asked = stopping.Asked(self.stop_pipe)
-        self.hands = Hands(name)
+        self.workers = Workers(name)
         self.driving = Driving(name, settings)
         self.attending = Attending(name, self.driving.end)
         self.incidents = Incidents(name)
-        self._kept = kept.Kept(kept.folder(name, os.environ))
-        self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
+        self._storage = storage.Storage(storage.folder(name, os.environ))
+        self.devices = self._storage.devices() if self.pairing_on else devices.Devices()
         self.tls = self._tls(settings.text("web.tls"))
-        self.fingerprint = self._kept.fingerprint() if self.tls else ""
-        self.control_path = self._kept.path(kept.CONTROL)
+        self.fingerprint = self._storage.fingerprint() if self.tls else ""
+        self.control_path = self._storage.path(storage.CONTROL)
         self._timer = PeriodicCallback(self._tick, PERIOD_S * 1e3)
 
     def _tls(self, wanted: str) -> ssl.SSLContext | None:
         if wanted == "off" or (wanted == "auto" and guard.only_here(self.address)):
             return None
-        return self._kept.tls(sorted(self.names))
+        return self._storage.tls(sorted(self.names))
 
-    def whereabouts(self) -> dict[str, Any]:
+    def addresses(self) -> dict[str, Any]:
         """Where it listens, for whoever is to find it."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
@@ -92,7 +92,7 @@ class Page:
         written = await stopping.written(self.name, request.asked_ns)
         self.stop_pipe.prepare()
         self.look()
-        return 200, {"asked": request.unix_s, "written": written, "face": self.watcher.shown}
+        return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
     def newest_stop(self) -> int:
         """The epoch that is in force now; 0: no service runs."""
@@ -113,7 +113,7 @@ class Page:
         )
         self.devices.add(made)
         try:
-            self._kept.keep(self.devices)
+            self._storage.keep(self.devices)
         except Exception:
             self.devices.revoke(made.id)
             raise
@@ -129,7 +129,7 @@ class Page:
             if viewer.device() is None:
                 self.attending.end(viewer)
         try:
-            self._kept.keep_fewer(self.devices)
+            self._storage.keep_fewer(self.devices)
         except FailstopError as error:
             raise FailstopError(f"{found.name} is revoked, and back after a restart of the page: {error}") from None
         return found.name
@@ -162,5 +162,5 @@ class Page:
         self.stop_pipe.close()
         self.attending.close()
         self.driving.close()
-        self.hands.close()
+        self.workers.close()
         self.incidents.close()

@@ -11,10 +11,10 @@ from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import control, handlers, sockets, whereabouts
-from failstop.web.door import Door
-from failstop.web.hands import TOUCHED
+from failstop.web import addresses, control, handlers, sockets
+from failstop.web.connections import BoundedServer
 from failstop.web.page import Page
+from failstop.web.workers import TOUCHED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -56,19 +56,19 @@ async def serve(name: str, settings: Settings) -> None:
     page = Page(name, settings)
     listening = bind_sockets(page.port, page.address)
     page.port = listening[0].getsockname()[1]
-    door = Door(application(page), ssl_options=page.tls, names=page.names)
-    page.let_in = door.let_in
-    door.add_sockets(listening)
+    bounded = BoundedServer(application(page), ssl_options=page.tls, names=page.names)
+    page.let_in = bounded.let_in
+    bounded.add_sockets(listening)
     commands = control.listen(page, page.control_path)
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    print("\n".join(whereabouts.listening(page.whereabouts())), flush=True)
+    print("\n".join(addresses.listening(page.addresses())), flush=True)
     await ended.wait()
-    door.stop()
+    bounded.stop()
     commands.stop()
     page.close()
     control.remove(page.control_path)
     for socket_ in (*page.viewers, *page.stops.all()):
         socket_.close(1001, "the page is stopping")
-    await door.close_all_connections()
+    await bounded.close_all_connections()

@@ -188,7 +188,7 @@ class Live(Socket):
         elif self.page.newest_stop() != held.epoch:
             done, said = False, hold.NEWER_STOP
         else:
-            done, said = await self.page.hands.ask(held.verb, self.who(), held.percent, held.epoch)
+            done, said = await self.page.workers.ask(held.verb, self.who(), held.percent, held.epoch)
             if done and held.verb == "limit" and (device := self.device()):
                 self.page.driving.chose(device.id)
         self._end(held.identity, said, done=done)
@@ -209,7 +209,7 @@ class Live(Socket):
             message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
         if self._number != watcher.number:
             self._number = watcher.number
-            message["face"] = watcher.shown
+            message["view"] = watcher.shown
         self._sending = self.send(message)
         self._sent_s = now_s
 

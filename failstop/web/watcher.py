@@ -7,7 +7,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.follow import Follower, Vibration
-from failstop.web import face
+from failstop.web import view
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class Watcher:
     def __init__(self, name: str) -> None:
         self.name = name
         self.state: State | None = None
-        self.shown: dict[str, Any] = face.absent("")
+        self.shown: dict[str, Any] = view.absent("")
         """The things that the page shows."""
         self.values: list[Any] | None = None
         """Values that change all the time; None while no service runs."""
@@ -44,16 +44,16 @@ class Watcher:
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None
-            self._show(face.absent(self._note))
+            self._show(view.absent(self._note))
             self._key = None
             return
         imu = self.state.imu
-        self.values = face.live(self.state, self._vibration.add(imu.rate_radps if imu else None))
+        self.values = view.live(self.state, self._vibration.add(imu.rate_radps if imu else None))
         key = self._what_matters(self.state)
         if key != self._key or now_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, now_s
             assert self._follower is not None
-            self._show(face.face(self.state, self._follower.events, unix_s))
+            self._show(view.view(self.state, self._follower.events, unix_s))
 
     @staticmethod
     def _what_matters(state: State) -> object:

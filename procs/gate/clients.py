@@ -20,9 +20,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    News = tuple["Slot", str, tuple[Any, ...]]
-    """A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
-
+News = tuple["Slot", str, tuple[object, ...]]
+"""A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
 OVER = "gone"
 """News of a session that has left its slot, with True when it said goodbye."""
 ONCE = ("command", "request", "arm_goal")
@@ -121,8 +120,7 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """A client's words for the state and the record `said`, which must hold those of all, whatever they are: what can't
-    be printed would take three bytes for one."""
+    """A client's words for a record that holds those of all: what can't be printed would take three bytes for one."""
     return records.cut(records.printable(text), room).decode()
 
 

@@ -149,8 +149,7 @@ class GateCore:
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
-        """Stop by itself, until the supervisor has latched it. True when nothing is latched yet, so that this is
-        news."""
+        """Stop by itself, until the supervisor has latched it. True when this is news: nothing is latched yet."""
         self.stand_still()
         if self.latch is not None:
             return False

@@ -14,7 +14,7 @@ from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
-from failstop.procs.gate.clients import OVER, ClientTable, Slot, bounded, newest_number
+from failstop.procs.gate.clients import OVER, ClientTable, News, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import SelfReports
 from failstop.procs.gate.requests import Request, Requests
@@ -25,10 +25,6 @@ from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.words import Barrier
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.gate.clients import News
 
 PUBLISH_NS = 75_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
@@ -130,7 +126,6 @@ class Gate:
             self.core.follow(self._last if since else None, self.epoch)
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up."""
         now_ns = monotonic_ns()
         decided, still = self.requests.reset_decided(), self._epoch_word.get() == self.epoch
         if still and not decided and self._rest.beats_alone(ready, now_ns):
@@ -186,26 +181,20 @@ class Gate:
             self._act_on[record](now_ns, slot, *values)
 
     def _client_rang(self, now_ns: int) -> None:
-        """News from clients, at once. Who rings without end is heard at the ticks: at real-time priority a flood would
-        take a core from everybody below."""
+        """Hear clients at once; a flood of rings at the ticks alone: it would take a core from lower priorities."""
         rung = self.clients.hinted(bell.take(self._client_bell))
         self._follow_clients(self.clients.look(rung), now_ns)
         self._rings += 1
         if self._rings == MOST_RINGS:
             self.loop.forget(self._client_bell)
 
-    def _hear_clients(self, now_ns: int) -> None:
-        if self._rings >= MOST_RINGS:
-            rung = self.clients.hinted(bell.take(self._client_bell))  # a new client among them is in no slot in use yet
-            self._follow_clients(self.clients.look(rung), now_ns)
-            self.loop.watch(self._client_bell, READ)
-        self._rings = 0
-
     def _tick(self, now_ns: int) -> None:
-        """The periodic part."""
         self._ticking = True  # a command is stepped to at its end, once
         self._rest.ticked(now_ns)
-        self._hear_clients(now_ns)
+        if self._rings >= MOST_RINGS:
+            self._client_rang(now_ns)  # a new client among them is in no slot in use yet
+            self.loop.watch(self._client_bell, READ)
+        self._rings = 0
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
         else:
@@ -251,7 +240,7 @@ class Gate:
             self.core.stand_still()
             self.follow_latch()
             if self.arm:
-                self.arm.stop(IS_LATCHED, self.core.latch)
+                self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
@@ -267,8 +256,6 @@ class Gate:
             elif kind == records.PAD_FRAME:
                 self._frames.put(records.OTHER, frame, now_ns)
 
-    # Ends of motion.
-
     def _stop(self, cause: Cause | None, now_ns: int) -> None:
         """Latch a stop, if there is a cause: burst at once, then the news to the supervisor, which raises the epoch."""
         if cause and self.core.stop(cause, self.epoch):
@@ -279,9 +266,7 @@ class Gate:
     def _stop_all(self, why: str, now_ns: int, cause: Cause | None = None) -> None:
         self._frames.stop(now_ns)
         if self.arm:
-            self.arm.stop(why, cause)
-
-    # Requests.
+            self.arm.core.stop(why, cause)
 
     def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
         if self.requests.is_answered(slot, number):
@@ -326,8 +311,6 @@ class Gate:
             return done
         self._stop(done, now_ns)
         return refused(IS_LATCHED, done)
-
-    # Other news of clients.
 
     def _command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""

@@ -118,8 +118,7 @@ class SelfReports:
         self._budget = Budget(now_ns)
 
     def follow(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """The words of all sessions; returns what people are told, None when nothing has changed, not even the
-        times."""
+        """Take the words of all sessions; returns what people are told, None when not even a time has changed."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None

@@ -26,8 +26,7 @@ GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES
 
 
 class Request(Data):
-    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, the session and the slot that it came
-    from; without a slot it is the gamepad's."""
+    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, whose it is; without a slot the pad's."""
 
     verb: int
     asked_ns: int
@@ -74,9 +73,8 @@ class Requests:
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """The refusal of what would move something, when a stop, or something that ends it, was asked for since; of
-        what nobody waits for any more; and of a reset whose person had not seen the newest stop. `stopped_ns`, `last`:
-        of the last stop."""
+        """Refuse what would move something, when a stop, or what ends it, was asked for since; what nobody waits for
+        any more; a reset whose person had not seen the newest stop. `stopped_ns`, `last`: of the last stop."""
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:
@@ -127,8 +125,7 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def ask_reset(self, request: Request) -> None:
-        """Pass one on, when it is its turn. Of those who ask again before, the newest counts: one waits for each
-        slot."""
+        """Pass one on, when it is its turn. One waits for each slot: of those that ask again, the newest."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:

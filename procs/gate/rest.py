@@ -1,5 +1,4 @@
-"""Rest: what the gate leaves out while nothing ramps, and what others do while nobody is there for whom anything could
-move: they read the word `busy`."""
+"""Rest: what the gate leaves out while nothing ramps; the word `busy`, by which others rest while nobody is there."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 A source is named in the settings, with a priority and a timeout of its own. The highest whose command is fresh drives.
 A higher one takes over at once; a lower one gets the wheels back only after the higher has been silent for its timeout,
-and then from zero along the ramp. The gamepad in its drive mode is a source above all, needing no setting, and the
-service's own: no client commands as it.
+and then from zero along the ramp. The gamepad in its drive mode is a source above all, that no setting or client names.
 """
 
 from __future__ import annotations

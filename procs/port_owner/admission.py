@@ -42,7 +42,7 @@ from __future__ import annotations
 from collections import deque
 
 from failstop.board.interface import Board
-from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_MOVE
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, LONGEST_MOVE_NS, READS, SERVO_MOVE
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -51,7 +51,6 @@ from failstop.procs.loop import MS, NEVER
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
-LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 _COMMAND_AT = 4
 MOST_WAITING = 16
 
@@ -81,9 +80,8 @@ class Admission:
         *,
         requested: bool,
     ) -> int | Cause:
-        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they
-        have beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request
-        waits."""
+        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: last
+        beats (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return STAND_STILL if self.wheels_move and motion[0] == self._board.stop else DROP
         if requested:

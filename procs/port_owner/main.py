@@ -110,8 +110,7 @@ class PortOwner:
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
-        self._serve_port(ready, now_ns)
-        self._take_port(ready, now_ns)
+        self._follow_port(ready, now_ns)
         self._repeat(now_ns)
         self.port.follow(now_ns)
         self.port.ask(now_ns)
@@ -181,8 +180,7 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
-        that this same cause has just made."""
+        """Answer a raised epoch, another's stop, by a burst, unless it has just stopped by itself for that cause."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch, now_ns):
@@ -198,7 +196,7 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop after a sleep of the machine: what waits is older than it looks, and the robot may have been moved."""
+        """Stop after a sleep of the machine: frames are older than they look, and the robot may have been moved."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
@@ -222,8 +220,7 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """A port that does not drain is a stop cause, once. Looked at before anything new is written: what was just
-        added has had no time to drain."""
+        """Stop, once, for a port that does not drain; before anything new is written, which had no time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())
@@ -295,8 +292,7 @@ class PortOwner:
             self._moving_word.set(0)
 
     def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
-        """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
-        pass what was young then."""
+        """Decide by the table of admission.py, at the time of the write: what was young at the wake-up may not be."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
@@ -363,15 +359,12 @@ class PortOwner:
         latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
-    def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
+    def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
+        """Read and flush the port, and take one on which the supervisor has stopped; each loss is a stop of its own."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:
                 self._port_lost(now_ns)
-
-    def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
-        here by now or not."""
         while sent := self._parent.control.newer(ready, self.port.number + 1):
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)

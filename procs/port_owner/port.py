@@ -1,8 +1,7 @@
 """The open port, beside what is written to it on the way of a stop: its loss, the next one, what a board that has just
 been opened is told, and what the board sends while no telemetry runs, which reads it else.
 
-A board that opening resets is deaf for some time. The port counts as open when it hears, and what it is to be told then
-is written: nobody may enable motion before.
+A board that opening resets is deaf at first. Its port counts as open, for motion too, once it hears and was told.
 """
 
 from __future__ import annotations
@@ -91,8 +90,7 @@ class OpenPort:
         self.pings.wait(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
-        """Write the next ping, if it is due. The time that shared memory has of it is that before the write: an answer
-        never seems to come before its question."""
+        """Write the next ping, if it is due, and publish the time before the write: no answer may seem to be older."""
         pings = self.pings
         if not pings.due(now_ns):
             return

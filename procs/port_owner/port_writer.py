@@ -62,8 +62,7 @@ class PortWriter(StopPort):
         return not self.lost and super().flush()
 
     def _holds(self) -> bool:
-        """True while the kernel holds bytes, of whoever; a port that can't say has gone. How many is not asked: their
-        unit is the driver's."""
+        """True while the kernel holds bytes, of whoever, in the driver's own unit; a port that can't say has gone."""
         try:
             held = unsent_bytes(self.fd) > 0
         except OSError:
@@ -97,7 +96,7 @@ class PortWriter(StopPort):
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
-        if self._refused and not self.lost and self._has_room():
+        if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
             self._refused = False  # somebody else was in a write of theirs
         if self.lost or not (self.unsent or self._refused or self._holds()):
             self._held_since_ns = 0
@@ -105,9 +104,6 @@ class PortWriter(StopPort):
         if not self._held_since_ns:
             self._held_since_ns = now_ns
         return now_ns - self._held_since_ns >= DRAIN_NS
-
-    def _has_room(self) -> bool:
-        return bool(select.select((), (self.fd,), (), 0)[1])
 
     def adopt(self, fd: int) -> None:
         """Of a newly opened port the first bytes are a burst."""

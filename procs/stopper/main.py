@@ -77,8 +77,7 @@ class Stopper:
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """Stop for the port owner's death at once. At the supervisor's, the end of this process too, it has the first
-        go."""
+        """Stop for the port owner's death at once; at the supervisor's the port owner has the first go."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()

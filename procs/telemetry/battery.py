@@ -40,8 +40,7 @@ class LowBattery:
 
 
 class Charger:
-    """A step of the voltage while nothing loads it. Remembers the last seconds of readings. Measured on the robot:
-    plugging in is +249 mV, unplugging -226 mV."""
+    """A step of the voltage while nothing loads it: on the robot +249 mV for plugging in, -226 mV for unplugging."""
 
     def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
         """`state`: what was known before a restart."""
@@ -60,20 +59,15 @@ class Charger:
         """One reading. True when it changed `state`."""
         known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS][-MOST_READINGS:]
         self._readings = [*known, (t_ns, millivolts)]
-        base = [mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS]
+        base = sorted(mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS)
         since_ns = self._disabled_since_ns
         if not base or since_ns is None or t_ns - since_ns <= SETTLE_NS:
             return False
-        step_mv = millivolts - _median(base)
+        step_mv = millivolts - (base[(len(base) - 1) // 2] + base[len(base) // 2]) / 2  # from their median
         if abs(step_mv) < self._step_mv:
             return False
         was, self.state = self.state, PLUGGED_IN if step_mv > 0 else UNPLUGGED
         return self.state != was
-
-
-def _median(values: list[int]) -> float:
-    values.sort()
-    return (values[(len(values) - 1) // 2] + values[len(values) // 2]) / 2
 
 
 class BatteryLog:

@@ -1,7 +1,6 @@
 """The IMU: raw samples to m/s2 and rad/s, the gyro's bias at start, and the bias afterwards. Pure.
 
-There is no orientation estimate: what integrates rates must know how much of them is bias, and that is all that is
-known here.
+There is no orientation estimate: all that is known here is how much of the rates is bias.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ RAD_PER_DEG = pi / 180
 LONGEST_GAP_NS = 500_000_000
 """Between two samples of one stretch. The first one after a longer silence neither moves the bias (its weight would be
 that of all the samples that are missing) nor goes on with a calibration."""
-NO_BIAS = (0.0, 0.0, 0.0)
 LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
@@ -65,7 +63,7 @@ class GyroBias:
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None
-        self.bias_radps: Vector = NO_BIAS
+        self.bias_radps: Vector = (0.0, 0.0, 0.0)
         self.calibrated = False
         self.stationary = True
         """False: the calibration was given up, as the robot did not stand still."""

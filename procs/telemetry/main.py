@@ -14,6 +14,7 @@ from failstop.messages import box, records
 from failstop.messages.packing import NO_FIELDS, Fields, Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.processes import HANG_NS
 from failstop.procs.context import Context
 from failstop.procs.loop import READ, Loop
 from failstop.procs.telemetry import battery, imu
@@ -29,10 +30,6 @@ from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.interface import Value
-
 LONGEST_IDLE_NS = 50_000_000
 """At rest the board wakes nobody: what it has said is looked at so often."""
 ODOMETRY_NS = 20_000_000
@@ -44,9 +41,6 @@ OBEYED_NS = 20_000_000
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
-GATE_SILENT_NS = 250_000_000
-"""The gate publishes at least every 100 ms. One that has been silent for this long is past its lease: the port owner
-has stopped the wheels, whatever it said last."""
 
 
 class GateState:
@@ -80,7 +74,7 @@ class GateState:
         if entry and entry[0] != self._seq:
             self._seq, self._t_ns = entry[0], entry[1]
             news = self._take(entry[2], entry[1])
-        if now_ns - self._t_ns > GATE_SILENT_NS and (self.enabled or self.commanded):
+        if now_ns - self._t_ns > HANG_NS and (self.enabled or self.commanded):  # it publishes at least every 100 ms
             self.enabled = False
             self.velocity = STANDSTILL
             self.since_ns = now_ns
@@ -129,7 +123,7 @@ class Telemetry:
         self._obeys_zeros, self._obeyed_ns = False, 0
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = 0
-        self._heard: list[tuple[int, Value, int]] = []
+        self._heard: list[tuple[int, interface.Value, int]] = []
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._attach(context)
@@ -295,14 +289,14 @@ class Telemetry:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
-    def _publish_imu(self, sample: Value, t_ns: int) -> Value:
+    def _publish_imu(self, sample: interface.Value, t_ns: int) -> interface.Value:
         """Returns the raw rates, and what was published."""
         raw_radps = imu.radps(*sample[3:])
         found = (*self._accelerometer.mps2(*sample[:3]), *self._gyro.corrected(raw_radps))
         self._latest["imu"].write(records.IMU.pack(*found), t_ns)
         return raw_radps, found
 
-    def _on_imu(self, sample: Value, t_ns: int) -> None:
+    def _on_imu(self, sample: interface.Value, t_ns: int) -> None:
         raw_radps, found = sample
         note = self._gyro.take(raw_radps, t_ns)
         self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, found)), t_ns)
@@ -313,8 +307,7 @@ class Telemetry:
         self._note_gyro(note)
 
     def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
-        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
-        # lack of a verdict never with a time.
+        # Read the other way round: no time is seen with a verdict from before it, nor with the lack of a verdict.
         if not judge.judged_ns:
             self._judged_word.set(0)
             self._barrier()
@@ -324,14 +317,14 @@ class Telemetry:
         if was_still != (judge.still_ns > 0):
             self.supervisor_bell.ring()
 
-    def _on_wheels(self, sample: Value, t_ns: int) -> None:
+    def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
         """Reports of the board itself on its wheels are better than their shaking."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
 
-    def _on_obeyed(self, speeds: Value, t_ns: int) -> None:
+    def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         """A report that it obeys a command of zeros; one now and then is enough while it does."""
         zeros = not any(speeds)
         if zeros and (not self._obeys_zeros or t_ns - self._obeyed_ns >= OBEYED_NS):
@@ -340,7 +333,7 @@ class Telemetry:
             self.supervisor_bell.ring()
         self._obeys_zeros = zeros
 
-    def _on_battery(self, sample: Value, t_ns: int) -> None:
+    def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample
         self._raise(self._low_battery.take(millivolts))
         if self._charger.take(millivolts, t_ns):
@@ -353,7 +346,7 @@ class Telemetry:
         if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
             self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
-    def _on_pad(self, said: Value, t_ns: int) -> None:
+    def _on_pad(self, said: interface.Value, t_ns: int) -> None:
         buttons, hat, lx, ly, rx, ry, data = said
         sample = (buttons, hat, lx, ly, rx, ry)
         news = self._pad.take(sample, data, t_ns)
@@ -373,16 +366,16 @@ class Telemetry:
             text = f"{news.cause}; last frames: {self._pad.recent()}"
             self._note("pad", text, {"reason": str(news.cause)})
 
-    def _on_servo(self, answer: Value, t_ns: int) -> None:
+    def _on_servo(self, answer: interface.Value, t_ns: int) -> None:
         self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
         self._box.put(box.pack_board(box.SERVO_KIND, *answer), t_ns)
         self._gate_bell.ring()
 
-    def _on_pong(self, said: Value, t_ns: int) -> None:
+    def _on_pong(self, said: interface.Value, t_ns: int) -> None:
         self._pong_word.set(records.pack_pong(t_ns, said[0]))
         self.supervisor_bell.ring()
 
-    def _on_key(self, sample: Value, t_ns: int) -> None:
+    def _on_key(self, sample: interface.Value, t_ns: int) -> None:
         key, event = sample
         self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
 

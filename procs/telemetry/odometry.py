@@ -25,7 +25,7 @@ class Odometry:
 
     def inherit(self, x_m: float, y_m: float, th_rad: float) -> None:
         """Go on from where an earlier run of this process had come to."""
-        self.x_m, self.y_m, self.th_rad = x_m, y_m, wrapped(th_rad)
+        self.x_m, self.y_m, self.th_rad = x_m, y_m, remainder(th_rad, 2 * pi)
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
         """From `t_ns` on the gate commands another velocity (m/s, m/s, rad/s)."""
@@ -48,9 +48,4 @@ class Odometry:
         ahead, aside = cos(middle_rad), sin(middle_rad)
         self.x_m += (self.vx_mps * ahead - self.vy_mps * aside) * dt_s
         self.y_m += (self.vx_mps * aside + self.vy_mps * ahead) * dt_s
-        self.th_rad = wrapped(self.th_rad + turned_rad)
-
-
-def wrapped(angle_rad: float) -> float:
-    """An angle's equal from -pi to pi."""
-    return remainder(angle_rad, 2 * pi)
+        self.th_rad = remainder(self.th_rad + turned_rad, 2 * pi)

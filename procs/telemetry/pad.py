@@ -14,8 +14,7 @@ from failstop.policy.kinematics import Velocity
 from failstop.policy.settings import Settings
 
 LOCKED, DRIVING, JOINT = range(3)
-"""Indices of records.PAD_MODES. JOINT is there with an arm alone: the left stick, pushed to a side, chooses the joint,
-and the right one turns it."""
+"""Indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right one turns it."""
 CHOOSES = 0.7
 """How far it is pushed for that, of 1; back within half of it, it may choose again."""
 

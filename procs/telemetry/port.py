@@ -39,8 +39,7 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """Once a turn: have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end
-        alone."""
+        """Have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end alone."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)

@@ -42,18 +42,14 @@ class StillJudge:
     def take(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
         """One sample, finite, with its bias or without. About 2 us."""
         if not 0 <= t_ns - self._last_ns <= GAP_NS:
-            self._start(t_ns)
+            self._samples.clear()
+            self._sums, self._begun_ns = (0, 0, 0, 0), t_ns
         self._last_ns = t_ns
         self._slide(round(gx_radps * UNITS_PER_RADPS), round(gy_radps * UNITS_PER_RADPS), t_ns)
         self.judged_ns = self.still_ns = 0
         whole = t_ns - self._begun_ns >= WINDOW_NS and len(self._samples) >= LEAST_SAMPLES
         if not (whole and self._judge(t_ns)):
             self._quiet_ns = (0, 0)
-
-    def _start(self, t_ns: int) -> None:
-        self._samples.clear()
-        self._sums = (0, 0, 0, 0)
-        self._begun_ns = t_ns
 
     def _slide(self, x: int, y: int, t_ns: int) -> None:
         """Take in a sample, let go of those that are older than the window."""

@@ -229,7 +229,7 @@ def test_threads_that_drive_and_look_at_once(trial: Trial) -> None:
     for thread in threads:
         thread.start()
     try:
-        trial.board.wait_wheels(moving=True, timeout_s=5.0)
+        trial.board.wait_wheels(turning=True, timeout_s=5.0)
         for _ in range(5):
             robot.disable()
             assert not robot.state.enabled

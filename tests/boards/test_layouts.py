@@ -52,7 +52,7 @@ def test_three_omni_wheels_are_driven_and_named() -> None:
     with pytest.raises(AttributeError, match=r"no wheel 'front_left': this robot has left, rear, right"):
         _ = wheels.front_left
     stopped = simulated.kill("gate")
-    assert (stopped.was_moving, stopped.motion_after, stopped.still_ns is not None) == (True, 0, True)
+    assert (stopped.was_turning, stopped.motion_after, stopped.still_ns is not None) == (True, 0, True)
 
 
 @of_each_servo
@@ -70,7 +70,7 @@ def test_a_steered_base_is_steered_as_it_drives_and_stays_so_behind_a_stop(given
     assert simulated.robot.state.body_vel == (0.0, 0.0, 0.0), "it does not turn on the spot"
     simulated.drive(0.8, (0.2, 0.0, -0.5))
     stopped = simulated.kill("gate", 0.1)
-    assert (stopped.was_moving, stopped.motion_after) == (True, 0)
+    assert (stopped.was_turning, stopped.motion_after) == (True, 0)
     events = simulated.lab.board.model.executed(0)
     last = max(at for at, event in enumerate(events) if event.is_motion)
     assert [at for at, event in enumerate(events) if steers(event) and at > last] == [last + 1], (

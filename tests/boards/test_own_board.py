@@ -39,7 +39,7 @@ def test_a_board_of_the_users_own_is_stopped_for_every_process(folder: str) -> N
             trial.enable()
             pid = trial.service.pids()[process]
             stopped = trial.kill(process, 0.2)
-            assert (stopped.was_moving, stopped.motion_after) == (True, 0), process
+            assert (stopped.was_turning, stopped.motion_after) == (True, 0), process
             assert stopped.still_ns is not None, process
             trial.recover(process, pid)
 

@@ -36,7 +36,7 @@ def test_why_names_what_has_proved_the_stop(kind: str) -> None:
     with Trial(f"proofs-{os.getpid()}", kind=kind) as trial:
         trial.enable()
         trial.drive(0.3)
-        assert trial.moving()
+        assert trial.turning()
         trial.robot.estop("hand near wheel")
 
         def proved() -> bool:

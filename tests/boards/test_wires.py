@@ -35,8 +35,8 @@ def test_frames_are_the_ones_that_the_firmware_s_own_algorithm_makes() -> None:
     assert bytes.fromhex("cdab00000000cdab") == hoverboard.STOP
     assert hoverboard.seal(0, 100) == bytes.fromhex("cdab00006400a9ab")
     assert hoverboard.seal(-50, 200) == bytes.fromhex("cdabceffc800cb54")
-    assert arduino.motion((100, -7), 999) == b"m +100 -7\r"
-    assert ugv.motion((0.2, -0.29), 2.0) == b'{"T":1,"L":0.200,"R":-0.290}\n'
+    assert arduino.MOTION.frame((100, -7), 999) == b"m +100 -7\r"
+    assert ugv.MOTION.frame((0.2, -0.29), 2.0) == b'{"T":1,"L":0.200,"R":-0.290}\n'
     assert ugv.watchdog(500 * MS) == b'\n{"T":136,"cmd":500}\n'
 
 
@@ -118,7 +118,7 @@ def test_the_board_s_own_watchdog_stops_the_wheels_when_the_host_is_gone(kind: s
 def test_glued_arduino_lines_never_fuse_into_a_larger_speed() -> None:
     """A line that was cut anywhere, and a whole one behind it: both carry signs, so atoi ends at the second."""
     for left, right, other in ((999, -999, 999), (12, 34, -12), (-7, 250, 99)):
-        line, after = arduino.motion((left, right), 999), arduino.motion((other, other), 999)
+        line, after = arduino.MOTION.frame((left, right), 999), arduino.MOTION.frame((other, other), 999)
         for end in range(len(line)):
             receiver = model_of("arduino").any_state(random.Random(0))
             play(receiver, arrivals([(0, line[:end] + after)], 175_000), 20 * MS)

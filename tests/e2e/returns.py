@@ -28,5 +28,5 @@ def drives_only_when_enabled(trial: Trial) -> None:
     """Commands alone move nothing; after an enable they do."""
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
     trial.drive(0.1)
-    assert not trial.moving()
+    assert not trial.turning()
     set_off(trial)

@@ -86,7 +86,7 @@ def test_enable_takes_the_arm_to_its_drive_pose_first(arm: Simulated) -> None:
     assert [joints[servo] for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=1)
     assert any("on its way" in text for text in said)
     arm.drive(0.3)
-    assert arm.moving()
+    assert arm.turning()
     with pytest.raises(arm.failstop.Refused, match="wheels enabled"):
         arm.robot.arm.move({"base": 0.1})
 

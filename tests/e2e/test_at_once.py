@@ -39,7 +39,7 @@ def test_on_a_stop_that_the_gate_makes_itself(simulated: Simulated, unchecked: A
         for _ in range(10):
             unchecked.command(*FORWARD, manual=True, source="cmd_vel")
             simulated.wait(0.02)
-        assert simulated.moving()
+        assert simulated.turning()
         simulated.wait(number * OFF_S)
         simulated.board.events()
         sent_ns = simulated.now_ns()
@@ -48,7 +48,7 @@ def test_on_a_stop_that_the_gate_makes_itself(simulated: Simulated, unchecked: A
         assert event.arrival_ns - sent_ns < MS
         simulated.wait(0.2)
         assert simulated.robot.state.estop == f"command from foreign (pid {simulated.pid}) is not finite"
-        assert not simulated.moving()
+        assert not simulated.turning()
         assert not any(event.is_motion for event in simulated.board.events())
 
 
@@ -56,4 +56,4 @@ def test_a_source_that_is_not_declared_is_told_and_moves_nothing(simulated: Simu
     simulated.enable()
     unchecked.command(0.1, 0.0, 0.0, manual=True, source="navv")
     simulated.wait_for("the note", lambda: "no source 'navv'" in simulated.said)
-    assert not simulated.moving()
+    assert not simulated.turning()

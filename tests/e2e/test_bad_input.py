@@ -182,7 +182,7 @@ def test_damaged_client_slot_is_passed_over(simulated: Simulated) -> None:
     simulated.os.pwrite(fd, bytes(HEADER_BYTES), 0)
     simulated.enable()
     simulated.drive(0.2)
-    assert simulated.moving()
+    assert simulated.turning()
     assert simulated.robot.state.clients[0].slot == 1
 
 

@@ -61,7 +61,7 @@ def test_the_service_works_all_the_same(name: str, parent: str) -> None:
                 assert resource.prlimit(pid, resource.RLIMIT_STACK)[0] == STACK_BYTES, process
         trial.enable()
         stopped = trial.kill("gate")
-        assert stopped.was_moving
+        assert stopped.was_turning
         assert stopped.stop_ns is not None
         trial.recover("gate", pids["gate"])
         assert trial.service.pids()["supervisor"] == pids["supervisor"]

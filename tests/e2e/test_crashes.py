@@ -65,7 +65,7 @@ def test_who_loops_on_the_only_core_is_stopped_for(fresh: Trial) -> None:
             for thread in os.listdir(f"/proc/{pid}/task"):
                 os.sched_setaffinity(int(thread), {core})
         fresh.drive(0.2)
-        assert fresh.moving()
+        assert fresh.turning()
         fresh.board.events()
         begun_ns = time.monotonic_ns()
         ptrace.spin(pids[process])

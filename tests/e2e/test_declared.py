@@ -39,7 +39,7 @@ def test_a_source_that_is_no_client_s_is_an_error_and_moves_nothing(simulated: S
     for declared in ("teleop", "cmd_vel"):
         simulated.robot.drive(0.0, 0.0, 0.0, source=declared)
     simulated.wait(0.1)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert "ignored" not in simulated.said
 
 

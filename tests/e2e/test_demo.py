@@ -31,7 +31,7 @@ class Busy:
 
     def kill(self, _process: str, _drive_s: float) -> Stopped:
         self.left -= 1
-        return Stopped(0, 500_000, 550_000, 600_000, 0, was_moving=self.left < 0)
+        return Stopped(0, 500_000, 550_000, 600_000, 0, was_turning=self.left < 0)
 
     def recover(self, _process: str, _pid: int) -> float:
         return 0.1

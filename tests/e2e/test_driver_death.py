@@ -53,7 +53,7 @@ def program(trial: Trial, *words: str) -> subprocess.Popen[bytes]:
 
 def end(trial: Trial, driver: subprocess.Popen[bytes], number: int) -> int:
     """End it by a signal while the wheels turn; returns when that was sent."""
-    trial.board.wait_wheels(moving=True, timeout_s=10.0)
+    trial.board.wait_wheels(turning=True, timeout_s=10.0)
     trial.board.events()
     now_ns = time.monotonic_ns()
     driver.send_signal(number)
@@ -73,7 +73,7 @@ def drive_on(trial: Trial) -> Robot:
 
 def moves(robot: Robot, trial: Trial) -> Callable[[], object]:
     """Command, until the wheels turn."""
-    return lambda: robot.drive(0.1, 0.0, 0.0, manual=True) and trial.moving()
+    return lambda: robot.drive(0.1, 0.0, 0.0, manual=True) and trial.turning()
 
 
 @pytest.mark.timeout(3600)
@@ -88,7 +88,7 @@ def test_nothing_drives_before_an_enable_and_people_are_told_whose_death_it_was(
         fault_ns = end(trial, driver, WAYS[way])
         again = drive_on(trial)
         case = f"{number}: {way} {words}"
-        stopped = judge(trial.board.events(), fault_ns, was_moving=True)
+        stopped = judge(trial.board.events(), fault_ns, was_turning=True)
         assert stopped.stop_ns is not None, case
         assert stopped.motion_after == 0, case
         assert (again.state.enabled, again.state.cause) == (False, None), case
@@ -97,7 +97,7 @@ def test_nothing_drives_before_an_enable_and_people_are_told_whose_death_it_was(
         again.enable()
         wait_for("the wheels to turn again", moves(again, trial))
         again.close()
-        trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
 
 
 SIMULATED_WAYS: dict[str, Callable[[Simulated, Process], object]] = {
@@ -133,7 +133,7 @@ def fault(simulated: Simulated, way: str, *words: str) -> tuple[Process, int]:
         simulated.enable()
         simulated.leave()
     driver = simulated_program(simulated, *words)
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
     simulated.wait(0.1)
     simulated.board.events()
     fault_ns = simulated.now_ns()
@@ -147,7 +147,7 @@ def goes_on(simulated: Simulated) -> Any:
     for _ in range(15):
         again.drive(0.1, 0.0, 0.0, manual=True)
         simulated.wait(0.01)
-    assert not simulated.moving()
+    assert not simulated.turning()
     return again
 
 
@@ -159,7 +159,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
 ) -> None:
     driver, fault_ns = fault(simulated, way, *words)
     again = goes_on(simulated)
-    stopped = judge(simulated.board.events(), fault_ns, was_moving=True)
+    stopped = judge(simulated.board.events(), fault_ns, was_turning=True)
     assert stopped.stop_ns is not None
     assert stopped.stop_ns <= 21 * MS
     assert stopped.motion_after == 0
@@ -169,7 +169,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
         assert whose in " ".join(told.split())
     again.enable()
     again.drive(0.1, 0.0, 0.0, manual=True)
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
 
 
 def test_a_program_that_is_started_again_does_not_drive_on(simulated: Simulated) -> None:
@@ -177,7 +177,7 @@ def test_a_program_that_is_started_again_does_not_drive_on(simulated: Simulated)
     again = simulated_program(simulated)
     simulated.wait(0.2)
     assert [source.who for source in simulated.robot.state.sources] == [f"nav (pid {again.pid})"]
-    assert judge(simulated.board.events(), fault_ns, was_moving=True).motion_after == 0
+    assert judge(simulated.board.events(), fault_ns, was_turning=True).motion_after == 0
     simulated.lab.machine.die(again, -9)
     simulated.wait(0.2)
     assert again.pid not in [client.pid for client in simulated.robot.state.clients]
@@ -192,7 +192,7 @@ def test_an_orderly_end_leaves_motion_enabled_for_others(simulated: Simulated) -
             with simulated.failstop.Robot(client="short", disable_on_exit=False) as robot:
                 assert robot.drive(0.1, 0.0, 0.0, manual=True, wait_s=0.5)
         simulated.wait(0.001)
-    simulated.board.wait_wheels(moving=False)
+    simulated.board.wait_wheels(turning=False)
     assert simulated.robot.state.enabled
 
 
@@ -202,11 +202,11 @@ def test_the_command_line_s_drive_is_a_driver_as_any_other(simulated: Simulated)
     killed: list[Process] = []
 
     def kill() -> None:
-        if simulated.moving() and not killed:
+        if simulated.turning() and not killed:
             killed.append(simulated.lab.kill("drive") or pytest.fail("no command runs"))
 
     assert simulated.command("drive", "0.1", "0", "0", "--for", "30", each=kill)[0] == -9
-    simulated.board.wait_wheels(moving=False)
+    simulated.board.wait_wheels(turning=False)
     simulated.wait(0.1)
     assert not simulated.robot.state.enabled
     assert f"failstop drive (pid {killed[0].pid}), which had driven, has died" in str(simulated.robot.why())
@@ -218,5 +218,5 @@ def test_it_latches_where_the_settings_say_so(way: str) -> None:
     driver, fault_ns = fault(simulated, way, "with", "enables")
     again = goes_on(simulated)
     assert str(again.state.cause) == f"driver died: nav (pid {driver.pid})"
-    assert judge(simulated.board.events(), fault_ns, was_moving=True).motion_after == 0
+    assert judge(simulated.board.events(), fault_ns, was_turning=True).motion_after == 0
     assert f"the program nav (pid {driver.pid}), which had driven, ended without a word" in str(again.why())

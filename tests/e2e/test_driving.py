@@ -22,7 +22,7 @@ def is_zero(event: object) -> bool:
 
 def test_disabled_at_start(simulated: Simulated) -> None:
     simulated.drive(0.1)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert simulated.robot.state.blocked == "disabled"
 
 

@@ -188,7 +188,7 @@ def test_a_killed_driver_has_gone(simulated: Simulated, listener: Listener) -> N
     simulated.enable()
     simulated.leave()
     client = simulated.driver("mortal")
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
     simulated.lab.machine.die(client, -9)
     one_end(listener, "driver_gone", "warning", who=f"mortal (pid {client.pid})")
 

@@ -62,7 +62,7 @@ def test_clients_killed_at_random_points_of_any_call(trial: Trial) -> None:
             wait_for("the slot to be free", lambda: not any(claim.held(claims, i) for i in range(1, 8)))
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
     os.close(claims)
-    trial.board.wait_wheels(moving=False, timeout_s=5.0)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
     events += trial.board.events()
     assert all(within_limits(event) for event in events if event.is_motor)
     watch.holds()
@@ -73,7 +73,7 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
     simulated.enable()
     simulated.leave()
     client = simulated.driver("hangs", manual=True)
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
     simulated.lab.machine.kill(client, signal.SIGSTOP)
     hung_ns = simulated.now_ns()
     event = simulated.board.wait_for(lambda one: one.is_motor and not any(one.speeds) and one.arrival_ns > hung_ns)
@@ -81,12 +81,12 @@ def test_a_client_that_hangs_while_driving(simulated: Simulated) -> None:
     simulated.wait(0.1)
     assert simulated.robot.state.blocked == "cmd timeout"
     simulated.drive(0.2)
-    assert simulated.moving(), "others may drive"
+    assert simulated.turning(), "others may drive"
     assert simulated.robot.state.estop is None
     simulated.lab.machine.kill(client, signal.SIGCONT)
     simulated.drive(0.2)
     assert str(simulated.robot.state.estop).startswith("multiple cmd_vel publishers: "), "two at once may not"
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 # Wrong values.
@@ -189,7 +189,7 @@ def scribbled_everywhere(trial: Trial) -> None:
     events = [event for event in trial.board.events() if event.is_motor]
     assert all(forward_or_still(event) for event in events)
     trial.leave()
-    trial.board.wait_wheels(moving=False, timeout_s=5.0)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
     with pytest.raises(FailstopError, match="8 of them damaged by a client: restart the service"):
         Client(trial.name, "late")
 
@@ -214,7 +214,7 @@ def test_a_slot_s_memory_of_another_size_and_one_without_a_name(fresh: Trial) ->
                 wait_for("the gate to see it", lambda: len(fresh.robot.state.clients) == 1)
                 # A gate that is held up may greet it before the cut and find its command after it: then that counts,
                 # and so does its end where the other's command was late.
-                wait_for("the wheels to turn, or that", lambda: fresh.drive(0.02) or fresh.moving() or halted(fresh))
+                wait_for("the wheels to turn, or that", lambda: fresh.drive(0.02) or fresh.turning() or halted(fresh))
                 assert halted(fresh) in ("", "disabled") or halted(fresh).startswith("multiple cmd_vel publishers: ")
         later = Client(fresh.name, "later")
         assert later.slot == (slot if size > 1000 else slot + 1), "the damaged slot is passed over"
@@ -240,7 +240,7 @@ def test_nothing_can_be_removed_or_replaced_by_the_group(fresh: Trial) -> None:
     }
     assert sorted(os.listdir(instance.find(fresh.name))) == before
     fresh.leave()
-    fresh.board.wait_wheels(moving=False, timeout_s=5.0)
+    fresh.board.wait_wheels(turning=False, timeout_s=5.0)
 
 
 def test_names_removed_by_the_service_s_own_user(fresh: Trial) -> None:
@@ -283,7 +283,7 @@ def test_a_flood_of_the_stop_pipe(trial: Trial) -> None:
         trial.board.wait_for(lambda one: one.is_stop and one.arrival_ns >= begun_ns, 10.0)
         latched(trial)
         trial.drive(0.1)
-        assert not trial.moving()
+        assert not trial.turning()
     wait_for("the last of it to be heard", lambda: not unheard(trial.name))
     watch.holds()
     drives_again(trial)
@@ -370,5 +370,5 @@ def test_a_claim_that_another_takes_over_at_once(trial: Trial) -> None:
         trial.leave()
         heir.says()
         # No news of the driver's leaving: the command timeout is what is left.
-        trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
     drives_again(trial)

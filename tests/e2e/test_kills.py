@@ -17,14 +17,14 @@ def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
         simulated.set_off()
         pid = simulated.pids()[process]
         stopped = simulated.kill(process, 0.1 + number * 0.0054)
-        assert stopped.was_moving
+        assert stopped.was_turning
         assert stopped.stop_ns is not None
         assert stopped.stop_ns <= 8 * MS
         assert stopped.still_ns is not None
         assert stopped.motion_after == 0
         simulated.recover(process, pid)
         simulated.drive(0.05)
-        assert not simulated.moving(), "a restarted process must not enable motion"
+        assert not simulated.turning(), "a restarted process must not enable motion"
 
 
 def test_after_too_many_deaths_it_stays_down_and_stopped(simulated: Simulated) -> None:
@@ -59,7 +59,7 @@ def test_one_that_died_too_often_is_started_anew_by_a_reset(process: str) -> Non
     simulated.wait_for("a whole service", lambda: robot.state.waiting_for is None)
     simulated.enable()
     simulated.drive(0.3)
-    assert simulated.moving()
+    assert simulated.turning()
 
 
 def test_a_speed_limit_outlives_the_gate(simulated: Simulated) -> None:

@@ -22,7 +22,7 @@ def test_a_client_slot_that_is_gone_costs_that_slot_alone(simulated: Simulated) 
     simulated.recover("gate", pid)
     simulated.enable()
     simulated.drive(0.2)
-    assert simulated.moving()
+    assert simulated.turning()
     assert simulated.said.count("client.5 was removed") == 1
 
 

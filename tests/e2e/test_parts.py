@@ -25,7 +25,7 @@ def test_a_steered_base_tells_the_angle_that_is_commanded(vx: float, wz: float, 
     state = robot.robot.state
     assert state.steering_rad == pytest.approx(radians(15) if side == "left" else -radians(15), abs=radians(1))
     assert f"steering  15 degrees to the {side}" in robot.command("status")[1]
-    assert robot.load("failstop.web.face").live(state, None)[5] == f"15 degrees to the {side}"
+    assert robot.load("failstop.web.view").live(state, None)[5] == f"15 degrees to the {side}"
     robot.drive(0.4, (vx, 0.0, 0.0))
     assert robot.robot.state.steering_rad == 0.0
     robot.robot.disable()
@@ -47,7 +47,7 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
     assert NO_IMU in robot.printed("status")
     assert "no IMU" in robot.printed("status").partition("sensor")[2]
     assert robot.json("why")["proof"].endswith(NO_IMU)
-    shown = robot.load("failstop.web.face").face(robot.robot.state, [], 0.0)
+    shown = robot.load("failstop.web.view").view(robot.robot.state, [], 0.0)
     assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["unseen"]) == (False, "", "no IMU")
 
 

@@ -31,17 +31,17 @@ def stopped_at_return(simulated: Simulated) -> None:
     back_ns = simulated.now_ns()
     simulated.board.replug()
     if simulated.lab.board.traits.resets:
-        simulated.wait_for("the reset that opening its port is", lambda: not simulated.moving(), 0.02)
+        simulated.wait_for("the reset that opening its port is", lambda: not simulated.turning(), 0.02)
     else:
         event = simulated.board.wait_for(lambda event: event.is_motor)
         assert event.is_stop
         assert event.arrival_ns - back_ns <= 5 * MS + simulated.own_ns
     simulated.wait_for("a whole service", lambda: simulated.robot.state.waiting_for is None)
     simulated.drive(0.1)
-    assert not simulated.moving()
+    assert not simulated.turning()
     simulated.enable()
     simulated.drive(0.2)
-    assert simulated.moving()
+    assert simulated.turning()
 
 
 def test_while_the_port_owner_waits_for_its_restart() -> None:
@@ -115,5 +115,5 @@ def test_while_there_is_no_room_for_the_port(fresh: Trial) -> None:
         lambda: fresh.drive(0.05) or any(e.is_stop and e.arrival_ns > hung_ns for e in fresh.board.events()),
     )
     fresh.drive(0.1)
-    assert not fresh.moving()
+    assert not fresh.turning()
     os.kill(pids[layout.SUPERVISOR], signal.SIGCONT)

@@ -110,10 +110,10 @@ def test_a_restart_is_noticed_by_the_next_call(simulated: Simulated, end: str) -
         state = robot.state
         assert (state.enabled, state.estop, state.blocked) == (False, None, "disabled")
         assert [client.name for client in state.clients] == [robot.client_name]
-        assert not simulated.moving()
+        assert not simulated.turning()
         assert robot.enable() == "motion enabled"
         robot.drive(0.1, 0.0, 0.0, manual=True)
-        simulated.board.wait_wheels(moving=True)
+        simulated.board.wait_wheels(turning=True)
 
 
 @pytest.mark.parametrize("client", ["known to the gate before", "that comes meanwhile"])
@@ -205,7 +205,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
 
         thread = threading.Thread(target=go_on)
         thread.start()
-        trial.board.wait_wheels(moving=True, timeout_s=5.0)
+        trial.board.wait_wheels(turning=True, timeout_s=5.0)
         index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
         path = segments.path_of(run_of(trial.name)[0], f"client.{index}")
@@ -216,10 +216,10 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         assert not any(data[at : at + spec.records["command"].size()])
         thread.join(5.0)
         assert not thread.is_alive()
-        trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
         trial.board.events()
     assert trial.robot.state.estop is None
-    assert not trial.moving()
+    assert not trial.turning()
 
 
 def test_a_signal_s_handler_may_close_what_it_has_interrupted(trial: Trial) -> None:
@@ -244,7 +244,7 @@ def test_a_robot_that_nobody_refers_to_gives_its_slot_back(simulated: Simulated)
     simulated.enable()
     robot = simulated.failstop.Robot(client="dropped")
     robot.drive(0.1, 0.0, 0.0, manual=True)
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
     dropped_ns = simulated.now_ns()
     del robot
     gc.collect()

@@ -29,12 +29,12 @@ def latched(found: dict[str, Any], reason: str) -> None:
 def stopped(simulated: Simulated, fault_ns: int, latest_ms: float) -> None:
     """The board: stopped by then, and nothing moved after it."""
     simulated.drive(0.2)
-    found = judge(simulated.board.events(), fault_ns, was_moving=True)
+    found = judge(simulated.board.events(), fault_ns, was_turning=True)
     assert found.stop_ns is not None
     assert found.stop_ns <= latest_ms * MS
     assert found.still_ns is not None
     assert found.motion_after == 0
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 def test_nothing_blocks(simulated: Simulated) -> None:
@@ -83,7 +83,7 @@ def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> 
     simulated.enable()
     before = simulated.json("status")
     killed = simulated.kill(process)
-    assert killed.was_moving
+    assert killed.was_turning
     assert killed.stop_ns is not None
     assert killed.stop_ns <= 8 * MS
     assert killed.motion_after == 0
@@ -100,10 +100,10 @@ def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> 
     simulated.robot.reset()
     assert simulated.robot.state.blocked == "disabled"
     simulated.drive(0.1)
-    assert not simulated.moving(), "a reset must not enable motion"
+    assert not simulated.turning(), "a reset must not enable motion"
     simulated.robot.enable()
     simulated.drive(0.1)
-    assert simulated.moving()
+    assert simulated.turning()
 
 
 def test_the_death_of_the_supervisor_ends_the_service(simulated: Simulated) -> None:
@@ -111,7 +111,7 @@ def test_the_death_of_the_supervisor_ends_the_service(simulated: Simulated) -> N
     simulated.enable()
     before = simulated.json("status")
     killed = simulated.kill(layout.SUPERVISOR)
-    assert killed.was_moving
+    assert killed.was_turning
     assert killed.stop_ns is not None
     assert killed.stop_ns <= 8 * MS
     assert killed.motion_after == 0
@@ -140,7 +140,7 @@ def test_the_first_cause_is_kept_and_a_reset_clears_the_latch_alone(simulated: S
     assert simulated.command("reset") == (0, "latched stop cleared (was: key1); motion still disabled\n", "")
     found = simulated.json("status", each=lambda: simulated.drive(0.02))
     assert (found["enabled"], found["estop"], found["blocked"]) == (False, None, "disabled")
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 # Refusals.
@@ -155,14 +155,14 @@ def test_what_is_refused_while_latched(simulated: Simulated) -> None:
     assert err.startswith(refused)
     assert simulated.command("drive", "0.1", "0", "0") == (2, "", f"{refused}\n")
     assert simulated.json("status")["blocked"] == "estop: key1"
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 def test_drive_is_refused_while_disabled(simulated: Simulated) -> None:
     refusal = "failstop: refused: motion is disabled; next: `failstop enable`\n"
     assert simulated.command("drive", "0.1", "0", "0") == (2, "", refusal)
     assert simulated.json("status")["blocked"] == "disabled"
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 def test_enable_is_refused_while_the_port_is_gone(simulated: Simulated) -> None:
@@ -183,7 +183,7 @@ def test_enable_is_refused_while_the_port_is_gone(simulated: Simulated) -> None:
     simulated.board.replug()
     assert simulated.board.wait_for(lambda event: event.is_motor).is_stop
     simulated.wait_for("a service that is whole", lambda: simulated.robot.state.waiting_for is None)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert simulated.json("status")["device"]["state"] == "open"
 
 

@@ -73,7 +73,7 @@ def test_a_board_that_does_not_hear_the_last_stop_is_an_error(simulated: Simulat
     if told:
         simulated.wait_for("the loss", lambda: simulated.robot.state.device.link == "deaf")
     assert simulated.end() == 1
-    assert simulated.moving(), "it could not be stopped"
+    assert simulated.turning(), "it could not be stopped"
     link = "deaf" if told else "alive"
     assert f"written twice, NOT acknowledged by the board (link {link}); wheels that turn: POWER" in simulated.said
 

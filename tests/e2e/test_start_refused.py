@@ -62,7 +62,7 @@ def turn(board: SimBoard) -> None:
     """Give the wheels a speed, and leave."""
     port = open_port(board.link, exclusive=False)
     os.write(port, motor_speeds((1.0, 1.0, 1.0, 1.0), 2.0))
-    board.wait_wheels(moving=True, timeout_s=5.0)
+    board.wait_wheels(turning=True, timeout_s=5.0)
     os.close(port)
     board.events()
 
@@ -76,7 +76,7 @@ def refused(board: SimBoard, *command: str, before: Callable[[], None] | None = 
     said = result.stderr
     assert "Traceback" not in said
     assert said.count("\n") == 1, said
-    board.wait_wheels(moving=False, timeout_s=5.0)
+    board.wait_wheels(turning=False, timeout_s=5.0)
     events = [event for event in board.events() if event.is_motor]
     assert events[0].is_stop
     assert not any(event.is_motion for event in events)
@@ -217,7 +217,7 @@ def test_a_full_pipe_for_its_words_does_not_hold_up_the_stop(name: str, board: S
     file.write_text("nonsense")
     process = subprocess.Popen([*service(name, board), "--config", str(file)], stderr=writing)
     try:
-        board.wait_wheels(moving=False, timeout_s=10.0)
+        board.wait_wheels(turning=False, timeout_s=10.0)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()

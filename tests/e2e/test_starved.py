@@ -63,7 +63,7 @@ def test_while_driving_the_wheels_are_stopped_and_nobody_is_killed(simulated: Si
     events = simulated.board.events()
     stop = next(number for number, event in enumerate(events) if event.is_stop)
     assert not any(event.is_motion for event in events[stop:])
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert simulated.pids() == before
     # For the gate the port owner has stopped, by its lease.
     words = "\\d+ ms silent" + ("" if process == GATE else " \\(the machine is starved\\)")
@@ -77,7 +77,7 @@ def test_while_driving_a_starved_port_owner_is_fenced_as_ever(simulated: Simulat
     simulated.hold(PORT_OWNER, 1.0, starved=True)
     simulated.drive(0.3)
     simulated.recover(PORT_OWNER, pid)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert "STOP latched: port_owner hangs: " in simulated.said
     assert "port_owner was fenced" in simulated.said
 
@@ -125,7 +125,7 @@ def test_without_rights_a_hang_is_stopped_for_after_a_longer_lease(running: Tria
     assert cause is not None
     assert cause.arguments[0] == GATE
     assert float(cause.arguments[1]) >= 1e3 * status.LEASE_WITHOUT_S
-    wait_for("the wheels to stand", lambda: not running.moving())
+    wait_for("the wheels to stand", lambda: not running.turning())
     wait_for("the service to be ready", running.service.ready)
     wait_for("a reset to be taken", running.reset)
 

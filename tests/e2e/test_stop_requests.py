@@ -48,7 +48,7 @@ def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
     os.close(fd)
     assert full.value.errno == errno.EAGAIN
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    trial.board.wait_wheels(moving=False, timeout_s=5.0)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
     wait_for("an end of the flood", lambda: _can_reset(trial))
     set_off(trial)
@@ -174,5 +174,5 @@ def test_mode_button_and_other_keys_do_not_stop(simulated: Simulated) -> None:
     simulated.board.key(1, 0x08)
     # MODE gives the wheels to the sticks, which rest: the client has them back after the pad's timeout.
     simulated.drive(0.8)
-    assert simulated.moving()
+    assert simulated.turning()
     assert simulated.robot.state.estop is None

@@ -154,7 +154,7 @@ def test_a_service_of_another_layout_is_stopped_by_its_pipe(trial: Trial) -> Non
     set_off(trial)
     with another_layout(trial.name):
         result = failstop("estop", "even so", "--name", trial.name)
-        trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
     assert result.returncode == 0
     assert result.stdout.startswith(f"the service '{trial.name}' has written the stop; whether it is latched can't be")
     assert "with another layout" in result.stderr

@@ -27,7 +27,7 @@ def test_a_suspended_service_stops_and_tells_what_has_happened(fresh: Trial) -> 
     suspended_s = time.time()
     os.kill(pid, signal.SIGSTOP)  # SIGTSTP is discarded in an orphaned process group, as in CI
     begun_s = time.monotonic()
-    wait_for("the wheels to stand", lambda: not fresh.moving())
+    wait_for("the wheels to stand", lambda: not fresh.turning())
     long = "it to be told, longer than a stop is followed"
     wait_for(long, lambda: shown(fresh) == "suspended" and time.monotonic() - begun_s > 2.0)
     why = " ".join(failstop("why", "--name", fresh.name).stdout.split())

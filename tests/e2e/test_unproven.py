@@ -18,7 +18,7 @@ def mute() -> Simulated:
 def test_every_screen_says_that_nothing_proves_the_stop(mute: Simulated) -> None:
     assert mute.printed("status").startswith(f"wheels STOPPED, {UNPROVEN}")
     assert mute.json("why")["what"].startswith(f"STOPPED, {UNPROVEN}; motion is disabled")
-    shown = mute.load("failstop.web.face").face(mute.robot.state, [], 0.0)
+    shown = mute.load("failstop.web.view").view(mute.robot.state, [], 0.0)
     assert (shown["word"], shown["role"]) == ("STOPPED, UNPROVEN", "bad")
     code, out, err = mute.command("enable")
     assert (code, out) == (0, "motion enabled\n")

@@ -21,9 +21,9 @@ from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 KILL_GATE = FAULT_BY_NAME["kill-gate"]
 
 
-def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_moving: bool = True) -> list[str]:
+def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_turning: bool = True) -> list[str]:
     events = [event(i, ms, TURNING if moves else STILL) for i, (ms, moves) in enumerate(times)]
-    return verdict(FAULT_BY_NAME[fault], events, FAULT_NS, was_moving)[1]
+    return verdict(FAULT_BY_NAME[fault], events, FAULT_NS, was_turning)[1]
 
 
 def test_a_stop_in_time_and_for_good() -> None:
@@ -57,7 +57,7 @@ def test_motion_after_the_stop() -> None:
 
 
 def test_wheels_that_were_at_rest_prove_nothing() -> None:
-    assert wrong((0.5, False), was_moving=False) == ["the wheels were not turning before the fault"]
+    assert wrong((0.5, False), was_turning=False) == ["the wheels were not turning before the fault"]
 
 
 def test_a_stop_where_none_is_due() -> None:

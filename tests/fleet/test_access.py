@@ -96,7 +96,7 @@ def test_with_the_page_s_access_list_a_robot_writes_what_is_its_own_alone(guarde
     stranger.broker.say(own, b"by r1")
     pump("its own", lambda: own in operator.last, operator, stranger, other)
     assert not [topic for topic in forbidden if operator.last.get(topic) == b"by r1"]
-    assert other.obedience.forged == 0
+    assert other.duties.forged == 0
     for broker in (operator.broker, stranger.broker, other.broker):
         broker.close()
 

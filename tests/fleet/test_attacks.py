@@ -23,7 +23,7 @@ from tests.support import states
 from .conftest import Enrol, maker
 from .scene import Listener, Mosquitto, Pretended, Robot, pump
 
-STOP = "f" * 32
+STOP_ID = "f" * 32
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: flo
 
 def order(key: str, **changed: object) -> bytes:
     """A genuine stop, now, unless something else is said."""
-    given = dataclasses.replace(Order(STOP, time.time(), "smoke", "ann"), **changed)  # type: ignore[arg-type]
+    given = dataclasses.replace(Order(STOP_ID, time.time(), "smoke", "ann"), **changed)  # type: ignore[arg-type]
     return given.message(signed.read_key(key))
 
 
@@ -168,7 +168,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        pump("the flood", lambda: publisher.obedience.forged > 500, publisher)
+        pump("the flood", lambda: publisher.duties.forged > 500, publisher)
         tally = stop_all(settings, publisher)
     finally:
         ended.set()
@@ -210,7 +210,7 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     sender = Sender(settings, "smoke", "ann")
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
     topic = topics.answer(maker_id, sender.id, "r1")
-    recorded = StopAnswer(STOP, "r1", done).message(key)
+    recorded = StopAnswer(STOP_ID, "r1", done).message(key)
     running = threading.Thread(daemon=True, target=sender.run, args=(1.0,))
     running.start()
     while running.is_alive():

@@ -160,7 +160,7 @@ def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
     process, options = published
     trial.enable()
     trial.drive(0.2)
-    assert trial.moving()
+    assert trial.turning()
     command = [*FAILSTOP, "fleet", "stop", "smoke", "--by", "ann", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as done:
         while done.poll() is None:
@@ -173,7 +173,7 @@ def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
     state = trial.robot.state
     assert state.cause == causes.FLEET("smoke", "ann")
     assert state.estop == "fleet stop: smoke (by ann)"
-    assert not trial.moving()
+    assert not trial.turning()
     pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
     again = failstop("fleet", "stop", "once more", *options)
     assert (again.returncode, again.stdout.splitlines()[0]) == (0, "1 of 1 robots have confirmed the stop")

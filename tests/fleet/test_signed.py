@@ -95,14 +95,14 @@ def test_messages_that_are_hard_to_read(message: bytes) -> None:
 )
 def test_who_has_the_key_can_make_nonsense_too(body: dict[str, object]) -> None:
     with pytest.raises(signed.Forged):
-        levels.read_order(KEY, signed.sign(KEY, signed.STOP, body))
+        levels.read_order(KEY, signed.sign(KEY, signed.STOP_PURPOSE, body))
 
 
 @pytest.mark.parametrize("reached", [None, [], {"sent": 0.0}, {"written": "now"}, {"written": None}])
 def test_levels_that_are_none(reached: object) -> None:
     body = {"id": "0" * 32, "robot": "r", "why": "", "reached": reached}
     with pytest.raises(signed.Forged):
-        levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, body))
+        levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, body))
 
 
 def test_texts_are_one_line_and_not_too_long() -> None:

@@ -7,12 +7,12 @@ from failstop.fleet import levels, report
 from failstop.fleet.levels import StopAnswer
 from failstop.fleet.tally import Tally
 
-STOP = "0" * 32
+STOP_ID = "0" * 32
 
 
 def say(tally: Tally, robot: str, *told: str, why: str = "", after_s: float = 0.1) -> None:
     for level in told:
-        tally.answer(StopAnswer(STOP, robot, {level: 0.0}, why), after_s)
+        tally.answer(StopAnswer(STOP_ID, robot, {level: 0.0}, why), after_s)
 
 
 def connected(*robots: str, expected: frozenset[str] | None = None) -> Tally:
@@ -105,14 +105,14 @@ def test_the_first_time_of_a_level_counts() -> None:
 def test_a_robot_confirms_by_what_its_board_can_give() -> None:
     tally = connected("a", "b", "c")
     for robot, confirms in (("a", levels.ACKNOWLEDGED), ("b", levels.OBSERVED), ("c", levels.WRITTEN)):
-        tally.answer(StopAnswer(STOP, robot, {levels.WRITTEN: 0.0}, "", confirms), 0.1)
+        tally.answer(StopAnswer(STOP_ID, robot, {levels.WRITTEN: 0.0}, "", confirms), 0.1)
     assert {row.robot: row.why for row in tally.missing()} == {
         "a": "written, but its board has not acknowledged it",
         "b": "written, but its IMU has not observed that the wheels stand",
     }
     assert not tally.all_confirmed()
-    tally.answer(StopAnswer(STOP, "a", {levels.ACKNOWLEDGED: 0.0}), 0.2)
-    tally.answer(StopAnswer(STOP, "b", {levels.OBSERVED: 0.0}, "", levels.OBSERVED), 0.2)
+    tally.answer(StopAnswer(STOP_ID, "a", {levels.ACKNOWLEDGED: 0.0}), 0.2)
+    tally.answer(StopAnswer(STOP_ID, "b", {levels.OBSERVED: 0.0}, "", levels.OBSERVED), 0.2)
     assert tally.all_confirmed()
     assert text(tally).startswith("3 of 3 robots have confirmed the stop\n")
     assert "c confirms as written: its board acknowledges nothing" in text(tally)

@@ -42,7 +42,7 @@ class Kept:
         wait_for("a service that is whole", self.trial.service.ready)
         self.trial.enable()
         self.trial.robot.disable()
-        self.trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        self.trial.board.wait_wheels(turning=False, timeout_s=5.0)
         self.rest()
         self._before = set()
         self._before = {str(head["id"]) for head in self.heads()}
@@ -208,7 +208,7 @@ def test_a_killed_supervisor_is_told_of_by_the_next_start(kept: Kept) -> None:
     trial.leave()
     trial.enable()
     trial.drive(0.2)
-    assert trial.moving(), "the new run is not the old one's"
+    assert trial.turning(), "the new run is not the old one's"
 
 
 def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
@@ -306,7 +306,7 @@ def test_a_full_disk(kept: Kept) -> None:
         assert (state.estop or "").startswith("stop request: into a full disk")
         trial.enable()
         trial.drive(0.2)
-        assert trial.moving()
+        assert trial.turning()
         trial.robot.disable()
     finally:
         subprocess.run(["umount", str(kept.folder())], check=True)

@@ -336,7 +336,9 @@ ARM = (
     Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),
     Reason("procs/gate/arm/core.py", r"\n\+.* - end\) < NEAR", "half a pulse at exact equality"),
     Reason("procs/gate/arm/*.py", r"\n\+.*zip\(group, before, (strict=False)?\)", "both are of the same joints"),
-    Reason("procs/gate/arm/core.py", r"\+.*measured_ns <= journey", "nothing is read in the turn that begins to read"),
+    Reason(
+        "procs/gate/arm/core.py", r"\+.*measured_ns <= trajectory", "nothing is read in the turn that begins to read"
+    ),
 )
 
 REASONS = (*EVERYWHERE, *PROCS, *ARM, *TELEMETRY, *SHM, *SUPERVISOR)

@@ -11,7 +11,7 @@ from failstop.lab.sim.servos import Servos
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ArmCore
-from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.goals import Goal, Trajectory
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.gate_scene import Scene
 
@@ -19,7 +19,7 @@ from .gate_bench import MS, T0, TICK, Gate
 
 Make = Callable[..., Scene]
 """A scene with other settings; two underscores are a point."""
-ANSWER_NS = 2 * MS
+SERVO_ANSWER_NS = 2 * MS
 """From a question to its answer."""
 ME, OTHER = 11, 12
 """Sessions of clients."""
@@ -62,7 +62,7 @@ class ArmBench:
         if frame:
             self.frames.append((self.now, frame[4:-1]))
             if answer := self.servos.execute(frame[4:-1], self.now):
-                self._answer = self.now + ANSWER_NS, answer
+                self._answer = self.now + SERVO_ANSWER_NS, answer
 
     def run(self, seconds: float) -> None:
         until_ns = self.now + round(seconds * 1e9)
@@ -95,10 +95,10 @@ class ArmBench:
         self.core.take(made, self.gate.core.arm_closed(), self.now)
         return made
 
-    def travel(self, *rows: tuple[float, float], session: int = ME, joints: int = 1) -> Journey:
+    def execute(self, *rows: tuple[float, float], session: int = ME, joints: int = 1) -> Trajectory:
         """(time, pulses) of the first joints."""
         chosen = self.core.joints[:joints]
         way = [(t_s, dict.fromkeys(chosen, pulses)) for t_s, pulses in rows]
-        made = Journey(goals.MOVE, session, f"client {session}", chosen, way)
-        self.core.travel(made, self.now)
+        made = Trajectory(goals.MOVE, session, f"client {session}", chosen, way)
+        self.core.execute(made, self.now)
         return made

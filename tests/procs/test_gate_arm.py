@@ -39,7 +39,7 @@ def test_follow_keeps_the_speed_that_is_asked_for_in_a_regular_stream(scene: Sce
 
 
 def test_all_six_joints_go_two_a_frame_and_none_is_dropped(scene: Scene) -> None:
-    scene.travel(dict.fromkeys(SERVOS, 0.3))
+    scene.execute(dict.fromkeys(SERVOS, 0.3))
     assert scene.finish() == (records.DONE, "arm is there")
     assert {data[3] for _, data in scene.moves} == {2}
     assert scene.dropped == 0
@@ -53,7 +53,7 @@ def test_the_black_box_has_what_the_arm_is_to_do(scene: Scene) -> None:
     scene.run(0.1)
     scene.goal(JOG, {1: 0.1, 2: -0.1})
     scene.run(0.6)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.run(0.3)
     kept = []
     while entry := ring.next():
@@ -86,7 +86,7 @@ def test_jog_stops_at_the_soft_limit(scene: Scene) -> None:
 
 
 def test_a_trajectory_goes_before_a_stream_and_the_newest_goal_before_older_ones(scene: Scene) -> None:
-    scene.travel({1: 0.5}, 2.0)
+    scene.execute({1: 0.5}, 2.0)
     renew(scene, 40, FOLLOW, {1: -0.5})
     assert scene.state()["mode"] == "trajectory"
     assert scene.at(1) > 510
@@ -123,7 +123,7 @@ def test_a_second_publisher_latches_and_the_arm_is_held(scene: Scene, mode: str)
     if mode == "follow":
         follow(scene, 0.3, 0.5)
     else:
-        scene.travel({1: 1.0})
+        scene.execute({1: 1.0})
         scene.run(0.6)
     scene.goal(FOLLOW, {2: 0.1}, client=1)
     scene.run(0.02)
@@ -149,7 +149,7 @@ def test_an_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None
     questions = scene.said.copy()
     scene.run(1.0)
     assert scene.said == questions, "no reads while motion is enabled"
-    scene.travel({1: 0.1})
+    scene.execute({1: 0.1})
     assert scene.finish() == (records.REFUSED, "wheels enabled")
     assert scene.result(records.DISABLE)[0] == records.DONE
 

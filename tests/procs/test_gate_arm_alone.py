@@ -67,7 +67,7 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
     scene.run(6.0)
     assert scene.moves == [], "never used, never tucked"
     assert scene.state()["auto_tuck_s"] is None
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     assert scene.state()["auto_tuck_s"] == 5
     assert not scene.state()["tucks"]
@@ -95,11 +95,11 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
 def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=10.0)
     news = notes(scene)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     scene.run(7.0)
     assert len(news()) == 1
-    scene.travel({1: 0.4})
+    scene.execute({1: 0.4})
     scene.finish()
     scene.run(4.5)
     assert news() == []
@@ -129,7 +129,7 @@ def test_arm_that_was_put_into_its_tuck_pose_announces_nothing(arm_with: Make) -
 
 def test_arm_without_auto_tuck_stays_where_it_is(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck="off", arm__auto_tuck_s=1.0)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     scene.run(10.0)
     assert scene.at(1) > 600
@@ -137,20 +137,20 @@ def test_arm_without_auto_tuck_stays_where_it_is(arm_with: Make) -> None:
 
 def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
-    scene.travel({1: 0.2})
+    scene.execute({1: 0.2})
     scene.finish()
     scene.ask_for(records.ARM_RELEASE)
     for seconds in (0.2, 10.0):
         scene.run(seconds)
         assert all(servo.limp() for servo in scene.servos.by_id.values())
-    scene.travel({1: 0.1})
+    scene.execute({1: 0.1})
     assert scene.finish() == (records.DONE, "arm is there")
 
 
 def test_tuck_that_fails_is_told(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
     news = notes(scene)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     scene.servos.change(2, scene.clock(), blocked=True)
     scene.run(15.0)
@@ -162,7 +162,7 @@ def test_tuck_that_fails_is_told(arm_with: Make) -> None:
 
 def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     for servo in SERVOS:
         scene.servos.change(servo, scene.clock(), silent=True)
@@ -176,7 +176,7 @@ def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
 def test_tuck_that_somebody_ends_is_no_fault(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
     news = notes(scene)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     scene.run(3.0)
     assert scene.state()["by"] == "auto-tuck"

@@ -16,7 +16,7 @@ from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import SERVOS
 
-from .arm_bench import ANSWER_NS, ME, OTHER, ArmBench
+from .arm_bench import ME, OTHER, SERVO_ANSWER_NS, ArmBench
 from .gate_bench import MS, T0, TICK
 
 PERIOD_NS = 40 * MS
@@ -32,7 +32,7 @@ def bench(arm_bench: ArmBench) -> ArmBench:
 
 
 def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> None:
-    bench.travel((0.0, 510.0), joints=6)
+    bench.execute((0.0, 510.0), joints=6)
     bench.run(2.0)
     assert all(joint.loaded for joint in bench.core.joints)
     bench.frames.clear()
@@ -51,13 +51,13 @@ def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> Non
         (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
         for number, servo in enumerate(SERVOS, 1)
     ]
-    bench.now += ANSWER_NS
-    bench.travel((0.0, 500.0))
+    bench.now += SERVO_ANSWER_NS
+    bench.execute((0.0, 500.0))
     assert not bench.core.released
     bench.until(lambda: bench.times(servos.TORQUE_ON))
 
 
-@pytest.mark.parametrize("ask", [ArmBench.goal, lambda bench: bench.travel((0.0, 510.0))])
+@pytest.mark.parametrize("ask", [ArmBench.goal, lambda bench: bench.execute((0.0, 510.0))])
 def test_a_goal_or_a_journey_uses_a_released_arm_again(bench: ArmBench, ask: Callable[[ArmBench], object]) -> None:
     bench.core.release(bench.now)
     bench.run(0.1)
@@ -72,7 +72,7 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
     bench.until(lambda: bench.core.due_ns > bench.now + 50 * MS)
     bench.frames.clear()
     asked_ns = bench.now
-    bench.travel((0.0, 600.0), joints=6)
+    bench.execute((0.0, 600.0), joints=6)
     bench.look()
     bench.until(lambda: len(bench.times(servos.SERVO_MOVE)) > 3)
     on = bench.times(servos.TORQUE_ON)
@@ -87,16 +87,16 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
 
 
 def test_nothing_is_asked_while_it_moves_and_right_after(bench: ArmBench) -> None:
-    journey = bench.travel((0.0, 600.0))
-    bench.until(lambda: journey.done)
+    trajectory = bench.execute((0.0, 600.0))
+    bench.until(lambda: trajectory.done)
     moves, reads = bench.times(servos.SERVO_MOVE), bench.times(*servos.READS)
     assert min(t_ns for t_ns in reads if t_ns > moves[0]) >= moves[-1] + QUIET_NS
-    assert journey.outcome == ""
+    assert trajectory.outcome == ""
     assert bench.now - moves[-1] <= QUIET_NS + PERIOD_NS + TICK
 
 
 def test_frame_that_comes_late_shifts_no_other(bench: ArmBench) -> None:
-    bench.travel((0.0, 900.0), joints=4)
+    bench.execute((0.0, 900.0), joints=4)
     bench.until_moves(2)
     first, second = bench.times(servos.SERVO_MOVE)
     bench.now = first + PERIOD_NS + 15 * MS
@@ -180,29 +180,29 @@ def test_goal_of_the_future_counts_from_now(bench: ArmBench) -> None:
 
 
 def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
-    journey = bench.travel((5.0, 600.0))
+    trajectory = bench.execute((5.0, 600.0))
     assert bench.core.publisher(OTHER, bench.now) == "client 11"
     assert bench.core.publisher(ME, bench.now) == ""
     assert bench.core.moved_by(ME)
-    assert bench.core.followed is journey
+    assert bench.core.followed is trajectory
     bench.goal()
-    assert bench.core.followed is journey, "a journey before a stream"
-    bench.travel((5.0, 600.0), session=SERVICE)
-    assert (journey.done, journey.dropped, journey.outcome) == (True, True, "preempted")
+    assert bench.core.followed is trajectory, "a trajectory before a stream"
+    bench.execute((5.0, 600.0), session=SERVICE)
+    assert (trajectory.done, trajectory.dropped, trajectory.outcome) == (True, True, "preempted")
     assert bench.core.publisher(OTHER, bench.now) == ""
     bench.goal(session=OTHER)
-    assert isinstance(bench.core.followed, Goal), "who streams goes before the service's journeys"
+    assert isinstance(bench.core.followed, Goal), "who streams goes before the service's trajectories"
 
 
 def test_stale_goal_beside_a_journey_holds_nothing(bench: ArmBench) -> None:
     bench.goal()
     bench.run(0.2)
-    journey = bench.travel((2.0, 600.0))
+    trajectory = bench.execute((2.0, 600.0))
     bench.goal()
     bench.holds.clear()
-    bench.until(lambda: journey.done)
+    bench.until(lambda: trajectory.done)
     assert bench.holds == []
-    assert journey.outcome == ""
+    assert trajectory.outcome == ""
 
 
 def test_goal_that_is_not_renewed_holds_the_arm_once(bench: ArmBench) -> None:
@@ -252,23 +252,23 @@ def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> 
 
 
 def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBench) -> None:
-    journey = bench.travel((1.0, 550.0), (3.0, 550.0))
+    trajectory = bench.execute((1.0, 550.0), (3.0, 550.0))
     bench.until(bench.core.streaming)
     began_ns = bench.now
-    bench.until(lambda: journey.phase != goals.ON_ITS_WAY)
+    bench.until(lambda: trajectory.phase != goals.ON_ITS_WAY)
     assert 3000 * MS <= bench.now - began_ns <= 3000 * MS + 2 * PERIOD_NS
-    assert journey.phase == goals.SETTLING
-    assert bench.until(lambda: journey.done) < 0.2
+    assert trajectory.phase == goals.SETTLING
+    assert bench.until(lambda: trajectory.done) < 0.2
 
 
 def test_joint_that_is_not_there_at_its_time_has_lost_its_way(bench: ArmBench) -> None:
     """Its ramp is too slow for the rows."""
     slow = ArmBench(joints__base__acceleration_radps2=0.05, joints__base__speed_radps=6.0).known()
-    journey = slow.travel((0.5, 800.0))
+    trajectory = slow.execute((0.5, 800.0))
     slow.until(slow.core.streaming)
-    began_ns = journey.begun_ns
-    slow.until(lambda: journey.done)
-    assert journey.outcome == "it did not get there in time"
+    began_ns = trajectory.begun_ns
+    slow.until(lambda: trajectory.done)
+    assert trajectory.outcome == "it did not get there in time"
     assert 0 < slow.now - began_ns - (500 * MS + LOST_NS) <= PERIOD_NS
     assert not slow.core.streaming()
 
@@ -286,33 +286,33 @@ def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent
     for servo in silent:
         bench.servos.change(servo, bench.now, silent=True)
     asked = len(bench.frames)
-    journey = bench.travel((0.0, 600.0), joints=6)
-    bench.until(lambda: journey.done)
-    assert journey.outcome == told
+    trajectory = bench.execute((0.0, 600.0), joints=6)
+    bench.until(lambda: trajectory.done)
+    assert trajectory.outcome == told
     assert len([data for _, data in bench.frames[asked:] if data[1] == silent[0]]) == MOST_MISSES
     assert not bench.core.streaming()
 
 
-def test_place_that_can_not_be_read_in_time_ends_a_journey(bench: ArmBench) -> None:
+def test_place_that_can_not_be_read_in_time_ends_a_trajectory(bench: ArmBench) -> None:
     """Each reading differs from the one before."""
     bench.core.forget()
-    journey = bench.travel((0.0, 600.0))
+    trajectory = bench.execute((0.0, 600.0))
     begun_ns = bench.now
-    while not journey.done:
+    while not trajectory.done:
         bench.servos.change(1, bench.now, position=300.0 + 300 * (len(bench.frames) % 2))
         bench.step()
-    assert journey.outcome == "joint base: where it is can't be read"
+    assert trajectory.outcome == "joint base: where it is can't be read"
     assert 0 < bench.now - begun_ns - FIND_NS <= 2 * APART_NS
 
 
 @pytest.mark.parametrize(("off", "told"), [(-26, ""), (26, ""), (33, "is 3"), (-33, "is 3")])
 def test_journey_is_there_when_its_joints_are_read_near_its_end(bench: ArmBench, off: int, told: str) -> None:
-    journey = bench.travel((1.0, 600.0))
-    bench.until(lambda: journey.phase == goals.SETTLING)
+    trajectory = bench.execute((1.0, 600.0))
+    bench.until(lambda: trajectory.phase == goals.SETTLING)
     bench.servos.change(1, bench.now, position=600.0 + off)
-    bench.until(lambda: journey.done)
-    assert journey.outcome.startswith(told and f"joint base (servo 1) {told}")
-    assert bool(journey.outcome) == bool(told)
+    bench.until(lambda: trajectory.done)
+    assert trajectory.outcome.startswith(told and f"joint base (servo 1) {told}")
+    assert bool(trajectory.outcome) == bool(told)
 
 
 def test_joint_is_off_beyond_the_tolerance_and_while_it_was_not_read(bench: ArmBench) -> None:
@@ -355,16 +355,16 @@ def test_pose_is_named_when_all_that_is_judged_of_it_is_known_and_there(bench: A
 
 def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> None:
     bench = ArmBench(arm__pose_speed=0.25, joints__elbow__drive=-1).known()
-    journey = bench.core.pose(goals.DRIVE, SERVICE, "me")
-    assert journey
-    assert [joint.name for joint in journey.joints] == ["shoulder", "wrist", "roll", "gripper"]
-    assert [journey.ends[joint] for joint in journey.joints] == [793, 160, 499, 499]
-    assert (journey.purpose, journey.who, journey.session) == ("drive", "me", SERVICE)
-    bench.core.travel(journey, bench.now)
+    trajectory = bench.core.pose(goals.DRIVE, SERVICE, "me")
+    assert trajectory
+    assert [joint.name for joint in trajectory.joints] == ["shoulder", "wrist", "roll", "gripper"]
+    assert [trajectory.ends[joint] for joint in trajectory.joints] == [793, 160, 499, 499]
+    assert (trajectory.purpose, trajectory.who, trajectory.session) == ("drive", "me", SERVICE)
+    bench.core.execute(trajectory, bench.now)
     bench.until(bench.core.streaming)
-    assert journey.length_s == pytest.approx(340 / (0.25 * PULSES_PER_RAD), abs=0.1)
-    bench.until(lambda: journey.done, most_s=20.0)
-    assert journey.outcome == ""
+    assert trajectory.length_s == pytest.approx(340 / (0.25 * PULSES_PER_RAD), abs=0.1)
+    bench.until(lambda: trajectory.done, most_s=20.0)
+    assert trajectory.outcome == ""
     nowhere = {f"joints__{joint.name}__tuck": -1 for joint in bench.core.joints}
     assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
 

@@ -87,7 +87,7 @@ def test_no_goal_leaves_a_timer_in_the_past(scene: Scene) -> None:
 
 
 def test_a_move_that_is_refused_as_too_fast_leaves_the_gate_asleep(scene: Scene) -> None:
-    scene.travel({1: 0.3}, over_s=0.05)
+    scene.execute({1: 0.3}, over_s=0.05)
     done, text = scene.finish()
     assert (done, text.startswith("joint base at 6.000 rad/s")) == (records.REFUSED, True)
     assert turns_in_a_second(scene) < 100

@@ -98,7 +98,7 @@ def test_an_enable_right_behind_a_release_leaves_no_torque_on(no_pose: Scene) ->
 def test_an_enable_takes_the_arm_from_who_moves_it_also_without_a_drive_pose(no_pose: Scene) -> None:
     """Nothing of it is left to go on with when an interlock disables motion again."""
     scene = no_pose
-    scene.travel({1: 1.0}, over_s=6.0)
+    scene.execute({1: 1.0}, over_s=6.0)
     scene.run(2.0)
     assert scene.state()["moving"]
     scene.assert_lid()
@@ -119,7 +119,7 @@ def test_a_joint_moved_by_hand_while_motion_was_enabled_is_read_before_it_moves(
     scene.servos.change(1, scene.clock(), position=300.0)
     scene.ask_for(records.DISABLE, client=1)
     scene.run(0.02)
-    scene.travel({1: 0.5}, over_s=2.0)
+    scene.execute({1: 0.5}, over_s=2.0)
     scene.run(1.0)
     assert sent(scene, 1)[0][1] == pytest.approx(300, abs=10)
 
@@ -161,7 +161,7 @@ def test_no_motion_before_the_read_back_says_drive_pose() -> None:
                     servo, scene.clock(), **{rng.choice(("silent", "blocked", "unloaded", "late")): True}
                 )
         if rng.random() < 0.2:
-            scene.travel({1: rng.uniform(-1, 1)}, client=rng.randrange(2))
+            scene.execute({1: rng.uniform(-1, 1)}, client=rng.randrange(2))
             scene.run(rng.random())
         scene.ask_for(records.ENABLE, rng.randrange(2))
         for _ in range(60):

@@ -52,7 +52,7 @@ def scene() -> Scene:
     """An arm with a shape, in mid-air beside its robot."""
     made = Scene(SHAPE)
     made.run(1.2)
-    made.travel({1: 1.5, 2: 1.5})
+    made.execute({1: 1.5, 2: 1.5})
     assert made.finish() == (records.DONE, "arm is there")
     return made
 
@@ -74,7 +74,7 @@ def test_the_gamepad_s_joint_ends_before_the_floor(scene: Scene) -> None:
 
 
 def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene) -> None:
-    scene.travel({ELBOW: 1.5})
+    scene.execute({ELBOW: 1.5})
     assert watch(scene, 2.5, lambda: None) > -0.001
     assert scene.answered() == (records.REFUSED, f"the arm would hit something on its way: wrist and {FLOOR}")
     assert not scene.state()["moving"]
@@ -103,10 +103,10 @@ def test_links_that_touch_already_may_part(scene: Scene) -> None:
     scene.result(records.ARM_READ)
     touching_m = gap_m(scene)
     assert touching_m < 0
-    scene.travel({ELBOW: 2.0})
+    scene.execute({ELBOW: 2.0})
     assert scene.finish()[0] == records.REFUSED
     assert gap_m(scene) == pytest.approx(touching_m, abs=0.003)
-    scene.travel({ELBOW: 0.0})
+    scene.execute({ELBOW: 0.0})
     assert scene.finish() == (records.DONE, "arm is there")
 
 
@@ -114,7 +114,7 @@ def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: Scene) -> None:
     scene.servos.change(10, scene.clock(), silent=True)
     scene.ask_for(records.ARM_READ)
     assert "gripper" in scene.finish()[1]
-    scene.travel({ELBOW: 0.2})
+    scene.execute({ELBOW: 0.2})
     assert scene.finish() == (records.DONE, "arm is there")
 
 
@@ -122,5 +122,5 @@ def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
     scene.gate.arm.core.forget()  # type: ignore[union-attr]
-    scene.travel({ELBOW: 1.5})
+    scene.execute({ELBOW: 1.5})
     assert scene.finish() == (records.DONE, "arm is there")

@@ -29,9 +29,9 @@ def jog(bench: ArmBench, rates: dict[int, float]) -> None:
 def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:
     bench = over_the_floor().known()
     shoulder = bench.core.joints[1]
-    journey = bench.travel((0.0, 950.0), joints=2)
-    bench.until(lambda: journey.done)
-    assert journey.outcome.startswith("the arm would hit something on its way: shoulder")
+    trajectory = bench.execute((0.0, 950.0), joints=2)
+    bench.until(lambda: trajectory.done)
+    assert trajectory.outcome.startswith("the arm would hit something on its way: shoulder")
     assert bench.holds == [bench.now]
     assert bench.core.why_not() == ""
     stood = shoulder.position
@@ -39,7 +39,7 @@ def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held(
     for _ in range(10):
         jog(bench, {1: 1.0})
         bench.run(0.2)
-    assert bench.core.why_not() == journey.outcome
+    assert bench.core.why_not() == trajectory.outcome
     assert shoulder.velocity == 0.0
     assert shoulder.position == pytest.approx(stood, abs=10)
 

@@ -103,7 +103,7 @@ def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
 
 
 def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
-    scene.travel({1: 0.2})
+    scene.execute({1: 0.2})
     scene.run(0.2)
     scene.clients[0].hello(SESSION + 5, "heir")
     scene.run(2.0)
@@ -121,7 +121,7 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
 def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
     scene: Scene, verb: int, client: int, done: str
 ) -> None:
-    scene.travel({1: 1.0})
+    scene.execute({1: 1.0})
     scene.run(0.5)
     scene.ask_for(verb, client)
     scene.run(0.02)
@@ -132,7 +132,7 @@ def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
 
 
 def test_hold_ends_a_release(scene: Scene) -> None:
-    scene.travel({1: 0.1, 2: 0.1})
+    scene.execute({1: 0.1, 2: 0.1})
     scene.finish()
     assert scene.ask(records.ARM_RELEASE)[0] == records.DONE
     scene.run(0.006)
@@ -142,9 +142,9 @@ def test_hold_ends_a_release(scene: Scene) -> None:
 
 
 def test_newer_way_preempts_the_older(scene: Scene) -> None:
-    scene.travel({1: 1.0})
+    scene.execute({1: 1.0})
     scene.run(0.5)
-    scene.travel({1: -0.2})
+    scene.execute({1: -0.2})
     assert scene.finish() == (records.DONE, "arm is there")
     assert scene.at(1) == pytest.approx(500 - 0.2 * PULSES_PER_RAD, abs=3)
 
@@ -159,7 +159,7 @@ def test_pose_that_the_settings_do_not_have_is_refused(arm_with: Make) -> None:
 def test_way_while_another_client_moves_it_is_refused_and_latches(scene: Scene) -> None:
     scene.goal(records.ARM_FOLLOW, {1: 0.1})
     scene.run(0.1)
-    scene.travel({1: 0.2}, client=1)
+    scene.execute({1: 0.2}, client=1)
     assert scene.finish(client=1)[1].startswith("a stop is latched")
     assert scene.latched() == str(causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)"))
 
@@ -228,7 +228,7 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
     joints = {row[0]: row for row in scene.state()["joints"]}
     assert list(joints) == list(JOINTS)
     assert joints["gripper"][1] == 10
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     phases: list[str] = []
     while scene.answered()[0] == records.UNDER_WAY:
         scene.wake()

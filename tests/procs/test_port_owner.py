@@ -53,7 +53,7 @@ def test_it_waits_for_both_deaths_at_its_own_futexes(scene: Scene) -> None:
     """Its first stop does not wait for the kernel to take the dying gate down: on one core it would, in a thread that
     does not run above it."""
     scene.turn()
-    assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
+    assert scene.early.watched == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
     assert scene.early.dying[scene.gate.pid] == PROCESS_BY_NAME[layout.GATE].priority
 
 

@@ -15,7 +15,7 @@ from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
-STOP = burst_with(IDS)
+WITH_SERVOS = burst_with(IDS)
 MOVE = bus_servo_move([(1, 500)], 40)
 TWO = bus_servo_move([(1, 500), (2, 600)], 40)
 READ = bus_servo_read(1, servos.POSITION)
@@ -40,7 +40,7 @@ def settle(scene: Scene) -> None:
 
 
 def test_the_first_bytes_stop_the_arm_too(scene: Scene) -> None:
-    assert scene.turn() == STOP
+    assert scene.turn() == WITH_SERVOS
 
 
 def test_a_move_goes_out_and_no_stop_behind_it_is_put_off(scene: Scene) -> None:
@@ -48,7 +48,7 @@ def test_a_move_goes_out_and_no_stop_behind_it_is_put_off(scene: Scene) -> None:
     for _ in range(2):
         assert arm(scene) == MOVE
         assert scene.word("moving") == 0
-        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == STOP
+        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == WITH_SERVOS
 
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
@@ -60,7 +60,7 @@ def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_st
 def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
     settle(scene)
     scene.put(MOVE, kind=records.ARM)
-    assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP
+    assert scene.forward(b"held", kind=records.WRITE_BURST) == WITH_SERVOS
 
 
 @pytest.mark.claim("ARM-1")
@@ -76,7 +76,7 @@ def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
         scene.gate.kill()
     else:
         scene.supervisor.kill()
-    assert scene.turn(1 * MS) == STOP
+    assert scene.turn(1 * MS) == WITH_SERVOS
 
 
 def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(scene: Scene) -> None:
@@ -84,7 +84,7 @@ def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(sce
     assert arm(scene, epoch=0) == b""
     assert arm(scene, age_ns=61 * MS) == b""
     scene.raise_epoch(2)
-    assert scene.turn() == STOP
+    assert scene.turn() == WITH_SERVOS
     assert arm(scene, epoch=1) == b""
     assert arm(scene, epoch=2) == MOVE
     scene.ask_to_stop(b"now\n")
@@ -101,7 +101,7 @@ def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> N
     assert scene.turn(5 * MS) == b""
     for frame in (MOVE, READ, bus_servo_torque(1, on=False)):
         assert arm(scene, frame) == b""
-    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == STOP
+    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == WITH_SERVOS
     assert arm(scene) == MOVE
 
 
@@ -133,7 +133,7 @@ def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: 
         scene.ask_to_stop(b"now\n")
     elif end == "epoch":
         scene.raise_epoch(2)
-    assert scene.turn(1_000) == (b"" if end == "age" else STOP)
+    assert scene.turn(1_000) == (b"" if end == "age" else WITH_SERVOS)
     assert scene.turn(5 * MS) == b""
 
 
@@ -174,7 +174,7 @@ BAD = [
 @pytest.mark.parametrize("frame", BAD, ids=bytes.hex)
 def test_a_frame_that_is_none_for_this_arm_stops(scene: Scene, frame: bytes) -> None:
     settle(scene)
-    assert arm(scene, frame) == STOP
+    assert arm(scene, frame) == WITH_SERVOS
     assert [reason.partition(":")[0] for reason in scene.reasons()] == ["the gate's frame was refused"]
 
 
@@ -222,11 +222,11 @@ def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> Non
     assert arm(scene, epoch=2) == MOVE
     assert scene.word("moving") == 1
     scene.raise_epoch(3)
-    assert scene.turn() == STOP
+    assert scene.turn() == WITH_SERVOS
     assert scene.word("moving") == 0
 
 
 def test_an_epoch_raised_just_before_the_write_wins(scene: Scene) -> None:
     settle(scene)
     scene.at_next("ioctl", lambda: scene.raise_epoch(2))
-    assert arm(scene) == STOP
+    assert arm(scene) == WITH_SERVOS

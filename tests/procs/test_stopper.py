@@ -36,7 +36,7 @@ def test_silent_while_all_is_well(scene: Scene) -> None:
 def test_it_waits_for_both_deaths_at_its_own_futexes(scene: Scene) -> None:
     """Its first stop does not wait until the dying port owner is taken down: on one core it would, in a thread that
     does not run above it."""
-    assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 1), (scene.port_owner.pid, 3, 1)]
+    assert scene.early.watched == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 1), (scene.port_owner.pid, 3, 1)]
     assert scene.early.dying[scene.port_owner.pid] == PROCESS_BY_NAME[layout.PORT_OWNER].priority
 
 

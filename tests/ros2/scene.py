@@ -331,10 +331,10 @@ class BridgeTrial:
         wait_for(f"motion to be enabled, {found}", enabled)
 
     def moving(self) -> None:
-        self.trial.board.wait_wheels(moving=True, timeout_s=DEADLINE_S)
+        self.trial.board.wait_wheels(turning=True, timeout_s=DEADLINE_S)
 
     def standing(self) -> None:
-        self.trial.board.wait_wheels(moving=False, timeout_s=DEADLINE_S)
+        self.trial.board.wait_wheels(turning=False, timeout_s=DEADLINE_S)
 
     def fresh(self) -> None:
         """Return to the start: the bridge runs, nobody commands, nothing is latched, motion is disabled."""

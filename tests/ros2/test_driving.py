@@ -56,7 +56,7 @@ def test_an_old_stamp_is_refused_and_whose_clock_disagrees_is_told_everywhere(sc
     scene.enable()
     wait_for("the line that says so", lambda: "cmd_vel is refused: its stamp is" in scene.bridge.said())
     assert scene.state()["blocked"] == "cmd timeout"
-    assert not scene.trial.moving()
+    assert not scene.trial.turning()
     told = re.compile("/nav publishes cmd_vel with stamps that are .* s old, and refused: do the clocks agree[?]")
     scene.state(lambda state: told.fullmatch(state["wrong"] or ""))
     scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
@@ -185,7 +185,7 @@ def test_with_a_simulator_s_time_that_nobody_publishes(scene: BridgeTrial) -> No
         told = "use_sim_time is true, and nobody publishes /clock"
         scene.state(lambda state: told in (state["wrong"] or ""))
         wait_for("the refusal", lambda: "cmd_vel is refused: how old its stamp is nobody knows" in bridge.said())
-        assert not scene.trial.moving(), "an age that nobody knows is no proof of youth"
+        assert not scene.trial.turning(), "an age that nobody knows is no proof of youth"
         driver.hear("wheel/odom", "nav_msgs/msg/Odometry")
         stamp = driver.next("wheel/odom")["header"]["stamp"]
         assert abs(stamp["sec"] - time.time()) < 5

@@ -128,7 +128,7 @@ def keep_stopped(attempt: Attempt) -> bool:
             with contextlib.suppress(FailstopError):
                 attempt.trial.enable()
                 attempt.trial.drive(0.02)
-    attempt.trial.board.wait_wheels(moving=False, timeout_s=WITHIN_S)
+    attempt.trial.board.wait_wheels(turning=False, timeout_s=WITHIN_S)
     return True
 
 

@@ -63,7 +63,7 @@ def stopped(trial: Trial, since_ns: int) -> None:
     trial.board.events()
     time.sleep(STILL_S)
     assert not any(event.is_motion for event in trial.board.events())
-    assert not trial.moving()
+    assert not trial.turning()
 
 
 DIRECTIONS = {
@@ -124,7 +124,7 @@ def test_what_somebody_else_enabled_goes_on_when_it_leaves(trial: Trial) -> None
         assert "motion stays enabled, as it was before" in pilot.raw
     assert trial.robot.state.enabled
     trial.drive(0.3)
-    assert trial.moving(), "another program drives on"
+    assert trial.turning(), "another program drives on"
 
 
 def test_a_terminal_without_escapes_gets_none(trial: Trial) -> None:
@@ -146,7 +146,7 @@ def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
     pilot.wait("refused: a stop is latched")
     pilot.type(b"r")
     pilot.wait("latched stop cleared")
-    assert not trial.moving()
+    assert not trial.turning()
     pilot.type(b"+")
     pilot.wait("60 %: 0.12 m/s, 0.60 rad/s")
     pilot.type(b"----------")

@@ -60,7 +60,7 @@ def watching(instance: str, pid: int, block: int, watcher: int) -> Child:
     def work(send: Send, wait: Wait) -> tuple[bool, bool, bool]:
         life = Lifeline(pid)
         news = EarlyNews(lifelines(instance))
-        news.arm(life, block, watcher)
+        news.watch_block(life, block, watcher)
         send("armed")
         return rung(news.bell.fd, 10), life.marked, life.died({})
 

@@ -22,7 +22,7 @@ from .simulated import content, kill, living, put, user
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
-STOP = "/run/stop"
+STOP_PIPE = "/run/stop"
 
 
 def rings(fd: int, system: Any = select) -> bool:
@@ -130,20 +130,20 @@ def test_the_mode_is_exact_whatever_the_umask_and_until_then_it_is_nobody_else_s
     on.machine.at_seam = look
     for mask, mode in itertools.product((0o000, 0o022, 0o077, 0o777), (0o666, 0o660, 0o622, 0o600)):
         on.own.umask = mask
-        on.bell.make_pipe(STOP, mode)
+        on.bell.make_pipe(STOP_PIPE, mode)
         assert before == [0o600 & ~mask]
-        found = on.os.lstat(STOP)
+        found = on.os.lstat(STOP_PIPE)
         assert (stat.S_ISFIFO(found.st_mode), stat.S_IMODE(found.st_mode)) == (True, mode)
         assert list(on.own.files) == []
-        on.os.unlink(STOP)
+        on.os.unlink(STOP_PIPE)
         before.clear()
 
 
 @pytest.mark.parametrize(("own", "gid", "wanted"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
 def test_the_group_is_given(on: SimpleNamespace, own: int, gid: int, wanted: int) -> None:
     with user(on, 0, own):
-        on.bell.make_pipe(STOP, 0o660, *([gid] if gid >= 0 else []))
-    found = on.os.lstat(STOP)
+        on.bell.make_pipe(STOP_PIPE, 0o660, *([gid] if gid >= 0 else []))
+    found = on.os.lstat(STOP_PIPE)
     assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, wanted, 0o660)
 
 
@@ -152,11 +152,11 @@ def test_what_a_dead_run_left_is_replaced(on: SimpleNamespace, old: str) -> None
     if old == "link":
         put(on, "/tmp/victim", "precious", 0o600)
     if old in ("pipe", "file"):
-        on.os.mkfifo(STOP) if old == "pipe" else put(on, STOP, "old")
+        on.os.mkfifo(STOP_PIPE) if old == "pipe" else put(on, STOP_PIPE, "old")
     else:
-        on.os.symlink("/tmp/victim", STOP)
-    on.bell.make_pipe(STOP, 0o666)
-    assert stat.S_ISFIFO(on.os.lstat(STOP).st_mode)
+        on.os.symlink("/tmp/victim", STOP_PIPE)
+    on.bell.make_pipe(STOP_PIPE, 0o666)
+    assert stat.S_ISFIFO(on.os.lstat(STOP_PIPE).st_mode)
     if old == "link":
         assert content(on, "/tmp/victim") == b"precious"
         assert on.os.stat("/tmp/victim").st_mode == stat.S_IFREG | 0o600
@@ -165,8 +165,8 @@ def test_what_a_dead_run_left_is_replaced(on: SimpleNamespace, old: str) -> None
 @pytest.fixture
 def ends(on: SimpleNamespace) -> tuple[int, int]:
     """The service's and a client's end of the stop pipe."""
-    on.bell.make_pipe(STOP, 0o666)
-    return on.bell.open_pipe(STOP), on.bell.open_pipe_to_write(STOP)
+    on.bell.make_pipe(STOP_PIPE, 0o666)
+    return on.bell.open_pipe(STOP_PIPE), on.bell.open_pipe_to_write(STOP_PIPE)
 
 
 def test_messages_arrive_whole_and_in_order(on: SimpleNamespace, ends: tuple[int, int]) -> None:
@@ -205,7 +205,7 @@ def test_no_reader_is_enxio_and_one_that_goes_a_broken_pipe(on: SimpleNamespace,
     assert refused.value.errno == errno.EPIPE
     on.os.close(writing)
     with pytest.raises(OSError, match="nobody reads") as absent:
-        on.bell.open_pipe_to_write(STOP)
+        on.bell.open_pipe_to_write(STOP_PIPE)
     assert absent.value.errno == errno.ENXIO
     with pytest.raises(FileNotFoundError):
         on.bell.open_pipe_to_write("/run/absent")
@@ -234,7 +234,7 @@ def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
     for number in range(4):
 
         def client(number: int = number) -> None:
-            fd = on.bell.open_pipe_to_write(STOP)
+            fd = on.bell.open_pipe_to_write(STOP_PIPE)
             if number % 2:
                 on.bell.send(fd, b"x")
 
@@ -246,10 +246,10 @@ def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
 
 def test_a_pipe_that_is_kept_open_outlives_a_restarted_reader(on: SimpleNamespace, ends: tuple[int, int]) -> None:
     """The supervisor keeps the stop pipe open across a restart of the process that reads it: no stop is lost."""
-    first, writing = on.bell.open_pipe(STOP), ends[1]
+    first, writing = on.bell.open_pipe(STOP_PIPE), ends[1]
     on.os.close(first)
     assert on.bell.send(writing, b"stop while nobody reads\n")
-    assert on.bell.take(on.bell.open_pipe(STOP)) == b"stop while nobody reads\n"
+    assert on.bell.take(on.bell.open_pipe(STOP_PIPE)) == b"stop while nobody reads\n"
 
 
 def access(on: Any, path: str) -> list[str]:
@@ -267,17 +267,17 @@ def access(on: Any, path: str) -> list[str]:
 @pytest.mark.parametrize(("mode", "rights"), [(0o666, ["yes"] * 3), (0o622, ["yes", "no", "no"]), (0o660, ["no"] * 3)])
 def test_what_nobody_may_do(on: SimpleNamespace, mode: int, rights: list[str]) -> None:
     """0o622 lets everyone ring and nobody else listen: with 0o666 any user can take stop requests out of the pipe."""
-    on.bell.make_pipe(STOP, mode)
-    reading = on.bell.open_pipe(STOP)
+    on.bell.make_pipe(STOP_PIPE, mode)
+    reading = on.bell.open_pipe(STOP_PIPE)
     with user(on, NOBODY):
-        assert access(on, STOP) == rights
+        assert access(on, STOP_PIPE) == rights
         if rights[0] == "yes":
-            assert on.bell.send(on.bell.open_pipe_to_write(STOP), b"stop\n") is True
+            assert on.bell.send(on.bell.open_pipe_to_write(STOP_PIPE), b"stop\n") is True
         for change in (
-            lambda: on.os.unlink(STOP),
-            lambda: on.os.rename(STOP, "/run/gone"),
-            lambda: on.os.chmod(STOP, 0),
-            lambda: on.bell.make_pipe(STOP, 0o600),
+            lambda: on.os.unlink(STOP_PIPE),
+            lambda: on.os.rename(STOP_PIPE, "/run/gone"),
+            lambda: on.os.chmod(STOP_PIPE, 0),
+            lambda: on.bell.make_pipe(STOP_PIPE, 0o600),
         ):
             with pytest.raises(PermissionError):
                 change()

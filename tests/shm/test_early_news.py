@@ -50,7 +50,7 @@ def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, news: EarlyNe
     with holding(name, 2) as holder, ends() as before:
         life = Lifeline(holder.pid)
         for _ in range(3):
-            news.arm(life, 2, index)
+            news.watch_block(life, 2, index)
         assert len(threads() - before) == 1
         assert not life.died({})
         os.kill(holder.pid, signal.SIGKILL)
@@ -80,7 +80,7 @@ def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_sta
     with holding(name, 2) as holder:
         life, before = Lifeline(holder.pid), threads()
         with scheduled(os.SCHED_BATCH):
-            news.arm(life, 2, 0)
+            news.watch_block(life, 2, 0)
         (thread,) = threads() - before
         until(lambda: os.sched_getscheduler(thread) == os.SCHED_OTHER, "its own scheduling")
         os.kill(holder.pid, signal.SIGKILL)
@@ -120,7 +120,7 @@ def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rig
     if refused:
         refuse_above(on, own)
     words = (stop, dying) if dying else (stop,)
-    news.arm(life, 2, 0, *words) if of_a_service else news.watch(life, held, 2 * PER_BLOCK, *words)
+    news.watch_block(life, 2, 0, *words) if of_a_service else news.watch(life, held, 2 * PER_BLOCK, *words)
     on.machine.die(holder, -9)
     assert on.machine.run(lambda: life.marked and bool(seen), 10**9)
     assert seen == [(policy, own if refused else found)]
@@ -142,7 +142,7 @@ def test_real_time_rights_are_remembered_for_the_threads(name: str, lines: Segme
         news = EarlyNews(lines)
     with holding(name, 2) as holder:
         life, before = Lifeline(holder.pid), threads()
-        news.arm(life, 2, 0, lambda: None, 6)
+        news.watch_block(life, 2, 0, lambda: None, 6)
         (thread,) = threads() - before
         until(lambda: os.sched_getparam(thread).sched_priority == 7, "its own priority")
         assert os.sched_getscheduler(thread) == os.SCHED_FIFO
@@ -194,7 +194,7 @@ def test_the_pidfd_alone_is_enough(news: EarlyNews) -> None:
     """The early news never comes where the futex was not held: the late word is there all the same."""
     with alive() as (child, life):
         with ends():
-            news.arm(life, 7, 0)
+            news.watch_block(life, 7, 0)
             os.kill(child.pid, signal.SIGKILL)
             ready = dict(select_poll(life.fd))
         assert life.died(ready)
@@ -213,7 +213,7 @@ def test_a_machine_that_is_out_of_something_still_has_the_late_news(
     process = living(on, lambda: None)
     life = on.lifeline.Lifeline(process.pid)
     with refusing(on, call, error) as asked:
-        news.arm(life, 7, 0)
+        news.watch_block(life, 7, 0)
     assert asked
     on.machine.die(process, -9)
     assert life.wait(1)
@@ -224,7 +224,7 @@ def test_a_machine_that_is_out_of_something_still_has_the_late_news(
 def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, news: EarlyNews) -> None:
     with holding(name, 8) as holder, ends() as before:
         life = Lifeline(holder.pid)
-        news.arm(life, 8, 0)
+        news.watch_block(life, 8, 0)
         (thread,) = threads() - before
         until(lambda: asleep(thread), "the thread waits")
         life.close()

@@ -14,16 +14,16 @@ from .simulated import content, mode, open_fds, put, user
 OTHER, NOBODY = 61_235, 65_534
 BASE = "/srv/failstop"
 FOLDER = f"{BASE}/robot"
-STOP, CLAIMS = f"{FOLDER}/stop", f"{FOLDER}/claims"
+STOP_PIPE, CLAIMS = f"{FOLDER}/stop", f"{FOLDER}/claims"
 
 
 @pytest.fixture
 def folder(on: SimpleNamespace) -> Any:
     """The machine, with a runtime directory of root's that has a FIFO, to which somebody listens, and claims."""
     on.os.makedirs(FOLDER)
-    on.bell.make_pipe(STOP, 0o622)
+    on.bell.make_pipe(STOP_PIPE, 0o622)
     on.os.close(on.claim.open_claims(CLAIMS, create=True, mode=0o666))
-    on.reader = on.bell.open_pipe(STOP)
+    on.reader = on.bell.open_pipe(STOP_PIPE)
     return on
 
 
@@ -57,7 +57,7 @@ def refused(on: Any, *ways: str) -> list[str]:
 
 def test_what_is_in_order_is_opened(folder: Any) -> None:
     assert folder.instances.running(FOLDER)
-    writing, _ = folder.bell.open_pipe_to_write(STOP), folder.claim.open_claims(CLAIMS)
+    writing, _ = folder.bell.open_pipe_to_write(STOP_PIPE), folder.claim.open_claims(CLAIMS)
     folder.bell.send(writing, b"stop\n")
     assert folder.bell.take(folder.reader) == b"stop\n"
 
@@ -67,13 +67,13 @@ def test_what_is_in_order_is_opened(folder: Any) -> None:
 def test_a_directory_that_somebody_else_may_write(folder: Any, victim: str, trap: str) -> None:
     on = folder
     if trap == "another user's":
-        give(on, OTHER, STOP, CLAIMS, FOLDER, victim)
+        give(on, OTHER, STOP_PIPE, CLAIMS, FOLDER, victim)
         on.os.chmod(os.path.dirname(victim), 0o1777)
     elif trap == "a link":
         on.os.rename(victim, f"{victim}-moved")
         on.os.symlink(f"{victim}-moved", victim)
         with pytest.raises(NotADirectoryError):
-            on.bell.open_pipe_to_write(STOP)
+            on.bell.open_pipe_to_write(STOP_PIPE)
         assert not on.instances.running(FOLDER)
         return
     else:
@@ -87,21 +87,21 @@ def test_a_directory_that_somebody_else_may_write(folder: Any, victim: str, trap
 @pytest.mark.parametrize("trap", ["link to a file", "link to the FIFO", "regular file", "another user's", "directory"])
 def test_a_stop_pipe_that_is_none(folder: Any, trap: str) -> None:
     """Root would write its stop request into it, and say that the robot was stopped."""
-    on, victim = folder, STOP if trap == "regular file" else "/tmp/victim"
+    on, victim = folder, STOP_PIPE if trap == "regular file" else "/tmp/victim"
     if trap == "another user's":
-        give(on, OTHER, STOP)
+        give(on, OTHER, STOP_PIPE)
     else:
-        on.os.rename(STOP, f"{FOLDER}/real")
+        on.os.rename(STOP_PIPE, f"{FOLDER}/real")
     put(on, victim, "precious") if trap != "another user's" else None
     if trap == "directory":
-        on.os.mkdir(STOP)
+        on.os.mkdir(STOP_PIPE)
         with pytest.raises(IsADirectoryError):
-            on.bell.open_pipe_to_write(STOP)
+            on.bell.open_pipe_to_write(STOP_PIPE)
         return
     if trap.startswith("link"):
-        on.os.symlink(victim if trap == "link to a file" else f"{FOLDER}/real", STOP)
+        on.os.symlink(victim if trap == "link to a file" else f"{FOLDER}/real", STOP_PIPE)
     for said in refused(on, "stop", "the service's end"):
-        assert said.startswith(STOP)
+        assert said.startswith(STOP_PIPE)
     assert not on.instances.running(FOLDER)
     if trap != "another user's":
         assert content(on, victim) == b"precious"
@@ -122,12 +122,12 @@ def test_claims_that_are_none(folder: Any, trap: str) -> None:
 def test_what_root_alone_could_put_there_is_its_owner_s(folder: Any) -> None:
     """As systemd makes /run/failstop for the service's user: everybody trusts it, root too."""
     on = folder
-    give(on, OTHER, BASE, FOLDER, STOP, CLAIMS)
+    give(on, OTHER, BASE, FOLDER, STOP_PIPE, CLAIMS)
     for uid in (0, NOBODY):
         with user(on, uid):
             assert on.instances.running(FOLDER)
     # But not its word for what is another user's.
-    give(on, NOBODY, STOP)
+    give(on, NOBODY, STOP_PIPE)
     refused(on, "stop")
     assert not on.instances.running(FOLDER)
 
@@ -135,7 +135,7 @@ def test_what_root_alone_could_put_there_is_its_owner_s(folder: Any) -> None:
 def test_a_stranger_s_service_is_none_and_find_says_why(folder: Any) -> None:
     on = folder
     on.os.chmod("/srv", 0o1777)
-    give(on, OTHER, BASE, FOLDER, STOP, CLAIMS)
+    give(on, OTHER, BASE, FOLDER, STOP_PIPE, CLAIMS)
     on.own.environ["XDG_RUNTIME_DIR"] = "/srv"
     for uid in (0, NOBODY):
         with user(on, uid), pytest.raises(on.instance.NoService, match=r"^no service named 'robot' is running") as none:
@@ -210,7 +210,7 @@ def test_nothing_stays_open(folder: Any) -> None:
     for path in ("link", "absent"):
         with pytest.raises(OSError, match=r"is a link|No such file"):
             on.place.opened(f"{FOLDER}/{path}", os.O_RDONLY)
-    for path, pipe, kind in ((CLAIMS, True, "FIFO"), (STOP, False, "regular file")):
+    for path, pipe, kind in ((CLAIMS, True, "FIFO"), (STOP_PIPE, False, "regular file")):
         with pytest.raises(on.place.Untrusted, match=f"is no {kind}: remove it"):
             on.place.opened(path, os.O_RDWR, pipe=pipe)
     assert open_fds(on) == before

@@ -177,8 +177,8 @@ def test_the_supervisor_waits_once_for_each_early_news_and_stops_for_one() -> No
     processes.start(stopper)
     for child in (port_owner, gate):
         scene.employ(child.row.name)
-        processes.arm()
-    assert early.armed == [(port_owner.pid, 2, 0), (gate.pid, 3, 0)], "one that starts holds nothing yet"
+        processes.watch_early()
+    assert early.watched == [(port_owner.pid, 2, 0), (gate.pid, 3, 0)], "one that starts holds nothing yet"
     assert early.dying == {child.pid: child.row.priority for child in (port_owner, gate)}
     early.tell(gate.pid)
     assert scene.wire.read() == b"", "for others the port owner stops"

@@ -12,7 +12,7 @@ from failstop.policy.settings import Settings, mounted_wheels
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_robot_is_one_line(robot: str) -> None:
-    """What nobody knows of it is asked for by name; what its owner sets stays."""
+    """Facts that nobody knows of it are asked for by name; those that its owner sets stay."""
     for layout, figures in ROBOTS[robot].items():
         given: dict[str, object] = {"board.robot": robot}
         given |= {} if robot in LAYOUT_OF else {"wheels.layout": layout}

@@ -144,7 +144,7 @@ WITH: dict[object, dict[str, object]] = {
     "steering.kind": STEERED,
     "bus": {**STEERED, "steering.centre": 500},
 }
-"""What goes with a word, or with a setting."""
+"""Settings that go with a word, or with another setting."""
 
 
 @pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)

@@ -96,15 +96,15 @@ def test_the_end_is_told_with_what_is_known_of_the_stop(
 KEY = Stop(T0, layout.PORT_OWNER, why("key1"))
 STUCK = Stop(T0, layout.PORT_OWNER, causes.STUCK())
 DEATH = Stop(T0 + 5, layout.SUPERVISOR, why("gate died"))
-NEXT = "next: `failstop reset --name stage`, then `failstop enable --name stage`"
+STEP = "next: `failstop reset --name stage`, then `failstop enable --name stage`"
 
 
 @pytest.mark.parametrize(
     ("stop", "after_ns", "ending", "kind", "text", "level"),
     [
-        (KEY, 80_260, False, "stop", f"STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
-        (KEY, -1, False, "stop", f"STOP latched: key1; {{wrote}} 0 us; {NEXT}", ""),
-        (KEY, None, False, "stop", f"STOP latched: key1; stop frame NOT written; {NEXT}", "critical"),
+        (KEY, 80_260, False, "stop", f"STOP latched: key1; {{wrote}} 80 us; {STEP}", ""),
+        (KEY, -1, False, "stop", f"STOP latched: key1; {{wrote}} 0 us; {STEP}", ""),
+        (KEY, None, False, "stop", f"STOP latched: key1; stop frame NOT written; {STEP}", "critical"),
         (DEATH, 80_260, False, "stop_again", "stopped again: gate died; {wrote} 80 us; latched is still: key1", ""),
         (
             DEATH,
@@ -172,7 +172,7 @@ def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, monit
     monitor.answered(answered(scene, STUCK, KEY.t_ns + 80_000), ending=False)
     [(kind, text, _, level)] = told(scene)
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
-    assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {NEXT}", "critical")
+    assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {STEP}", "critical")
 
 
 @pytest.mark.parametrize(("stop", "held"), [(KEY, True), (STUCK, False)])
@@ -185,7 +185,7 @@ def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent
     monitor.answered(answered(scene, stop, KEY.t_ns + 80_000), ending=False)
     [(_, text, _, level)] = told(scene)
     assert (text, level) == (
-        f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {NEXT}",
+        f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {STEP}",
         "",
     )
 

@@ -43,7 +43,7 @@ def until(page: Page, what: str, check: Callable[[dict[str, Any]], object]) -> d
 
 
 def moves(shown: dict[str, Any]) -> bool:
-    return shown["face"]["word"] == "MOVING" and any(shown["wheels"]) and shown["wire"][-1][2] == "motion"
+    return shown["view"]["word"] == "MOVING" and any(shown["wheels"]) and shown["wire"][-1][2] == "motion"
 
 
 def stands(shown: dict[str, Any]) -> bool:
@@ -60,7 +60,7 @@ def cause_of(shown: dict[str, Any]) -> Cause | None:
 def enable(page: Page) -> None:
     if moves(page.shown()):
         return
-    until(page, "an enable to be possible", lambda shown: shown["face"]["can"]["enable"] == "")
+    until(page, "an enable to be possible", lambda shown: shown["view"]["can"]["enable"] == "")
     page.press("enable")
     until(page, "motion", moves)
 
@@ -100,10 +100,10 @@ def clear(page: Page, row: Fault) -> None:
         page.press("enable")
         page.step()
         assert stands(page.shown())
-        until(page, "a reset to be possible", lambda shown: shown["face"]["can"]["reset"] == "")
+        until(page, "a reset to be possible", lambda shown: shown["view"]["can"]["reset"] == "")
         page.press("reset")
     elif row.cleared == BY_NEW_RUN:
-        until(page, "a new run", lambda shown: shown["face"]["can"]["enable"] == "" and not shown["cause"])
+        until(page, "a new run", lambda shown: shown["view"]["can"]["enable"] == "" and not shown["cause"])
     for _ in range(SEEN):
         page.step()
     shown = page.shown()

@@ -61,7 +61,7 @@ class Keeper:
                 wait_for("a reset to be taken", trial.reset)
             trial.robot.disable()
             trial.leave()
-            trial.board.wait_wheels(moving=False, timeout_s=5.0)
+            trial.board.wait_wheels(turning=False, timeout_s=5.0)
             with Robot(trial.name) as robot:
                 wait_for("everybody to have left", lambda: not robot.state.clients)
                 state = robot.state
@@ -84,7 +84,7 @@ class Keeper:
 
 def goes_on(trial: Trial, velocity: tuple[float, float, float] = (0.2, 0.0, 0.0)) -> None:
     """Command until the wheels turn: on a busy machine a command may be late, and they stand meanwhile."""
-    wait_for("the wheels to turn", lambda: trial.drive(0.05, velocity) or trial.moving())
+    wait_for("the wheels to turn", lambda: trial.drive(0.05, velocity) or trial.turning())
 
 
 def set_off(trial: Trial) -> None:

@@ -58,9 +58,9 @@ class Board:
         self._robot.board.catch_up()
         return self._model.wheels
 
-    def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
+    def wait_wheels(self, *, turning: bool, timeout_s: float = PATIENCE_S) -> None:
         """Wait until any wheel turns, or until all stand."""
-        self._wait_for("the wheels", lambda: any(self.wheels()) == moving, timeout_s)
+        self._wait_for("the wheels", lambda: any(self.wheels()) == turning, timeout_s)
 
     def key(self, key_id: int, event: int) -> None:
         self._model.key(key_id, event, self._robot.machine.now_ns)
@@ -213,10 +213,10 @@ class Simulated:
         """SIGKILL a process while driving; the client goes on commanding."""
         self.drive(drive_s)
         self.board.events()
-        was_moving, fault_ns = self.moving(), self.now_ns()
+        was_turning, fault_ns = self.turning(), self.now_ns()
         self.die(name)
         self.drive(AFTERMATH_S)
-        return judge(self.board.events(), fault_ns, was_moving)
+        return judge(self.board.events(), fault_ns, was_turning)
 
     def recover(self, name: str, pid: int) -> None:
         """Wait until the service is whole again, with another process of this name; a supervisor is started here."""
@@ -306,8 +306,8 @@ class Simulated:
         """Drive forward; the board's past is forgotten."""
         self.enable()
         self.drive(0.2)
-        assert self.moving()
+        assert self.turning()
         self.board.events()
 
-    def moving(self) -> bool:
+    def turning(self) -> bool:
         return any(self.board.wheels())

@@ -102,16 +102,18 @@ class Early:
 
     def __init__(self, bell: Any) -> None:
         self.bell = bell
-        self.armed: list[tuple[int, int, int]] = []
+        self.watched: list[tuple[int, int, int]] = []
         """The process whose death is waited for, and its futex: pid, block, index."""
         self.dying: dict[int, int] = {}
         """The priority that a thread which stops for a process is to run above, by its pid."""
         self._lives: dict[int, tuple[Any, Callable[[], None] | None]] = {}
 
-    def arm(self, life: Any, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0) -> None:
+    def watch_block(
+        self, life: Any, block: int, index: int, stop: Callable[[], None] | None = None, dying: int = 0
+    ) -> None:
         """Nothing to wait for."""
-        life.armed = True
-        self.armed.append((life.pid, block, index))
+        life.watched = True
+        self.watched.append((life.pid, block, index))
         self.dying[life.pid] = dying
         self._lives[life.pid] = (life, stop)
 

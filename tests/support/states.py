@@ -11,7 +11,7 @@ from failstop.policy.causes import Cause
 
 NOW_S = 1_700_000_000.0
 KEY = causes.KEY(1)
-STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4.4e-3, 0.3)
+KEY_STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4.4e-3, 0.3)
 
 
 def process(**changed: Any) -> Process:
@@ -22,7 +22,7 @@ def process(**changed: Any) -> Process:
 
 def stop(cause: Cause = KEY, **changed: Any) -> Stop:
     """A stop of 12 s ago with all its proofs."""
-    return dataclasses.replace(STOP, cause=cause, reason=str(cause), **changed)
+    return dataclasses.replace(KEY_STOP, cause=cause, reason=str(cause), **changed)
 
 
 def state(**changed: Any) -> State:

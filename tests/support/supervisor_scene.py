@@ -146,7 +146,7 @@ class Scene(PortMachine):
         for word, value in (("beat_pid", child.pid), ("beat_state", BEAT_RUNNING)):
             self.own[name].word(word).set(value)
         self.beat(name)
-        self.supervisor.processes.arm()
+        self.supervisor.processes.watch_early()
         return self.machine.processes[child.pid]
 
     def dies(self, who: str | Process, code: int = -9) -> None:

@@ -153,7 +153,7 @@ def test_without_the_journal_all_stops_as_before_and_with_it_entries_come_again(
     try:
         assert scene.box.show(JOURNAL[2], "ActiveState")["ActiveState"] == "inactive"
         stopped = scene.fault(scene.kill("gate"))
-        assert stopped.was_moving
+        assert stopped.was_turning
         assert stopped.stop_ns is not None
         assert stopped.motion_after == 0
         wait_for("the gate", lambda: "gate" in scene.pids())

@@ -28,7 +28,7 @@ LATE = "failstop-late@failstop.service"
 
 def well(stopped: Stopped) -> None:
     """The wheels turned, a stop came, and nothing moved them after it."""
-    assert stopped.was_moving
+    assert stopped.was_turning
     assert stopped.stop_ns is not None, "no stop"
     assert stopped.motion_after == 0
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from failstop.messages import records
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.odometry import Odometry, wrapped
+from failstop.procs.telemetry.odometry import Odometry
 
 MS = 1_000_000
 SPEED = st.floats(-1.0, 1.0)
@@ -58,7 +58,9 @@ def test_a_circle_ends_where_it_began() -> None:
 
 @given(st.floats(-1e6, 1e6))
 def test_th_is_wrapped_from_minus_pi_to_pi(angle: float) -> None:
-    found = wrapped(angle)
+    tested = unscaled()
+    tested.inherit(0.0, 0.0, angle)
+    found = tested.th_rad
     assert -math.pi <= found <= math.pi
     assert math.cos(found) == pytest.approx(math.cos(angle), abs=1e-6)
     assert math.sin(found) == pytest.approx(math.sin(angle), abs=1e-6)

@@ -84,7 +84,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_next_one_heard(scene: Scene, sig
 
 
 def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scene: Scene) -> None:
-    """Whatever else the board says is acted on at once, and they before it."""
+    """Every other report of the board is acted on at once, and they before it."""
     published, kept, beat = scene.own.latest_reader("imu"), scene.own.ring_reader("box"), scene.own.word("beat_ns")
     came_ns, beats = [], set()
     for _ in range(220):

@@ -276,7 +276,7 @@ def test_on_a_running_service() -> None:
     wait_for("the wheels to be seen still", still.get)
     service.enable()
     service.drive(1.0)
-    assert service.moving()
+    assert service.turning()
     assert still.get() == 0
     disabled_ns = now_ns()
     service.robot.disable()
@@ -290,7 +290,7 @@ def test_on_a_running_service() -> None:
     refused_ns = now_ns()
     service.robot.disable()
     wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
-    assert service.moving()
+    assert service.turning()
     assert still.get() == 0
     model.refuse_stop = False
     wait_for("the next stop to be obeyed and seen", still.get)

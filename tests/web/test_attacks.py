@@ -15,7 +15,7 @@ import pytest
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
-from failstop.web import door, sockets
+from failstop.web import connections, sockets
 
 pytestmark = pytest.mark.page
 
@@ -51,13 +51,13 @@ def stops(trial: Trial, web: Web) -> float:
 
 
 def test_a_thousand_connections_keep_no_stop_out(trial: Trial, web: Web, flood: list[socket.socket]) -> None:
-    assert len(flood) > door.MOST
+    assert len(flood) > connections.MOST
     assert stops(trial, web) < SOON_S
-    assert len(os.listdir(f"/proc/{web.process.pid}/fd")) < door.MOST + 100
+    assert len(os.listdir(f"/proc/{web.process.pid}/fd")) < connections.MOST + 100
 
 
 def test_slow_clients_are_let_go(trial: Trial, web: Web) -> None:
-    with socket.create_connection(("127.0.0.1", web.port), timeout=2 * door.IDLE_S) as slow:
+    with socket.create_connection(("127.0.0.1", web.port), timeout=2 * connections.IDLE_S) as slow:
         slow.sendall(b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nX-Failstop: 1\r\nContent-Length: 4000\r\n\r\n{")
         assert stops(trial, web) < SOON_S
         said = b""
@@ -70,7 +70,7 @@ def test_fifty_viewers_see_it_ten_times_a_second(trial: Trial, web: Web) -> None
     with ExitStack() as stack:
         viewers = [stack.enter_context(Viewer(web)) for _ in range(CROWD)]
         for viewer in viewers:
-            assert viewer.next()["face"]["name"] == trial.name
+            assert viewer.next()["view"]["name"] == trial.name
         first = viewers[0].next()["t"]
         for _ in range(10):
             last = viewers[0].next()["t"]
@@ -84,7 +84,7 @@ def test_too_many_viewers_are_refused_and_can_stop(trial: Trial, web: Web) -> No
             stack.enter_context(Viewer(web))
         with pytest.raises(Exception, match="503"), Viewer(web):
             pass
-        assert web.get("/api/state")["face"]["name"] == trial.name
+        assert web.get("/api/state")["view"]["name"] == trial.name
         assert stops(trial, web) < SOON_S
 
 

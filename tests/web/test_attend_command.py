@@ -50,10 +50,10 @@ def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
             wait_for("Anna", lambda: trial.robot.state.attended_by == ("Anna (terminal)",))
             trial.enable()
             trial.drive(LEASE_S * 1.5)
-            assert trial.moving()
+            assert trial.turning()
         gone = "operator gone: Anna (terminal), was not heard"
         wait_for("the stop", lambda: trial.drive(0.1) or gone in str(trial.robot.state.estop))
-        trial.board.wait_wheels(moving=False, timeout_s=10.0)
+        trial.board.wait_wheels(turning=False, timeout_s=10.0)
 
 
 def test_q_leaves_at_once(trial: Trial) -> None:

@@ -74,7 +74,7 @@ def stopped(trial: Trial, since_ns: int, reason: str) -> float:
     assert reason in str(trial.robot.state.estop)
     # It is latched before the board has its frame.
     trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= since_ns, 10)
-    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    seen = judge(trial.board.events(), since_ns, was_turning=True)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
     return seen.stop_ns / 1e9
@@ -93,7 +93,7 @@ def test_a_program_attends_and_leaves(trial: Trial) -> None:
         for _ in range(10):
             trial.robot.attend("Anna")
             time.sleep(0.05)
-        assert trial.moving()
+        assert trial.turning()
         assert trial.robot.state.attended_by == ("Anna",)
         trial.board.events()
         left_ns = time.monotonic_ns()
@@ -106,7 +106,7 @@ def test_a_program_that_stops_renewing(trial: Trial) -> None:
     with driven(trial), Robot(trial.name) as other:
         other.attend("Anna")
         enabled(trial)
-        wait_for("motion", lambda: other.attend("Anna") or trial.moving())
+        wait_for("motion", lambda: other.attend("Anna") or trial.turning())
         trial.board.events()
         last_ns = time.monotonic_ns()
         other.attend("Anna")
@@ -126,7 +126,7 @@ def test_a_client_that_is_killed_has_left(trial: Trial) -> None:
     os.read(reading, 1)
     with driven(trial):
         enabled(trial)
-        wait_for("motion", trial.moving)
+        wait_for("motion", trial.turning)
         trial.board.events()
         killed_ns = time.monotonic_ns()
         os.kill(pid, signal.SIGKILL)
@@ -142,7 +142,7 @@ def moving(trial: Trial, viewer: Viewer) -> None:
     viewer.stay(0.2)
     enabled(trial)
     viewer.stay(0.4)
-    assert trial.moving()
+    assert trial.turning()
     trial.board.events()
 
 
@@ -265,7 +265,7 @@ def test_a_page_whose_memory_is_swapped_out(trial: Trial, settings: str, tmp_pat
             if trial.robot.state.estop:
                 stopped(trial, since_ns, ", was not heard for")
             else:
-                assert trial.moving()
+                assert trial.turning()
         os.kill(web.process.pid, signal.SIGUSR1)
         status, said = web.post("/api/stop")
         assert (status, said["written"]) == (200, True)
@@ -290,7 +290,7 @@ def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
             moving(trial, bert)
             anna.stay(0.1)
         bert.stay(LEASE_S * 1.5)
-        assert trial.moving()
+        assert trial.turning()
         since_ns = time.monotonic_ns()
         bert.send(attend=False)
         stopped(trial, since_ns, "operator gone: Bert, left")
@@ -303,7 +303,7 @@ def test_of_two_operators_one_sleeps_and_the_other_leaves(trial: Trial, web: Web
         emil.attend()
         moving(trial, carla)
         carla.stay(LEASE_S + 0.2)
-        assert trial.moving()
+        assert trial.turning()
         trial.board.events()
         since_ns = time.monotonic_ns()
         carla.send(attend=False)
@@ -321,7 +321,7 @@ def test_of_two_operators_one_leaves_and_the_other_is_there(trial: Trial, web: W
             gerd.stay(0.05)
         fritz.send(attend=False)
         gerd.stay(LEASE_S)
-        assert trial.moving()
+        assert trial.turning()
         assert trial.robot.state.attended_by == ("Gerd",)
 
 

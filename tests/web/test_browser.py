@@ -92,12 +92,12 @@ def driving(trial: Trial, tab: Tab) -> None:
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
     enabled(trial)
     trial.drive(0.3)
-    assert trial.moving()
+    assert trial.turning()
     trial.board.events()
 
 
 def test_a_stranger_sees_and_stops_and_nothing_else(trial: Trial, tab: Tab) -> None:
-    assert tab.run("document.getElementById('hands').hidden")
+    assert tab.run("document.getElementById('buttons').hidden")
     assert tab.run("document.getElementById('attendance').hidden")
     assert not tab.run("document.getElementById('pair').hidden")
 
@@ -137,7 +137,7 @@ def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab
     asked_ns = time.monotonic_ns()
     lift = paired.press("#stop")
     wait_for("the latch", lambda: trial.robot.state.estop)
-    seen = judge(trial.board.events(), asked_ns, was_moving=True)
+    seen = judge(trial.board.events(), asked_ns, was_turning=True)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
     lift()
@@ -202,7 +202,7 @@ def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: 
 TOPS = """
 window.tops = new Set();
 (function look() {
-  tops.add(JSON.stringify([...document.querySelectorAll("#hands button, #attend")].map((button) =>
+  tops.add(JSON.stringify([...document.querySelectorAll("#buttons button, #attend")].map((button) =>
     [button.id || button.dataset.percent, Math.round(button.getBoundingClientRect().top + scrollY)])));
   requestAnimationFrame(look);
 })()"""
@@ -261,7 +261,7 @@ def test_a_page_that_is_hidden_gives_up_at_once(trial: Trial, browser: Browser, 
     other.call("Page.bringToFront")
     trial.drive(LEASE_S + 0.2)
     assert "operator gone: Anna" in str(trial.robot.state.estop)
-    assert not trial.moving()
+    assert not trial.turning()
     paired.call("Page.bringToFront")
 
 
@@ -272,7 +272,7 @@ def test_a_browser_that_is_suspended_stops_the_robot(trial: Trial, browser: Brow
     suspended_ns = time.monotonic_ns()
     try:
         trial.drive(LEASE_S + 0.3)
-        seen = judge(trial.board.events(), suspended_ns, was_moving=True)
+        seen = judge(trial.board.events(), suspended_ns, was_turning=True)
     finally:
         browser.signal(signal.SIGCONT)
     assert "operator gone: Anna, was not heard" in str(trial.robot.state.estop)

@@ -53,7 +53,7 @@ def ready(trial: Trial, web: Web, headers: dict[str, str], percent: int = 100) -
         trial.robot.limit_speed(1.0)
         assert web.post("/api/limit", {"percent": percent}, headers)[0] == 200
         enable(trial, viewer)
-        assert not trial.moving()
+        assert not trial.turning()
         yield viewer
     trial.robot.limit_speed(1.0)
 
@@ -89,7 +89,7 @@ def test_letting_go_is_zero_along_the_ramp(trial: Trial, web: Web, anna: dict[st
         viewer.send(drive=False)
         viewer.stay(0.3)
         events = trial.board.events()
-        seen = judge(events, since_ns, was_moving=True)
+        seen = judge(events, since_ns, was_turning=True)
         assert seen.stop_ns is not None
         assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
         assert seen.motion_after == 0
@@ -107,7 +107,7 @@ def test_who_leaves_while_another_attends_drives_no_further(trial: Trial, web: W
         since_ns = time.monotonic_ns()
         viewer.send(attend=False)
         other.stay(0.3)
-        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        seen = judge(trial.board.events(), since_ns, was_turning=True)
         assert seen.stop_ns is not None
         assert seen.stop_ns / 1e9 < 0.1
         assert seen.motion_after == 0
@@ -122,8 +122,8 @@ def test_a_command_is_good_for_a_third_of_a_second(trial: Trial, web: Web, anna:
         since_ns = time.monotonic_ns()
         if way == "hangs-up":
             viewer.hang_up()
-        wait_for("the end of the command", lambda: not trial.moving())
-        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        wait_for("the end of the command", lambda: not trial.turning())
+        seen = judge(trial.board.events(), since_ns, was_turning=True)
         assert seen.stop_ns is not None
         assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
         wait_for("the operator to be gone", lambda: trial.robot.state.estop)
@@ -160,8 +160,8 @@ def test_an_old_answer_is_as_old_as_its_nonce(trial: Trial, web: Web, anna: dict
             pass
         trial.board.events()
         viewer.answer(nonce, drive=FORWARD)
-        wait_for("the end of the command", lambda: not trial.moving())
-        seen = judge(trial.board.events(), since_ns, was_moving=True)
+        wait_for("the end of the command", lambda: not trial.turning())
+        seen = judge(trial.board.events(), since_ns, was_turning=True)
         assert seen.stop_ns is not None
         assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
 

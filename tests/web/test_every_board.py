@@ -30,23 +30,23 @@ def test_a_stop_on_the_page_stops_every_board_and_shows_its_proofs(kind: str, tm
     settings.write_text(LEASES + f'board.kind = "{kind}"\n')
     with Trial(name, ("--config", str(settings)), kind=kind) as trial, Web(name, state=trial.state) as web:
 
-        def face() -> Any:
-            return web.get("/api/state")["face"]
+        def view() -> Any:
+            return web.get("/api/state")["view"]
 
         trial.enable()
         with driven(trial):
-            wait_for("the wheels to turn", trial.moving)
+            wait_for("the wheels to turn", trial.turning)
             assert web.until("MOVING")["link"] == ("alive" if HAS_PINGS in traits.parts else "unasked")
             trial.board.events()
-            moving, asked_ns = trial.moving(), time.monotonic_ns()
+            moving, asked_ns = trial.turning(), time.monotonic_ns()
             status, said = web.post("/api/stop")
             assert (status, said["written"], moving) == (200, True, True)
             assert web.until("STOPPED")["stop"]["written"]
         seen = judge(trial.board.events(), asked_ns, moving)
         assert seen.stop_ns is not None
         assert seen.motion_after == 0
-        assert not trial.moving()
+        assert not trial.turning()
         if traits.language.acknowledged_by:
-            wait_for("the board's acknowledgement", lambda: face()["stop"]["acknowledged"])
+            wait_for("the board's acknowledgement", lambda: view()["stop"]["acknowledged"])
         if traits.language.observed_by == BY_WHEELS:
-            wait_for("the wheels' word", lambda: face()["stop"]["observed"].startswith("still after"))
+            wait_for("the wheels' word", lambda: view()["stop"]["observed"].startswith("still after"))

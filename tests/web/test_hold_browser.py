@@ -39,7 +39,7 @@ def tab(browser: Browser, web: Web) -> Iterator[Tab]:
     found = browser.tab(f"{web.url}#{web.code()}")
     found.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
     found.run("document.querySelector('#pair form').requestSubmit()")
-    found.until("!document.getElementById('hands').hidden")
+    found.until("!document.getElementById('buttons').hidden")
     yield found
     assert found.errors == []
 

@@ -95,7 +95,7 @@ def tab(trial: Trial) -> Iterator[Tab]:
         found.until("document.getElementById('last-proof').checkVisibility()")
         found.until("document.querySelector('.card') !== null", "an incident", 30)
         found.run(
-            "for (const id of ['hands', 'attendance', 'drive', 'pair']) document.getElementById(id).hidden = false"
+            "for (const id of ['buttons', 'attendance', 'drive', 'pair']) document.getElementById(id).hidden = false"
         )
         yield found
 

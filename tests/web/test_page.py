@@ -21,16 +21,16 @@ MOST_BYTES = 150_000
 def test_a_stop_on_the_page_stops_the_wheels(trial: Trial, web: Web) -> None:
     trial.enable()
     trial.drive(0.3)
-    assert web.get("/api/state")["face"]["word"] == "MOVING"
+    assert web.get("/api/state")["view"]["word"] == "MOVING"
     trial.board.events()
-    moving, asked_ns = trial.moving(), time.monotonic_ns()
+    moving, asked_ns = trial.turning(), time.monotonic_ns()
     status, said = web.post("/api/stop")
     assert (status, said["written"], moving) == (200, True, True)
     trial.drive(0.2)
     seen = judge(trial.board.events(), asked_ns, moving)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
-    assert not trial.moving()
+    assert not trial.turning()
     found = web.until("STOPPED")
     assert found["latched"]
     assert 'asked for a stop: "STOP on the page"' in found["why"]
@@ -125,12 +125,12 @@ def test_garbage_is_answered_with_nothing_of_the_inside(web: Web) -> None:
             connection.shutdown(socket.SHUT_WR)
             said = connection.makefile("rb").read()
         assert b"Traceback" not in said
-    assert web.get("/api/state")["face"]["word"] == "STOPPED"
+    assert web.get("/api/state")["view"]["word"] == "STOPPED"
 
 
 def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
     with Web("web-nobody") as alone:
-        assert alone.get("/api/state")["face"]["word"] == "NO SERVICE"
+        assert alone.get("/api/state")["view"]["word"] == "NO SERVICE"
         status, said = alone.post("/api/stop")
         assert status == 503
         assert "no service" in said["error"]
@@ -153,9 +153,9 @@ def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> 
         trial.drive(0.3)
         os.kill(other.process.pid, signal.SIGSTOP)
         trial.drive(0.3)
-        assert trial.moving()
+        assert trial.turning()
         os.kill(other.process.pid, signal.SIGKILL)
         trial.drive(0.3)
-        assert trial.moving()
+        assert trial.turning()
         assert trial.robot.state.estop is None
     trial.robot.disable()

@@ -46,7 +46,7 @@ def test_a_paired_device_enables_disables_and_is_told_of_a_refusal(
 def test_a_paired_device_limits_the_speed(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     assert web.post("/api/limit", {"percent": 25}, anna) == (200, {"said": "speed limited to 25 % of the settings'"})
     assert trial.robot.state.speed_limit == 0.25
-    assert web.get("/api/state")["face"]["limit"] == 25
+    assert web.get("/api/state")["view"]["limit"] == 25
     for wrong in ({}, {"percent": "100"}, {"percent": 3}, {"percent": 200}):
         assert web.post("/api/limit", wrong, anna)[0] == 409
     assert trial.robot.state.speed_limit == 0.25

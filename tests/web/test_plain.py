@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from bench.web.parts import Web
-from failstop.web import plain, whereabouts
+from failstop.web import addresses, plain
 
 pytestmark = pytest.mark.page
 KNOWN = frozenset(("rover", "rover.local"))
@@ -84,9 +84,9 @@ def test_the_way_is_by_an_own_name(request_: bytes, status: bytes, where: bytes)
 def test_the_printed_address_can_be_typed(secure: Web, tmp_path: Path) -> None:
     """The first line is one of this machine's addresses, and the page answers there."""
     found = urlsplit(secure.url)
-    assert found.hostname in (*whereabouts.own_addresses(), f"{socket.gethostname().partition('.')[0]}.local")
-    assert found.hostname not in whereabouts.EVERYWHERE
-    if found.hostname in whereabouts.own_addresses():
+    assert found.hostname in (*addresses.own_addresses(), f"{socket.gethostname().partition('.')[0]}.local")
+    assert found.hostname not in addresses.EVERYWHERE
+    if found.hostname in addresses.own_addresses():
         context = ssl._create_unverified_context()
         connection = http.client.HTTPSConnection(found.hostname, secure.port, timeout=10, context=context)
         connection.request("GET", "/")

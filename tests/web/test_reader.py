@@ -126,7 +126,7 @@ def test_a_pairing_without_a_pointer(web: Web, tab: Tab) -> None:
     type_in(tab, "Code of", web.code())
     type_in(tab, "Name of this device", "Anna")
     press(tab, "Pair")
-    tab.until("!document.getElementById('hands').hidden")
+    tab.until("!document.getElementById('buttons').hidden")
 
 
 def test_an_operator_attends_limits_enables_and_disables_without_a_pointer(trial: Trial, tab: Tab) -> None:
@@ -252,4 +252,4 @@ def test_an_incident_and_the_end_of_the_pairing_without_a_pointer(tab: Tab) -> N
     tab.until("document.querySelector('.card').open")
     go_to(tab, "Events")
     press(tab, "Forget this device")
-    tab.until("document.getElementById('hands').hidden")
+    tab.until("document.getElementById('buttons').hidden")

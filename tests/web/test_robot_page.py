@@ -52,7 +52,7 @@ class Clicks:
     def shown(self) -> dict[str, Any]:
         """The values that the page draws, and with them that it draws them."""
         shown: dict[str, Any] = self.tab.run("globalThis.shown")
-        assert self.tab.text("#word") == shown["face"]["word"]
+        assert self.tab.text("#word") == shown["view"]["word"]
         assert self.tab.run("[...document.querySelectorAll('#said dd')].map((each) => each.textContent)") == [
             text for _, text in shown["why"]
         ]

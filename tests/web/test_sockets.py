@@ -16,12 +16,12 @@ from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
-from failstop.web import door, hold, page
+from failstop.web import connections, hold, page
 from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
 
-IDLE = door.MOST + 5
+IDLE = connections.MOST + 5
 STOPS = "/api/stop/live"
 DEEP = "[" * 4000
 TOO_LARGE = "1" + "0" * 3000
@@ -63,7 +63,7 @@ def test_a_stop_is_answered_by_the_way_that_it_came(trial: Trial, web: Web) -> N
     with Viewer(web, path=STOPS) as stopping:
         stopping.send(stop="a")
         found = stopping.next()
-        assert (found["id"], found["written"], found["face"]["latched"]) == ("a", True, True)
+        assert (found["id"], found["written"], found["view"]["latched"]) == ("a", True, True)
         assert trial.robot.state.epoch == before + 1
         stopping.send(stop="a")
         assert stopping.next()["written"], "the same stop, asked for again"
@@ -248,7 +248,7 @@ def test_stops_do_not_wait_for_each_other(trial: Trial, web: Web) -> None:
         asked = [each["asked"] for each in found]
         assert max(asked) < min(asked) + WRITTEN_S
         assert [each["written"] for each in found] == [False] * 6
-        assert found[-1]["face"]["latched"]
+        assert found[-1]["view"]["latched"]
         trial.board.replug()
 
 

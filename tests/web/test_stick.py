@@ -100,8 +100,8 @@ def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
     trial.board.events()
     since_ns = time.monotonic_ns()
     lift()
-    wait_for("rest", lambda: not trial.moving())
-    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    wait_for("rest", lambda: not trial.turning())
+    seen = judge(trial.board.events(), since_ns, was_turning=True)
     assert seen.stop_ns is not None
     assert seen.stop_ns / 1e9 < COMMAND_S
     assert trial.robot.state.enabled
@@ -114,9 +114,9 @@ def test_arrow_keys_drive_while_they_are_held_and_space_stops(trial: Trial, tab:
 
     lift = moved(trial, tab, lambda: key("ArrowDown", 40), lambda: trial.robot.state.body_vel.vx_mps < -0.05)
     lift()
-    wait_for("rest", lambda: not trial.moving())
+    wait_for("rest", lambda: not trial.turning())
     assert trial.robot.state.enabled
-    lift = moved(trial, tab, lambda: key("ArrowUp", 38), trial.moving)
+    lift = moved(trial, tab, lambda: key("ArrowUp", 38), trial.turning)
     tab.key(" ", "Space", 32)
     wait_for("the stop", lambda: trial.robot.state.estop)
     lift()
@@ -125,12 +125,12 @@ def test_arrow_keys_drive_while_they_are_held_and_space_stops(trial: Trial, tab:
 
 def test_a_page_that_is_held_up_drives_no_further(trial: Trial, tab: Tab) -> None:
     """The finger is lifted while the page hangs: what comes after it is no command."""
-    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
+    lift = moved(trial, tab, lambda: thumb(tab), trial.turning)
     trial.board.events()
     since_ns = time.monotonic_ns()
     tab.run("(() => { const until = performance.now() + 800; while (performance.now() < until); })()")
     tab.until("document.getElementById('drive-why').textContent.includes('again')")
-    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    seen = judge(trial.board.events(), since_ns, was_turning=True)
     assert seen.stop_ns is not None
     assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
     assert seen.motion_after == 0
@@ -138,7 +138,7 @@ def test_a_page_that_is_held_up_drives_no_further(trial: Trial, tab: Tab) -> Non
 
 
 def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
-    lift = moved(trial, tab, lambda: thumb(tab), trial.moving)
+    lift = moved(trial, tab, lambda: thumb(tab), trial.turning)
     trial.board.events()
     since_ns = time.monotonic_ns()
     tab.run(
@@ -148,6 +148,6 @@ def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
     wait_for("the stop", lambda: trial.robot.state.estop)
     assert "operator gone: Dora" in str(trial.robot.state.estop)
     trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= since_ns, 5)
-    assert judge(trial.board.events(), since_ns, was_moving=True).motion_after == 0
+    assert judge(trial.board.events(), since_ns, was_turning=True).motion_after == 0
     assert not tab.run(HELD)
     lift()

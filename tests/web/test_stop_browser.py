@@ -13,7 +13,7 @@ from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.front import Front
 from bench.web.parts import Web
 from failstop.lab.trial import Trial, wait_for
-from failstop.web.kept import Kept
+from failstop.web.storage import Storage
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -62,7 +62,7 @@ def driving(trial: Trial) -> int:
     """The wheels turn; returns the epoch."""
     trial.enable()
     trial.drive(0.2)
-    assert trial.moving()
+    assert trial.turning()
     return trial.robot.state.epoch
 
 
@@ -139,25 +139,25 @@ def test_opened_cards_take_one_connection_and_give_it_up_for_a_stop(trial: Trial
     wait_for("the connection to be given up", lambda: not front.held)
 
 
-STOPPED = "dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, face: FACE}}))"
-LATCHED = "{...face, latched: true, epoch: face.epoch + 1}"
+STOPPED = "dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, view: FACE}}))"
+LATCHED = "{...view, latched: true, epoch: view.epoch + 1}"
 
 
 def test_a_state_from_before_a_stop_that_comes_after_the_word_of_it_ends_nothing(trial: Trial, tab: Tab) -> None:
-    tab.run("addEventListener('face', ({detail}) => { window.face = detail; })")
+    tab.run("addEventListener('view', ({detail}) => { window.view = detail; })")
     tab.run("window.over = 0; addEventListener('unstopped', () => { over++; })")
     trial.robot.estop("one that is shown")
     wait_for("the latch", lambda: trial.robot.state.estop)
     driving(trial)
-    tab.until("window.face && face.enabled && face.stop")
+    tab.until("window.view && view.enabled && view.stop")
     tab.run("dispatchEvent(new Event('stopping'))")
-    for percent, found in ((90, "face"), (80, LATCHED)):
+    for percent, found in ((90, "view"), (80, LATCHED)):
         tab.run(STOPPED.replace("FACE", found))
         trial.robot.limit_speed(percent / 100)
-        tab.until(f"face.limit === {percent} && !face.latched")
+        tab.until(f"view.limit === {percent} && !view.latched")
         assert tab.run("over") == 0
     trial.robot.estop("somebody's")
-    tab.until("face.latched")
+    tab.until("view.latched")
     trial.robot.reset()
     tab.until("over === 1")
     trial.robot.limit_speed(1.0)
@@ -221,7 +221,7 @@ def test_while_the_board_is_away_the_page_says_what_is_known(browser: Browser) -
 @pytest.fixture
 def proxy(tmp_path: Path) -> Iterator[Front]:
     """A proxy that ends TLS."""
-    with Front(tls=Kept(str(tmp_path / "proxy")).tls(["localhost"])) as running:
+    with Front(tls=Storage(str(tmp_path / "proxy")).tls(["localhost"])) as running:
         yield running
 
 
@@ -246,7 +246,7 @@ def test_behind_a_proxy_that_ends_tls_a_setting_makes_it_work(
         tab.until(SEEN)
         tab.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
         tab.run("document.querySelector('#pair form').requestSubmit()")
-        tab.until("!document.getElementById('hands').hidden")
+        tab.until("!document.getElementById('buttons').hidden")
         stops_soon(trial, tab, driving(trial))
         tab.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
         assert tab.run("document.cookie") == ""

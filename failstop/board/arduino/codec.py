@@ -13,11 +13,8 @@ from __future__ import annotations
 
 import re
 
-from failstop.board.wire import Answer, Reader, Sample, Wheels, beyond, two_speeds
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from failstop.board.lines import LineReader, MotionLine
+from failstop.board.wire import Answer, Sample, Wheels
 
 STOP = b"\rm 0 0\r"
 BAUD_RATE = b"b\r"
@@ -36,48 +33,20 @@ LONGEST_ANSWER = 32
 """Bytes: two counts of 11 characters, and more."""
 
 
-def motion(both: Sequence[float], limit: float) -> bytes:
-    """The line for left and right, each within plus or minus `limit`, rounded towards zero. Raises FrameError."""
-    left, right = two_speeds(both, limit, LIMIT, "ticks")
-    return _line(int(left), int(right))
+def _written(left: float, right: float) -> bytes:
+    return f"m {int(left):+d} {int(right):+d}\r".encode()
 
 
-def _line(left: int, right: int) -> bytes:
-    return f"m {left:+d} {right:+d}\r".encode()
+MOTION = MotionLine(_LINE, _written, LIMIT, "ticks")
+REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
-REST = motion((0.0, 0.0), 0.0)
+def answers() -> LineReader:
+    """The reader of answers: the board says nothing else. They come in the order of the lines, and carry no name."""
+    return LineReader(_samples, LONGEST_ANSWER)
 
 
-def speeds(frame: bytes) -> tuple[int, int] | None:
-    """Left and right of a motion line; None for other bytes."""
-    found = _LINE.fullmatch(frame)
-    return (int(found[1]), int(found[2])) if found else None
-
-
-def check_motion(frame: bytes, limit: float) -> str:
-    """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
-    found = speeds(frame)
-    if found is None:
-        return "not a motion line"
-    if _line(*found) != frame:
-        return "not as this module writes it"
-    return beyond(found, limit, LIMIT)
-
-
-class Answers(Reader):
-    """The board says nothing but answers. They come in the order of the lines, and carry no name."""
-
-    def __init__(self) -> None:
-        self._kept = b""
-
-    def feed(self, chunk: bytes) -> list[Sample]:
-        """The answers that these bytes complete; a line that is too long is dropped."""
-        *lines, rest = (self._kept + chunk).split(b"\n")
-        self._kept = rest[-LONGEST_ANSWER:]
-        return [_sample(line[-LONGEST_ANSWER:].decode("ascii", "replace").strip()) for line in lines]
-
-
-def _sample(line: str) -> Sample:
-    found = _COUNTS.fullmatch(line)
-    return Wheels((), (float(found[1]), float(found[2]))) if found else Answer(line)
+def _samples(line: bytes) -> list[Sample]:
+    text = line[-LONGEST_ANSWER:].decode("ascii", "replace").strip()
+    found = _COUNTS.fullmatch(text)
+    return [Wheels((), (float(found[1]), float(found[2]))) if found else Answer(text)]

@@ -12,11 +12,8 @@ import re
 from math import isfinite, pi
 
 from failstop.board.framing import integer
-from failstop.board.wire import Answer, Battery, Imu, Reader, Sample, Wheels, beyond, two_speeds
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from failstop.board.lines import LineReader, MotionLine
+from failstop.board.wire import Answer, Battery, Imu, Sample, Wheels
 
 STOP = b'\n{"T":1,"L":0,"R":0}\n'
 SPEED_RATE = b'{"T":139}\n'
@@ -41,39 +38,14 @@ _GYRO = pi / 180 / 16.4
 """rad/s a unit: the IMU's range is 2000 degrees a second."""
 
 
-def motion(both: Sequence[float], limit: float) -> bytes:
-    """The line for left and right, each within plus or minus `limit`, rounded towards zero. Raises FrameError."""
-    left, right = two_speeds(both, limit, LIMIT, "m/s")
-    return _line(_thousandths(left), _thousandths(right))
+def _written(left: float, right: float) -> bytes:
+    # 0.29 is 289.99999999999994 thousandths by floats; adding 0.0 makes minus zero zero.
+    left, right = (int(round(speed / STEP, 6)) / 1000 + 0.0 for speed in (left, right))
+    return f'{{"T":1,"L":{left:.3f},"R":{right:.3f}}}\n'.encode()
 
 
-def _thousandths(speed: float) -> int:
-    # 0.29 is 289.99999999999994 thousandths by floats.
-    return int(round(speed / STEP, 6))
-
-
-def _line(left: int, right: int) -> bytes:
-    # Adding 0.0 makes minus zero zero.
-    return f'{{"T":1,"L":{left / 1000 + 0.0:.3f},"R":{right / 1000 + 0.0:.3f}}}\n'.encode()
-
-
-REST = motion((0.0, 0.0), 0.0)
-
-
-def speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right of a motion line; None for other bytes."""
-    found = _LINE.fullmatch(frame)
-    return (float(found[1]), float(found[2])) if found else None
-
-
-def check_motion(frame: bytes, limit: float) -> str:
-    """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
-    found = speeds(frame)
-    if found is None:
-        return "not a motion line"
-    if _line(*map(_thousandths, found)) != frame:
-        return "not as this module writes it"
-    return beyond(found, limit, LIMIT)
+MOTION = MotionLine(_LINE, _written, LIMIT, "m/s")
+REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def watchdog(after_ns: int) -> bytes:
@@ -83,17 +55,10 @@ def watchdog(after_ns: int) -> bytes:
     return f'\n{{"T":136,"cmd":{after_ms}}}\n'.encode()
 
 
-class Reports(Reader):
-    """A line each; what is no JSON object is dropped: the board prints text while it starts."""
-
-    def __init__(self) -> None:
-        self._kept = b""
-
-    def feed(self, chunk: bytes) -> list[Sample]:
-        """The samples of the lines that these bytes complete."""
-        *lines, rest = (self._kept + chunk).split(b"\n")
-        self._kept = rest[-LONGEST_LINE:]
-        return [sample for line in lines for sample in _samples(line)]
+def reports() -> LineReader:
+    """The reader of lines, of which each is a report; what is no JSON object is dropped: the board prints text while it
+    starts."""
+    return LineReader(_samples, LONGEST_LINE)
 
 
 def _samples(line: bytes) -> list[Sample]:

@@ -61,7 +61,7 @@ class Show:
         self.robot.board.on_bytes = self._sent
         self.robot.join("page")
         load = self.robot.loader.load
-        self._face, self._why = load("failstop.web.face"), load("failstop.api.why")
+        self._view, self._why = load("failstop.web.view"), load("failstop.api.why")
         self._follower_of = load("failstop.api.follow").Follower
         self._refused = load("failstop.api.errors").FailstopError
         self._follower: Any = None
@@ -241,14 +241,14 @@ class Show:
         """Values that the page draws: words of the operator's page and of `failstop why`, the wire and the wheels."""
         state, now_s = self._read(), self.robot.time.time()
         events = self._follower.events if self._follower else []
-        face = self._face.absent(self._note) if state is None else self._face.face(state, events, now_s)
+        view = self._view.absent(self._note) if state is None else self._view.view(state, events, now_s)
         rows = self._why.explain(state, events, now_s).rows() if state else [("what", self._note)]
         cause = state.cause if state else None
         self.robot.board.catch_up()
         self.on.update((name, True) for name, process in self._suspended.items() if process.dead)
         return {
             "time": self._time(),
-            "face": {key: face[key] for key in ("word", "role", "enabled", "can", "processes")},
+            "view": {key: view[key] for key in ("word", "role", "enabled", "can", "processes")},
             "why": [[label, text.replace("`", "")] for label, text in rows],
             "cause": cause and {"name": cause.kind.name, "arguments": list(cause.arguments), "text": str(cause)},
             "events": [[event.t - UNIX_S, event.level, event.text] for event in events[-EVENT_LINES:]],

@@ -62,7 +62,7 @@ class Row:
     def fault(self) -> str:
         """The fault; empty when the stop was in time and final."""
         found = self.stopped
-        if not found.was_moving:
+        if not found.was_turning:
             return "the wheels were not turning"
         if found.stop_ns is None or found.still_ns is None:
             return "NO STOP"
@@ -147,7 +147,7 @@ def _kill(trial: Trial, process: str) -> Row:
     for _ in range(STRIKES):
         _step(f"kill -9 {process}")
         row = _killed(trial, process)
-        if row.stopped.was_moving:
+        if row.stopped.was_turning:
             break
         _done(f"stopped before that ({_why(trial)}): is the machine busy?")
     if fault := row.fault():

@@ -98,11 +98,11 @@ class _Injection:
         try:
             self.injector.prepare(scene)
             self.pids = scene.look_up_pids()
-            scene.driver.until("the wheels to turn", scene.trial.moving)
+            scene.driver.until("the wheels to turn", scene.trial.turning)
             scene.driver.run(scene.chance.uniform(*BEFORE_S))
             self._see()
-            scene.was_moving = scene.trial.moving()
-            if not scene.was_moving:
+            scene.was_turning = scene.trial.turning()
+            if not scene.was_turning:
                 raise TrialError("the wheels were not turning before the fault")
             self.outcome.struck = True
             fault_ns = self.injector.strike(scene)
@@ -126,7 +126,7 @@ class _Injection:
             return
         self._see()
         events = self.outcome.events
-        self.outcome.stopped, wrong = verdict(self.fault, events, fault_ns, self.scene.was_moving)
+        self.outcome.stopped, wrong = verdict(self.fault, events, fault_ns, self.scene.was_turning)
         self.outcome.wrong += wrong
 
     def _check(self, what: str, check: Callable[[], bool]) -> None:
@@ -145,7 +145,7 @@ class _Injection:
             self._check(
                 f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device.link == fault.link
             )
-        if fault.bar_ms is None and not scene.trial.moving():
+        if fault.bar_ms is None and not scene.trial.turning():
             self.outcome.wrong.append("the wheels stand, and nothing was to stop them")
 
     def _recover(self) -> None:
@@ -164,10 +164,10 @@ class _Injection:
         if fault.cleared == BY_RESET:
             self._check("the reset", self._reset)
         if fault.cleared == BY_ITSELF:
-            self._check("the wheels to turn again by themselves", scene.trial.moving)
+            self._check("the wheels to turn again by themselves", scene.trial.turning)
         else:
             scene.driver.run(AFTER_RESET_S)
-            self._check("the wheels to stand", lambda: not scene.trial.moving())
+            self._check("the wheels to stand", lambda: not scene.trial.turning())
             self._check("blocked: disabled", lambda: scene.driver.robot.state.blocked == "disabled")
 
     def _end_run(self) -> None:

@@ -52,7 +52,7 @@ class AskedMeanwhile(Injector):
     def strike(self, scene: Scene) -> int:
         self.trouble(scene)
         self.last(scene)
-        scene.was_moving = scene.trial.moving()
+        scene.was_turning = scene.trial.turning()
         scene.board.events()
         now_ns = time.monotonic_ns()
         scene.ask(ASKED_MEANWHILE)

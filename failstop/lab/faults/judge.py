@@ -7,12 +7,12 @@ from failstop.lab.sim.client import Event
 from failstop.lab.trial import Stopped, judge
 
 
-def verdict(fault: Fault, events: list[Event], fault_ns: int, was_moving: bool) -> tuple[Stopped, list[str]]:
+def verdict(fault: Fault, events: list[Event], fault_ns: int, was_turning: bool) -> tuple[Stopped, list[str]]:
     """The verdict: the stop, and everything that must not have happened. `events` reach from before the fault up to the
     next enable (for a fault that clears by itself: up to its end), the clients commanding all the while."""
-    stopped = judge(events, fault_ns, was_moving)
+    stopped = judge(events, fault_ns, was_turning)
     wrong = []
-    if not was_moving:
+    if not was_turning:
         wrong.append("the wheels were not turning before the fault")
     if fault.limit_ms is None:
         if stopped.stop_ns is not None:

@@ -44,7 +44,7 @@ class Scene:
         SettingError."""
         self.name, self.traits = name, traits_of(kind)
         self.chance = random.Random(0)
-        self.was_moving = False
+        self.was_turning = False
         """The board's word just before the fault."""
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
         self._config = os.path.join(self._folder.name, "chaos.toml")

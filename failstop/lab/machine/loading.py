@@ -37,7 +37,7 @@ SHARED_MODULES = frozenset(
         *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "layouts")),
         *(f"policy.{each}" for each in ("processes", "proofs", "robots")),
         *("policy.setting", "policy.settings"),
-        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "servos", "wire")),
+        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "lines", "servos", "wire")),
     )
 )
 """Modules that ask no machine and import none that does: each machine has this process's own, which are loaded once."""

@@ -54,7 +54,7 @@ TEXTS = {
     ),
     "restarting": (
         "@FAILSTOP_PROCESS@ is restarted",
-        "In @FAILSTOP_WAIT_S@ s. A restarted process never enables motion again: that is for people.\n"
+        "It starts in @FAILSTOP_WAIT_S@ s. A restarted process never enables motion again: that is for people.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),
     "down": (
@@ -152,7 +152,8 @@ TEXTS = {
     ),
     "device_lost": (
         "The board's port is gone: @FAILSTOP_PATH@",
-        "Unplugged, without power, or reset. Nothing can stop wheels that turn now but the board and its power.\n"
+        "It was unplugged, lost its power, or was reset. Nothing can stop wheels that turn now but the board and its\n"
+        "power.\n"
         "The stop is written the moment the port is back.\n"
         "Next: use the POWER SWITCH if the wheels turn; look at the cable; journalctl -k shows what the kernel saw",
     ),
@@ -187,7 +188,7 @@ TEXTS = {
     ),
     "charger": (
         "The charger is @FAILSTOP_STATE@",
-        "Judged from a step of the battery's voltage, to @FAILSTOP_BATTERY_MV@ mV.\n"
+        "A step of the battery's voltage, to @FAILSTOP_BATTERY_MV@ mV, says so.\n"
         "Next: failstop config shows battery.step_mv, in case that it is wrong",
     ),
     "scan": (
@@ -198,7 +199,7 @@ TEXTS = {
     ),
     "gyro": (
         "The gyro's calibration",
-        "Its bias at the start, or that the robot did not stand still for it.\n"
+        "The bias that was found at the start; or that the robot did not stand still for it.\n"
         "Next: after `not stationary`, leave the robot standing and restart the service",
     ),
     "disk": (
@@ -219,7 +220,7 @@ TEXTS = {
     ),
     "note": (
         "A remark",
-        "What no other kind is for; the entry's own text says all of it.",
+        "News of no other kind; the entry's own text says all of it.",
     ),
     "incident": (
         "The record of a stop",

@@ -210,17 +210,17 @@ class SimBoard:
         seen = "".join(f"\n  {event}" for event in last)
         raise TimeoutError(f"no such event within {timeout_s:g} s; {index - begin} others from {begin} on{seen}")
 
-    def wait_wheels(self, moving: bool, timeout_s: float) -> Speeds:
+    def wait_wheels(self, turning: bool, timeout_s: float) -> Speeds:
         """Wait until any wheel turns, or until all stand; return the speeds (rps). Raises TimeoutError."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             answer = self._ask("wheels")
             speeds = tuple(answer["speeds_rps"])
-            if any(speeds) == moving:
+            if any(speeds) == turning:
                 return speeds
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
-                raise TimeoutError(f"wheels at {speeds} rps for {timeout_s:g} s, {'none' if moving else 'one'} turns")
+                raise TimeoutError(f"wheels at {speeds} rps for {timeout_s:g} s, {'none' if turning else 'one'} turns")
             self._ask("events", wait_s=left_s, since=answer["executed"], timeout_s=left_s)
 
     def _from(self, index: int, timeout_s: float) -> list[Event]:

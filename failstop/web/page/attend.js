@@ -42,7 +42,7 @@ addEventListener("link-lost", () => { if (attends) leave("The link was lost: att
 addEventListener("paired", () => { known = false; reconnect(); });
 addEventListener("link-open", () => { known = true; show(); });
 addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired) leave(""); show(); });
-addEventListener("face", ({detail}) => {
+addEventListener("view", ({detail}) => {
   needed = detail.attended !== null;
   if (attends || !needed) show();
   else show(detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends.");

@@ -66,7 +66,7 @@ stick.addEventListener("keyup", (event) => press(event, false));
 for (const end of ["visibilitychange", "pagehide", "link-lost", "stopping"]) addEventListener(end, () => release());
 addEventListener("lease", ({detail}) => { if (detail.drive) release(`Not now: ${detail.drive}.`); });
 function show() { $("drive").hidden = !(may && needed); }
-addEventListener("face", ({detail}) => {
+addEventListener("view", ({detail}) => {
   needed = detail.attended !== null;
   if (!detail.enabled) release();
   show();

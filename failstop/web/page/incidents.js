@@ -77,7 +77,7 @@ async function look() {
   if (!incidents.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
 }
 
-addEventListener("face", ({detail}) => {
+addEventListener("view", ({detail}) => {
   const newest = detail.events.findLast(({kind}) => kind === "incident");
   if (newest && newest.seq !== last) { last = newest.seq; look(); setTimeout(look, LATER_MS); }
 });

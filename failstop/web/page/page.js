@@ -1,7 +1,7 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
 import {Chart, later, seldom} from "/chart.js";
 import {connect} from "/link.js";
-import "/hands.js";
+import "/buttons.js";
 import "/device.js";
 import "/attend.js";
 import "/drive.js";
@@ -14,7 +14,7 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawSeldom = seldom(drawLive);
 const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
-let face = null, live = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
+let view = null, live = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -38,16 +38,16 @@ function speak(word, why) {
 }
 
 function show() {
-  text("robot", `${face.name || "failstop"} on ${location.hostname}`);
-  text("word", face.word);
-  $("word").classList.toggle("long", face.word.length > 9);
-  $("head").dataset.role = face.role;
-  text("why", face.why);
-  text("next", paired ? face.next : face.next_unpaired);
-  speak(face.word, face.why);
-  document.title = `${face.word} - failstop`;
+  text("robot", `${view.name || "failstop"} on ${location.hostname}`);
+  text("word", view.word);
+  $("word").classList.toggle("long", view.word.length > 9);
+  $("head").dataset.role = view.role;
+  text("why", view.why);
+  text("next", paired ? view.next : view.next_unpaired);
+  speak(view.word, view.why);
+  document.title = `${view.word} - failstop`;
   showStop();
-  dispatchEvent(new CustomEvent("face", {detail: face}));
+  dispatchEvent(new CustomEvent("view", {detail: view}));
   // A finger on STOP waits for what is being drawn: what is read, not watched, is drawn when there is nothing else to do.
   if (!drawn.facts) showRest(); // the first time at once: nothing is to move under a finger later
   else if (!waits) { waits = true; later(showRest, {timeout: REST_MS}); }
@@ -67,7 +67,7 @@ function list(id, content, make) {
 }
 
 function showStop() {
-  const stop = face.stop;
+  const stop = view.stop;
   text("last-reason", stop ? `${stop.reason} (${clock(stop.t)})` : "none since the service was started");
   $("last-proof").hidden = !stop;
   if (!stop) return;
@@ -80,34 +80,34 @@ function showStop() {
     item.replaceChildren(level, node("b", said || (level === "observed" && stop.unseen) || "not known"));
   }
   if (own === null) return;
-  if (face.latched) own.epoch = face.epoch;
+  if (view.latched) own.epoch = view.epoch;
   else {
     // It is over when a reset is seen; a state from before the stop, which may come after the word of it, is none.
-    if (face.epoch >= own.epoch) { own = null; dispatchEvent(new Event("unstopped")); }
+    if (view.epoch >= own.epoch) { own = null; dispatchEvent(new Event("unstopped")); }
     return;
   }
   const first = stop.t >= own.asked - 0.5;
-  const levels = first ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
-  const said = levels.map((level) => `\u2713\u00a0${level}`).join("  ");
+  const proofs = first ? ["written", "acknowledged", "observed"].filter((proof) => stop[proof]) : ["written"];
+  const said = proofs.map((proof) => `\u2713\u00a0${proof}`).join("  ");
   text("stop-said", first ? said || "written" : `${said}; it was stopped already`);
-  $("stop").dataset.phase = levels.at(-1) || "written";
+  $("stop").dataset.phase = proofs.at(-1) || "written";
 }
 
 function showFacts() {
-  const charger = face.plugged === "unknown" ? "" : `, charger ${face.plugged}`;
+  const charger = view.plugged === "unknown" ? "" : `, charger ${view.plugged}`;
   const rows = [
-    ["Drives", face.driver || "nobody"],
-    ...(face.limit < 100 ? [["Limit", `${face.limit} % of the settings' speeds`]] : []),
-    ["Stands", face.stands],
-    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
-    ["Port", face.port],
-    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[face.link] || face.link],
-    ...(face.imu ? [] : [["IMU", "none"]]),
-    ["Clients", face.clients.join(", ") || "none"],
+    ["Drives", view.driver || "nobody"],
+    ...(view.limit < 100 ? [["Limit", `${view.limit} % of the settings' speeds`]] : []),
+    ["Stands", view.stands],
+    ["Battery", view.battery_v ? `${view.battery_v.toFixed(2)} V${charger}` : "not known"],
+    ["Port", view.port],
+    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[view.link] || view.link],
+    ...(view.imu ? [] : [["IMU", "none"]]),
+    ["Clients", view.clients.join(", ") || "none"],
   ];
   list("facts", rows, ([name, value]) => [node("dt", name), node("dd", value)]);
-  list("troubles", face.troubles, (trouble) => node("li", trouble));
-  list("processes", face.processes, ({name, state, restarts}) => {
+  list("troubles", view.troubles, (trouble) => node("li", trouble));
+  list("processes", view.processes, ({name, state, restarts}) => {
     const shown = node("li", `${name} ${state}${restarts ? `, started anew ${restarts} times` : ""}`);
     shown.classList.toggle("wrong", state !== "running");
     return shown;
@@ -116,16 +116,16 @@ function showFacts() {
 
 function showEvents() {
   const newest = drawn.events || [], rows = $("events");
-  const known = face.events.findIndex(({seq, t}) => seq === newest[0] && t === newest[1]);
+  const known = view.events.findIndex(({seq, t}) => seq === newest[0] && t === newest[1]);
   if (known < 0) rows.replaceChildren();
-  rows.prepend(...face.events.slice(known + 1).reverse().map(({t, level, text: said}) => {
+  rows.prepend(...view.events.slice(known + 1).reverse().map(({t, level, text: said}) => {
     const row = document.createElement("li");
     row.dataset.level = level;
     row.append(node("time", clock(t)), node("span", said));
     return row;
   }));
-  while (rows.childElementCount > face.events.length) rows.lastChild.remove();
-  const last = face.events.at(-1);
+  while (rows.childElementCount > view.events.length) rows.lastChild.remove();
+  const last = view.events.at(-1);
   drawn.events = last && [last.seq, last.t];
 }
 
@@ -143,7 +143,7 @@ function showLive(values) {
 function drawLive() {
   const speed = live && Math.hypot(live[0], live[1]), shake = live && live[3];
   Object.values(charts).forEach((chart) => chart.draw());
-  const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = face && !face.imu ? "no IMU" : "IMU silent";
+  const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = view && !view.imu ? "no IMU" : "IMU silent";
   text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s${steered}` : "not known");
   text("shake", shake === null || shake === undefined ? silent : `${shake.toFixed(1)} mrad/s`);
 }
@@ -154,7 +154,7 @@ function lost() {
   $("word").classList.add("long");
   text("word", "NO CONTACT");
   speak("NO CONTACT", "The robot is not heard.");
-  text("why", `The robot is not heard.${face ? ` Last known: ${face.word}.` : ""}`);
+  text("why", `The robot is not heard.${view ? ` Last known: ${view.word}.` : ""}`);
   text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
   text("since", "");
   showLive(null);
@@ -166,20 +166,20 @@ function news(message) {
   behind = message.t - Date.now() / 1000;
   if ("nonce" in message || "attend" in message || "drive" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
   if ("live" in message) showLive(message.live);
-  if (message.face) face = message.face;
-  if (face && (message.face || $("head").dataset.role === "lost")) show();
-  if (face) text("since", face.since ? `Since ${clock(face.since)}, ${ago(face.since)}` : "");
+  if (message.view) view = message.view;
+  if (view && (message.view || $("head").dataset.role === "lost")) show();
+  if (view) text("since", view.since ? `Since ${clock(view.since)}, ${ago(view.since)}` : "");
 }
 
-addEventListener("stopping", () => { before = face ? face.epoch : 0; });
+addEventListener("stopping", () => { before = view ? view.epoch : 0; });
 addEventListener("stopped", (event) => {
   speak("STOP is written", "");
   own = {asked: event.detail.asked, epoch: before + 1};
-  if (event.detail.face && !(face && event.detail.face.epoch < face.epoch)) { face = event.detail.face; heard = performance.now(); show(); }
+  if (event.detail.view && !(view && event.detail.view.epoch < view.epoch)) { view = event.detail.view; heard = performance.now(); show(); }
 });
 addEventListener("device", ({detail}) => {
   paired = !!detail.device;
-  if (face && $("head").dataset.role !== "lost") show();
+  if (view && $("head").dataset.role !== "lost") show();
 });
 setInterval(lost, 200);
 connect(news);

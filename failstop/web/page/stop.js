@@ -16,7 +16,7 @@
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
-  let touched = -CLICK_MS, socket = null, spare = null, given = null, face = null, now = null, wait = EVERY_MS, refused = "", rests = false;
+  let touched = -CLICK_MS, socket = null, spare = null, given = null, view = null, now = null, wait = EVERY_MS, refused = "", rests = false;
 
   function say(text, phase) {
     rests = false;
@@ -91,7 +91,7 @@
     if (!stop || !String(found.id).startsWith(stop.id)) return;
     stop.asked ||= found.asked || 0;
     stop.wrong = found.error || "";
-    stop.latched = !!found.face && found.face.latched;
+    stop.latched = !!found.view && found.view.latched;
     if (found.written) done(stop, {...found, asked: stop.asked});
   }
 
@@ -105,7 +105,7 @@
 
   async function stop() {
     const id = Math.random().toString(36).slice(2);
-    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: face && face.stop && face.stop.t};
+    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.t};
     const sent = send(id);
     dispatchEvent(new Event("stopping")); // what can wait gives up its connection
     // What the browser does for a picture or a request would hold up the bytes of the websocket.
@@ -136,10 +136,10 @@
   }
 
   // What is shown of the robot may tell that a stop is written before any answer does.
-  addEventListener("face", ({detail}) => {
-    face = detail;
-    const newer = now && face.latched && face.stop && face.stop.written && face.stop.t !== now.before;
-    if (newer) done(now, {asked: now.asked || face.stop.t, written: true});
+  addEventListener("view", ({detail}) => {
+    view = detail;
+    const newer = now && view.latched && view.stop && view.stop.written && view.stop.t !== now.before;
+    if (newer) done(now, {asked: now.asked || view.stop.t, written: true});
   });
   addEventListener("paired", connect); // the robot knows a connection by what it was when it began
   addEventListener("unstopped", () => { if (!now) rest(); });

@@ -2,8 +2,7 @@
 
 The arm moves only while motion is disabled and nothing is latched: a stop and an enable take it from whoever moves it.
 Its way is streamed, each joint a move of arm.period_s after the other, a few servos a frame, so that an arm whose gate
-dies stands when its last move ends. While it moves nothing is read, and what was stopped on its way is read before it
-moves again.
+dies stands when its last move ends. What was stopped on its way is read before it moves again.
 """
 
 from __future__ import annotations
@@ -14,21 +13,21 @@ from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.goals import Goal, Trajectory
 from failstop.procs.gate.arm.reader import QUIET_NS, ServoReader
 from failstop.procs.gate.arm.stream import Space, Stream
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
-"""The session of the service's own journeys: to the drive pose, to the tuck pose."""
+"""The session of the service's own trajectories: to the drive pose, to the tuck pose."""
 TORQUE_APART_NS = 4_000_000
 """Between two frames that switch a torque on or off."""
 STEPS_APART_NS = 1_000_000
 """Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
 NEAR = 0.5
-"""Pulses from its end at which a journey is there: as near as a frame can say."""
+"""Pulses from its end at which a trajectory is there: as near as a frame can say."""
 LOST_NS = 2_000_000_000
-"""A journey that is not there so long after its time has lost its way."""
+"""A trajectory that is not there so long after its time has lost its way."""
 FIND_NS = 4_000_000_000
 
 
@@ -45,7 +44,7 @@ class ArmCore:
         self._reader = ServoReader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
         self._stream = Stream(settings, board, self._space)
-        self._journey: Journey | None = None
+        self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
@@ -61,28 +60,26 @@ class ArmCore:
         self.refused = ""
         """The reason why the last goal of a stream was not taken."""
 
-    # Goals.
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """The trajectory, until it is over."""
+        return self._trajectory if self._trajectory and not self._trajectory.done else None
 
     @property
-    def way(self) -> Journey | None:
-        """The journey, until it is over."""
-        return self._journey if self._journey and not self._journey.done else None
-
-    @property
-    def followed(self) -> Journey | Goal | None:
+    def followed(self) -> Trajectory | Goal | None:
         """The goal that it follows of all those that were asked for."""
-        return self.way or self._goal
+        return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
         """Another client whose goal counts now; empty when there is none."""
-        if (way := self.way) and way.session not in (SERVICE, session):
-            return way.who
+        if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
+            return trajectory.who
         goal = self._goal
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
         """True when a goal of this session is followed, or would be."""
-        return any(asked and asked.session == session for asked in (self.way, self._goal))
+        return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
@@ -95,7 +92,7 @@ class ArmCore:
         self.refused = self._shut(goal, closed) or check(goal.ends)
         if self.refused:
             return
-        if (way := self.way) and way.session == SERVICE:
+        if (trajectory := self.trajectory) and trajectory.session == SERVICE:
             self.drop("preempted")
         if goal.mode == goals.FOLLOW:
             goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
@@ -117,33 +114,31 @@ class ArmCore:
     def pause(self, session: int) -> None:
         self._ended.pop(session, None)
 
-    def travel(self, journey: Journey, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a journey; whoever moved the arm before moves it no more, and is told why. As drop()."""
+    def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
+        """Begin a trajectory; whoever moved the arm before moves it no more, and is told why. As drop()."""
         was = self.drop(why)
-        self._journey = journey
-        journey.since_ns = now_ns
-        for joint in journey.joints:
+        self._trajectory = trajectory
+        trajectory.since_ns = now_ns
+        for joint in trajectory.joints:
             joint.misses = 0  # silent servos are asked again
         self._reader.hurry(now_ns)
         self.active_ns, self.released = now_ns, False
         return was
 
-    def pose(self, purpose: str, session: int, who: str) -> Journey | None:
-        """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
+    def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
+        """The way to a pose of the settings, drive or tuck, which execute() begins; None: no joint is part of it."""
         ends = self._ends(purpose)
-        return Journey(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
+        return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
     def _ends(self, purpose: str) -> dict[Joint, float]:
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
-    # Ends.
-
     def drop(self, why: str, cause: Cause | None = None) -> bool:
         """Forget every goal; True: a stop is to be written, as the arm may still move. `cause`: of a latched stop."""
         was = self.streaming()
-        if way := self.way:
-            way.finish(why, dropped=True)
-            way.stopped_for = cause
+        if trajectory := self.trajectory:
+            trajectory.finish(why, dropped=True)
+            trajectory.stopped_for = cause
         self._goal = None
         self._stream.end()
         return was
@@ -173,8 +168,6 @@ class ArmCore:
         self.active_ns, self.released = 0, True
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
-    # Time.
-
     def streaming(self) -> bool:
         """A servo may be on its way."""
         return self._stream.on
@@ -190,7 +183,7 @@ class ArmCore:
         if self.letting_go:
             return self._let_go(now_ns), False
         hold = self._end_stale(now_ns)
-        wanted = self._follow_journey(now_ns)
+        wanted = self._follow_trajectory(now_ns)
         joints = self._to_stream()
         if joints and not self._stream.on:
             if unknown := self._unknown(joints):
@@ -216,7 +209,7 @@ class ArmCore:
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
-        if (way := self.way) and way.phase not in (goals.LOADING, goals.ON_ITS_WAY):
+        if (trajectory := self.trajectory) and trajectory.phase not in (goals.LOADING, goals.ON_ITS_WAY):
             return []
         return list(self.followed.ends) if self.followed else []
 
@@ -234,55 +227,55 @@ class ArmCore:
         if self._goal is None or self._fresh(self._goal, now_ns):
             return False
         self._goal = None
-        if self.way:
+        if self.trajectory:
             return False
         was = self.streaming()
         self._stream.end()
         return was
 
-    def _follow_journey(self, now_ns: int) -> list[Joint]:
-        """Bring the journey on by a phase, when one is over; returns the joints whose position it waits for."""
-        journey = self.way
-        if journey is None:
+    def _follow_trajectory(self, now_ns: int) -> list[Joint]:
+        """Bring the trajectory on by a phase, when one is over; returns the joints whose position it waits for."""
+        trajectory = self.trajectory
+        if trajectory is None:
             return []
-        silent = [joint for joint in journey.joints if joint.silent]
+        silent = [joint for joint in trajectory.joints if joint.silent]
         # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
-        asked = all(joint.known or joint in silent for joint in journey.joints)
-        if silent and (asked or journey.phase != goals.FINDING):
+        asked = all(joint.known or joint in silent for joint in trajectory.joints)
+        if silent and (asked or trajectory.phase != goals.FINDING):
             servos = _listed("servo", [str(joint.servo) for joint in silent])
-            journey.finish(f"{_named(silent)}: no answer from {servos}")
+            trajectory.finish(f"{_named(silent)}: no answer from {servos}")
             self._stream.end()
             return []
-        if journey.phase == goals.FINDING:
-            if unknown := [joint for joint in journey.joints if not joint.known]:
-                return _read_first(journey, unknown, now_ns)
-            if not journey.ends:
-                journey.finish()
+        if trajectory.phase == goals.FINDING:
+            if unknown := [joint for joint in trajectory.joints if not joint.known]:
+                return _read_first(trajectory, unknown, now_ns)
+            if not trajectory.ends:
+                trajectory.finish()
                 return []
-            journey.phase = goals.LOADING
-        if journey.phase == goals.ON_ITS_WAY:
-            self._watch_end(journey, now_ns)
-        elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
-            journey.phase, journey.since_ns = goals.CHECKING, now_ns
+            trajectory.phase = goals.LOADING
+        if trajectory.phase == goals.ON_ITS_WAY:
+            self._watch_end(trajectory, now_ns)
+        elif trajectory.phase == goals.SETTLING and now_ns >= trajectory.since_ns + QUIET_NS:
+            trajectory.phase, trajectory.since_ns = goals.CHECKING, now_ns
             self._reader.hurry(now_ns)
-        if journey.phase == goals.CHECKING:
-            return self._check_end(journey, now_ns)
+        if trajectory.phase == goals.CHECKING:
+            return self._check_end(trajectory, now_ns)
         return []
 
-    def _watch_end(self, journey: Journey, now_ns: int) -> None:
-        there = all(abs(joint.position - end) <= NEAR for joint, end in journey.ends.items())
-        if journey.left_s(now_ns) <= 0.0 and there:
+    def _watch_end(self, trajectory: Trajectory, now_ns: int) -> None:
+        there = all(abs(joint.position - end) <= NEAR for joint, end in trajectory.ends.items())
+        if trajectory.left_s(now_ns) <= 0.0 and there:
             self._stream.end()
-            journey.phase, journey.since_ns = goals.SETTLING, now_ns
-        elif now_ns - journey.begun_ns > journey.length_s * 1e9 + LOST_NS:
+            trajectory.phase, trajectory.since_ns = goals.SETTLING, now_ns
+        elif now_ns - trajectory.begun_ns > trajectory.length_s * 1e9 + LOST_NS:
             self._stream.end()
-            journey.finish("it did not get there in time")
+            trajectory.finish("it did not get there in time")
 
-    def _check_end(self, journey: Journey, now_ns: int) -> list[Joint]:
+    def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
         """Read back: each joint twice since it stands."""
-        if unread := [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]:
-            return _read_first(journey, unread, now_ns)
-        journey.finish(self.off(journey.ends))
+        if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
+            return _read_first(trajectory, unread, now_ns)
+        trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
@@ -292,8 +285,6 @@ class ArmCore:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
                 return f"joint {joint.name} (servo {joint.servo}) {by}"
         return ""
-
-    # Frames.
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
         """Switch on a torque that is not known to be on, one after the other."""
@@ -312,27 +303,25 @@ class ArmCore:
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""
-        if journey := self.way:
-            if fault := journey.begin(now_ns):
-                journey.finish(fault)
+        if trajectory := self.trajectory:
+            if fault := trajectory.begin(now_ns):
+                trajectory.finish(fault)
                 return
-            journey.phase = goals.ON_ITS_WAY
+            trajectory.phase = goals.ON_ITS_WAY
         self._stream.begin(joints, now_ns)
 
-    def _move(self, followed: Journey | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, as step(). A journey that would hit something ends; a goal waits for a better one."""
+    def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
+        """The moves that are due, as step(). A trajectory that would hit something ends; a goal waits."""
         if now_ns < self._stream.due_ns:
             return b"", hold
         frame, hit = self._stream.move(followed, now_ns)
-        if hit and isinstance(followed, Journey):
+        if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
             self._stream.end()
             return b"", True
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         return frame, hold
-
-    # News.
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
@@ -360,10 +349,10 @@ class ArmCore:
         return self.refused or self._stream.blocked
 
 
-def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """These must be read before the journey goes on, within FIND_NS."""
-    if now_ns - journey.since_ns > FIND_NS:
-        journey.finish(f"{_named(joints)}: where it is can't be read")
+def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
+    """These must be read before the trajectory goes on, within FIND_NS."""
+    if now_ns - trajectory.since_ns > FIND_NS:
+        trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints
 
 

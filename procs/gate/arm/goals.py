@@ -1,7 +1,7 @@
 """Goals: what the arm is asked to do, and for whom. Pure.
 
-A journey is a way with an end, which is read back. Follow and jog are goals that a client renews, and that count for
-the settings' arm.goal_timeout_s, the newest of them, while there is no journey.
+A trajectory has an end, which is read back. Follow and jog are goals that a client renews, and that count for
+the settings' arm.goal_timeout_s, the newest of them, while there is no trajectory.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Goal(Data):
         return self.ends
 
 
-class Journey:
+class Trajectory:
     """A trajectory, a pose among them: where each joint is to be when, until its end is read back."""
 
     mode = TRAJECTORY
@@ -103,7 +103,6 @@ class Journey:
         return {joint: a + share * (end[joint] - a) for joint, a in begin.items()}
 
     def left_s(self, now_ns: int) -> float:
-        """The time until its end."""
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
@@ -111,7 +110,6 @@ class Journey:
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:
-        """How far it is, for who waits."""
         left_s = self.left_s(now_ns)
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 

@@ -1,19 +1,19 @@
 """Reader: asks the servos one question at a time, and says what of the answers may be believed. Pure.
 
 The firmware compares no answer with its question: one that comes late is taken for that of the next question, which
-then succeeds with 0. So what follows a question without an answer counts for nothing, nor does any 0; and a position
+then succeeds with 0. So after a question without an answer the next one counts for nothing, nor does any 0; a position
 counts when two in a row agree.
 """
 
 from __future__ import annotations
 
-from failstop.board.servos import LONGEST_MOVE_MS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
+from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
 """By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the
 frame before it is dropped there, and would count as a question without an answer."""
-QUIET_NS = LONGEST_MOVE_MS * 1_000_000 + 4 * FRAME_JITTER_NS
+QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
 """After the last move: the port owner lets no question pass before every servo stands."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
 """Between two questions: the port owner lets none pass while an earlier one may still hold the receiver."""

@@ -15,15 +15,11 @@ from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
-from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.goals import Goal, Trajectory
 from failstop.procs.gate.clients import Slot, newest_number
 from failstop.procs.gate.core import WHEELS_ENABLED
 from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
 
 NOT_IN_POSE = "arm is not in the drive pose"
 TELL_NS = 200_000_000
@@ -37,17 +33,16 @@ PAD_PUBLISHER = -1
 
 
 class Waiter(Data):
-    """A client that waits for the end of a journey, and whether it wants motion to be enabled then."""
+    """A client that waits for the end of a trajectory, and whether it wants motion to be enabled then."""
 
     request: Request
-    journey: Journey
+    trajectory: Trajectory
     enables: bool = False
     told_ns: int = 0
 
 
 class Arm:
     def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
-        """`requests`: where they are answered; `notes`: where news for people is put."""
         settings = context.settings
         self.core = ArmCore(settings, context.board, now_ns)
         self._frames, self._requests, self._notes = frames, requests, notes
@@ -64,13 +59,11 @@ class Arm:
         self._tucks = settings.on("arm.auto_tuck")
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
-        self._tucking: Journey | None = None
+        self._tucking: Trajectory | None = None
         """Its way, until people have been told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """The last news of each joint for people."""
-
-    # The gate's turn.
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
         """Answers of the servos, and the gamepad; returns the cause to stop for. `closed`, here and below: why the arm
@@ -99,12 +92,6 @@ class Arm:
             self._boxed, self._boxed_ns = what, now_ns
             ends = followed.ends.items() if followed else ()
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
-
-    # News.
-
-    def stop(self, why: str, cause: Cause | None = None) -> None:
-        """A stop is written: it ends whatever moves the arm. `cause`: of one that is latched."""
-        self.core.stop(why, cause)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
@@ -168,8 +155,7 @@ class Arm:
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Any other request about the arm, while it takes goals; returns what becomes of it, or the cause to stop
-        for."""
+        """Act on any other request about the arm; returns what becomes of it, or the cause to stop for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -178,14 +164,14 @@ class Arm:
             return Reply(records.DONE, "arm released: its torque is off")
         if request.verb == records.ARM_READ:
             self.core.forget()
-            journey: Journey | str = Journey("read", request.session, request.who, self.core.joints, [])
+            trajectory: Trajectory | str = Trajectory("read", request.session, request.who, self.core.joints, [])
         else:
-            journey = self._journey(request)
-        if isinstance(journey, str):
-            return refused(journey)
-        return self._travel(Waiter(request, journey), "preempted", now_ns)
+            trajectory = self._trajectory(request)
+        if isinstance(trajectory, str):
+            return refused(trajectory)
+        return self._execute(Waiter(request, trajectory), "preempted", now_ns)
 
-    def _journey(self, request: Request) -> Journey | str:
+    def _trajectory(self, request: Request) -> Trajectory | str:
         """The way that is asked for, or why there is none."""
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
@@ -204,15 +190,15 @@ class Arm:
             if fault := too_far(aims):
                 return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
             way.append((t_s, {joint: joint.pulses(angle) for joint, angle in aims.items()}))
-        return goals.too_fast_between(way) or Journey(goals.MOVE, request.session, request.who, joints, way, share)
+        return goals.too_fast_between(way) or Trajectory(goals.MOVE, request.session, request.who, joints, way, share)
 
-    def _travel(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
-        """Begin a journey for who waits; `why`: what whoever moved the arm before is told."""
-        if self.core.travel(waiter.journey, now_ns, why):
+    def _execute(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
+        """Begin a trajectory for who waits; `why`: what whoever moved the arm before is told."""
+        if self.core.execute(waiter.trajectory, now_ns, why):
             self._frames.stop(now_ns)
         self.answer_waiter(now_ns)
         self._waiter = waiter
-        return Reply(records.UNDER_WAY, waiter.journey.progress(now_ns))
+        return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
         """Tell the client that waits how far it is, and how it ended; returns its request to enable motion, when the
@@ -220,26 +206,24 @@ class Arm:
         waiter = self._waiter
         if waiter is None:
             return None
-        request, journey = waiter.request, waiter.journey
-        if not journey.done:
+        request, trajectory = waiter.request, waiter.trajectory
+        if not trajectory.done:
             if now_ns - waiter.told_ns >= TELL_NS:
                 waiter.told_ns = now_ns
-                self._requests.answer(request, Reply(records.UNDER_WAY, journey.progress(now_ns)))
+                self._requests.answer(request, Reply(records.UNDER_WAY, trajectory.progress(now_ns)))
             return None
         self._waiter = None
         if request.slot is None or request.slot.session != request.session:
             return None
-        if waiter.enables and not journey.dropped:
-            if not (fault := self._out_of_pose(journey)):
+        if waiter.enables and not trajectory.dropped:
+            if not (fault := self._out_of_pose(trajectory)):
                 return request
             self._requests.answer(request, refused(f"{NOT_IN_POSE}: {fault}"))
         else:
-            fault = journey.outcome
+            fault = trajectory.outcome
             there = Reply(records.DONE, "arm is there")
-            self._requests.answer(request, refused(fault, journey.stopped_for) if fault else there)
+            self._requests.answer(request, refused(fault, trajectory.stopped_for) if fault else there)
         return None
-
-    # Enabling motion.
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
         """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
@@ -249,25 +233,23 @@ class Arm:
         waiter = self._waiter
         if waiter and waiter.enables and waiter.request.session != request.session:
             return refused(f"{waiter.request.who} is enabling motion")
-        journey = self.core.pose(goals.DRIVE, SERVICE, request.who)
+        trajectory = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
-        if journey is None:
+        if trajectory is None:
             self._give_up(WHEELS_ENABLED, now_ns)
         else:
-            reply = self._travel(Waiter(request, journey, enables=True), WHEELS_ENABLED, now_ns)
+            reply = self._execute(Waiter(request, trajectory, enables=True), WHEELS_ENABLED, now_ns)
         self.core.forget()
         return reply
 
-    def _out_of_pose(self, journey: Journey) -> str:
+    def _out_of_pose(self, trajectory: Trajectory) -> str:
         """Why motion may not be enabled at the end of the way to the drive pose: what was read back decides."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
             return ""
-        fault = journey.outcome or core.off_pose(goals.DRIVE)
+        fault = trajectory.outcome or core.off_pose(goals.DRIVE)
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
-
-    # For people.
 
     def _follow_tuck(self, closed: str, now_ns: int) -> None:
         """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
@@ -281,17 +263,17 @@ class Arm:
         left_s = self._tuck_left_s(now_ns)
         if left_s is None or left_s > self._notice_s:
             self._tuck_announced = False
-        elif not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
+        elif not (trajectory := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
-        elif not core.off(journey.ends):
+        elif not core.off(trajectory.ends):
             core.active_ns = 0  # it is there
         elif not self._tuck_announced:
             self._tuck_announced = True
             self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
         elif left_s <= 0.0:
-            core.travel(journey, now_ns)
+            core.execute(trajectory, now_ns)
             core.active_ns = 0
-            self._tucking = journey
+            self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
         """Until it tucks itself; None: it does not, since it was not used, or it is switched off."""
@@ -317,14 +299,14 @@ class Arm:
                     f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
                 )
 
-    def state(self, closed: str, now_ns: int) -> dict[str, Any]:
+    def state(self, closed: str, now_ns: int) -> dict[str, object]:
         """Its part of the gate's state: what people and programs are told."""
         core = self.core
-        way, followed = core.way, core.followed
+        trajectory, followed = core.trajectory, core.followed
         left_s, pose = self._tuck_left_s(now_ns), core.pose_name()
         return {
             "mode": followed.mode if followed else "",
-            "phase": way.phase if way else "",
+            "phase": trajectory.phase if trajectory else "",
             "moving": core.streaming(),
             "by": followed.who if followed else "",
             "refused": core.why_not(),

@@ -8,16 +8,15 @@ from __future__ import annotations
 from math import inf
 
 from failstop.board.interface import Board
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.board.servos import LONGEST_MOVE_NS, MOST_MOVES, MOVE_NS
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.joints import Joint
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
-MOVES_NS = LONGEST_MOVE_MS * 1_000_000
 
 
 class Space:
@@ -102,7 +101,7 @@ class Stream:
             joint.forget()
         self._schedule = []
 
-    def move(self, followed: Goal | Journey, now_ns: int) -> tuple[bytes, str]:
+    def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
         """The frame of the moves that are due, toward what is followed. Where the arm would hit something its joints
         stay where they are, and the text says what."""
         due_ns, group = self._schedule[0]
@@ -120,11 +119,11 @@ class Stream:
         moves = [(joint.servo, round(joint.position)) for joint in group]
         return self._board.servo_move(moves, self._move_ms), hit
 
-    def _advance(self, group: list[Joint], followed: Goal | Journey, now_ns: int) -> None:
+    def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
-            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+            elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
             joint.stepped_ns = now_ns
             if followed.mode != goals.JOG and joint in targets:
                 joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)

@@ -61,10 +61,10 @@ const text = (id, what) => { if ($(id).textContent !== what) $(id).textContent =
 
 function draw(now) {
   text("time", seconds(now.time));
-  $("head").dataset.role = now.face.role;
-  $("word").classList.toggle("long", now.face.word.length > 8);
-  text("word", now.face.word);
-  text("why", now.cause ? now.cause.text : now.face.enabled ? "motion enabled" : "motion disabled");
+  $("head").dataset.role = now.view.role;
+  $("word").classList.toggle("long", now.view.word.length > 8);
+  text("word", now.view.word);
+  text("why", now.cause ? now.cause.text : now.view.enabled ? "motion enabled" : "motion disabled");
   $("said").replaceChildren(...now.why.flatMap(([label, what]) => [node("dt", label), node("dd", what)]));
   text("answer", now.answer);
   text("wheels", `wheels: ${now.wheels.map((speed) => speed.toFixed(2)).join(", ")} rps`);

@@ -1,4 +1,4 @@
-"""Whereabouts: the addresses under which a phone finds the page, with the code, as text and as a QR code."""
+"""Addresses: the addresses under which a phone finds the page, with the code, as text and as a QR code."""
 
 from __future__ import annotations
 

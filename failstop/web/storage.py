@@ -1,4 +1,4 @@
-"""Kept: what the page has on disk - the paired devices, its certificate - and where the commands find it."""
+"""Storage: what the page has on disk - the paired devices, its certificate - and where the commands find it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import NoReturn
 
 from failstop.api.errors import FailstopError
 from failstop.files import durable, root
+from failstop.web.addresses import own_addresses
 from failstop.web.devices import Devices
-from failstop.web.whereabouts import own_addresses
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def folders(name: str, environ: Mapping[str, str]) -> list[str]:
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
-class Kept:
+class Storage:
     """The folder of a page that runs; it alone writes there."""
 
     def __init__(self, place: str) -> None:

@@ -15,7 +15,7 @@ from bench.web.parts import Web
 from failstop.api.errors import FailstopError
 from failstop.files import durable
 from failstop.web.devices import Device, Devices
-from failstop.web.kept import DEVICES, Kept
+from failstop.web.storage import DEVICES, Storage
 
 PAIRING = '[web]\npairing = "on"\n'
 
@@ -25,15 +25,15 @@ def device(number: int) -> Device:
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> Kept:
+def kept(tmp_path: Path) -> Storage:
     """The folder of a page with three devices."""
-    found = Kept(str(tmp_path))
+    found = Storage(str(tmp_path))
     found.keep(Devices(tuple(device(number) for number in range(3))))
     return found
 
 
 @pytest.fixture
-def full(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+def full(kept: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
     """No new file finds room there."""
 
     def write_draft(draft: str, data: bytes) -> None:
@@ -43,14 +43,14 @@ def full(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("full")
-def test_fewer_devices_are_kept_on_a_full_disk(kept: Kept) -> None:
+def test_fewer_devices_are_kept_on_a_full_disk(kept: Storage) -> None:
     for left in (2, 1, 0):
         kept.keep_fewer(Devices(tuple(device(number) for number in range(left))))
         assert kept.devices().all() == [device(number) for number in range(left)]
 
 
 @pytest.mark.usefixtures("full")
-def test_where_nothing_can_be_written_the_cause_is_told(kept: Kept) -> None:
+def test_where_nothing_can_be_written_the_cause_is_told(kept: Storage) -> None:
     os.unlink(kept.path(DEVICES))
     with pytest.raises(FailstopError, match="No space left on device"):
         kept.keep_fewer(Devices())

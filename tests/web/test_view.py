@@ -11,7 +11,7 @@ import pytest
 from failstop.api.snapshot import Device
 from failstop.api.state import State
 from failstop.policy import causes
-from failstop.web import face
+from failstop.web import view
 from tests.support import states
 from tests.support.states import NOW_S
 
@@ -26,7 +26,7 @@ DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheel
 
 
 def shown(state: State) -> dict[str, Any]:
-    return face.face(state, [], NOW_S)
+    return view.view(state, [], NOW_S)
 
 
 @pytest.mark.parametrize(
@@ -106,14 +106,14 @@ def test_what_stands_in_the_way() -> None:
 
 def test_the_three_levels_of_a_stop() -> None:
     stop = states.stop(acknowledged_s=None, observed_s=None)
-    assert face.stop_of(stop) == {
+    assert view.stop_of(stop) == {
         "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": "", "unseen": ""
     }  # fmt: skip
-    assert face.stop_of(None) is None
+    assert view.stop_of(None) is None
 
 
 def test_without_a_service() -> None:
-    found = face.absent("no service named 'left' is running")
+    found = view.absent("no service named 'left' is running")
     assert found.keys() == shown(states.state()).keys()
     assert found["word"] == "NO SERVICE"
     assert "POWER SWITCH" in found["next"].upper()

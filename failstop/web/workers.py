@@ -1,4 +1,4 @@
-"""Hands: what a paired device may ask of the service. Each request takes a client slot for as long as it lasts."""
+"""Workers: what a paired device may ask of the service. Each request takes a client slot for as long as it lasts."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ TOUCHED = ("disable", "limit")
 MOST_AT_WORK = 4
 
 
-class Hands:
+class Workers:
     """A thread for each, so that one that takes its time, as an enable with an arm does, holds up nothing else: no
     STOP, no disable, and no reset, which would then be asked for after a stop that its operator did not know of."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._threads = ThreadPoolExecutor(MOST_AT_WORK, "hands")
+        self._threads = ThreadPoolExecutor(MOST_AT_WORK, "workers")
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:

@@ -1,4 +1,4 @@
-"""Door: how many connections there may be. A flood must neither use up descriptors nor keep a STOP out."""
+"""Connections: how many connections there may be. A flood must neither use up descriptors nor keep a STOP out."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Places(Generic[T]):
         return tuple(self._taken)
 
 
-class Door(HTTPServer):
+class BoundedServer(HTTPServer):
     """Every new connection has one of MOST places until it becomes a websocket, of which there are limits of their
     own."""
 

@@ -1,4 +1,4 @@
-"""Obey: the stops of the fleet on the robot's side: which are obeyed, and what is answered when. Pure.
+"""Duties: the stops of the fleet on the robot's side: which are obeyed, and what is answered when. Pure.
 
 A stop is asked for first and remembered after: what a crash between the two lets through is a stop too many.
 """
@@ -81,7 +81,7 @@ def confirming(state: State) -> str:
     return levels.OBSERVED if state.imu else levels.WRITTEN
 
 
-class Obedience:
+class Duties:
     """The robot's duties by messages on the stop topic."""
 
     def __init__(self, key: bytes, robot: str, seen: Seen) -> None:

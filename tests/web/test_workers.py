@@ -23,7 +23,7 @@ def test_a_disable_gives_up_an_enable_that_is_under_way(tmp_path: Path) -> None:
     write_settings(str(settings), ARM)
     pairing.write_text('[web]\npairing = "on"\ntls = "on"\n')
     with (
-        Trial(f"hands-{os.getpid()}", ("--config", str(settings))) as trial,
+        Trial(f"workers-{os.getpid()}", ("--config", str(settings))) as trial,
         Web(trial.name, "--config", str(pairing), state=trial.state) as web,
     ):
         anna = web.pair()

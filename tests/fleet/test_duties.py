@@ -9,9 +9,9 @@ import pytest
 
 from failstop.api.snapshot import Imu
 from failstop.api.state import State
-from failstop.fleet import levels, obey, signed
+from failstop.fleet import duties, levels, signed
+from failstop.fleet.duties import Duties
 from failstop.fleet.levels import Order, StopAnswer
-from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.policy import causes
 from tests.support import states
@@ -32,14 +32,14 @@ def stopped(epoch: int = EPOCH + 1, **changed: Any) -> State:
 
 
 @pytest.fixture
-def robot() -> Obedience:
-    return Obedience(KEY, "robot-1", Seen(10.0))
+def robot() -> Duties:
+    return Duties(KEY, "robot-1", Seen(10.0))
 
 
 BEFORE = states.state(epoch=EPOCH)
 
 
-def begin(robot: Obedience, given: Order, now_s: float = 0.0, before: State | None = BEFORE) -> None:
+def begin(robot: Duties, given: Order, now_s: float = 0.0, before: State | None = BEFORE) -> None:
     assert robot.hear(given.message(KEY), now_s, UNIX_S) == (given, None)
     robot.begin(given, now_s, UNIX_S, before)
 
@@ -48,7 +48,7 @@ def told(answers: list[StopAnswer]) -> list[list[str]]:
     return [list(answer.reached) for answer in answers]
 
 
-def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> None:
+def test_each_level_is_told_of_when_it_is_known_and_once(robot: Duties) -> None:
     begin(robot, order())
     assert robot.waits(0.0)
     assert told(robot.look(states.state(epoch=EPOCH), 0.01)) == [[levels.ASKED]]
@@ -75,7 +75,7 @@ def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> No
     ],
 )
 def test_what_confirms_is_what_the_board_and_the_imu_can_give(
-    robot: Obedience, link: Any, imu: bool, confirms: str
+    robot: Duties, link: Any, imu: bool, confirms: str
 ) -> None:
     begin(robot, order())
     found = stopped(written_s=0.0002)
@@ -88,13 +88,13 @@ def test_what_confirms_is_what_the_board_and_the_imu_can_give(
 
 def test_an_answer_of_an_older_version_confirms_by_the_board() -> None:
     body = {"id": order().id, "robot": "r", "reached": {levels.WRITTEN: 0.1}, "why": ""}
-    assert levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, body)).confirms == levels.ACKNOWLEDGED
+    assert levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, body)).confirms == levels.ACKNOWLEDGED
     for wrong in ("asked", "nothing", 7, None):
         with pytest.raises(signed.Forged):
-            levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, {**body, "confirms": wrong}))
+            levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, {**body, "confirms": wrong}))
 
 
-def test_levels_may_come_at_once_and_out_of_order(robot: Obedience) -> None:
+def test_levels_may_come_at_once_and_out_of_order(robot: Duties) -> None:
     begin(robot, order())
     assert told(robot.look(stopped(written_s=1e-06, observed_s=0.3), 1.0)) == [
         [levels.ASKED, levels.WRITTEN, levels.OBSERVED]
@@ -104,19 +104,19 @@ def test_levels_may_come_at_once_and_out_of_order(robot: Obedience) -> None:
     assert set(all_of_them.reached) == {levels.ASKED, *levels.PROOFS}
 
 
-def test_a_stop_of_before_the_request_confirms_nothing(robot: Obedience) -> None:
+def test_a_stop_of_before_the_request_confirms_nothing(robot: Duties) -> None:
     begin(robot, order())
     old = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=1e-06, observed_s=0.001)
     assert told(robot.look(old, 1.0)) == [[levels.ASKED]]
     assert robot.look(None, 1.0) == []
 
 
-def test_whatever_stop_came_after_the_request_confirms_it(robot: Obedience) -> None:
+def test_whatever_stop_came_after_the_request_confirms_it(robot: Duties) -> None:
     begin(robot, order())
     assert told(robot.look(stopped(epoch=EPOCH + 3, written_s=1e-06), 1.0)) == [[levels.ASKED, levels.WRITTEN]]
 
 
-def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_it(robot: Obedience) -> None:
+def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_it(robot: Duties) -> None:
     before = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=4e-03)
     begin(robot, order(), before=before)
     assert told(robot.look(before, 0.1)) == [[levels.ASKED]], "not heard yet"
@@ -129,13 +129,13 @@ def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_i
 
 
 @pytest.mark.parametrize(("t", "confirms"), [(UNIX_S - 1, False), (UNIX_S + 0.1, True)])
-def test_where_the_epoch_was_not_known_the_time_decides(robot: Obedience, t: float, confirms: bool) -> None:
+def test_where_the_epoch_was_not_known_the_time_decides(robot: Duties, t: float, confirms: bool) -> None:
     begin(robot, order(), before=None)
     (answer,) = robot.look(stopped(epoch=1, written_s=1e-06, t=t), 1.0)
     assert (levels.WRITTEN in answer.reached) is confirms
 
 
-def test_latched_but_not_written_is_no_confirmation_until_it_is_written(robot: Obedience) -> None:
+def test_latched_but_not_written_is_no_confirmation_until_it_is_written(robot: Duties) -> None:
     begin(robot, order())
     (failed,) = robot.look(stopped(), 0.1)
     assert failed.reached == {levels.ASKED: 0.0, levels.FAILED: 0.1}
@@ -146,7 +146,7 @@ def test_latched_but_not_written_is_no_confirmation_until_it_is_written(robot: O
     assert written.why == ""
 
 
-def test_what_could_not_be_asked_for_is_said_and_tried_again_when_the_sender_repeats(robot: Obedience) -> None:
+def test_what_could_not_be_asked_for_is_said_and_tried_again_when_the_sender_repeats(robot: Duties) -> None:
     found, _ = robot.hear(order().message(KEY), 0.0, UNIX_S)
     assert found is not None
     failed = robot.failed(found, "no service")
@@ -156,7 +156,7 @@ def test_what_could_not_be_asked_for_is_said_and_tried_again_when_the_sender_rep
     assert told(robot.look(None, 0.5)) == [[levels.ASKED]]
 
 
-def test_a_repeated_message_is_answered_and_not_carried_out_again(robot: Obedience) -> None:
+def test_a_repeated_message_is_answered_and_not_carried_out_again(robot: Duties) -> None:
     begin(robot, order())
     (answered,) = robot.look(stopped(written_s=1e-06), 0.1)
     repeated = order(dated_s=UNIX_S + 1).message(KEY)
@@ -164,7 +164,7 @@ def test_a_repeated_message_is_answered_and_not_carried_out_again(robot: Obedien
     assert robot.hear(repeated, 0.6, UNIX_S + 1) == (None, None), "not more often than that"
 
 
-def test_a_recorded_message_is_refused_and_says_why(robot: Obedience) -> None:
+def test_a_recorded_message_is_refused_and_says_why(robot: Duties) -> None:
     found, answer = robot.hear(order(dated_s=UNIX_S - 60).message(KEY), 1.0, UNIX_S)
     assert found is None
     assert answer is not None
@@ -176,28 +176,28 @@ def test_a_recorded_message_is_refused_and_says_why(robot: Obedience) -> None:
 
 def test_over_a_restart_it_is_answered_and_not_carried_out() -> None:
     seen = Seen(10.0)
-    robot = Obedience(KEY, "robot-1", seen)
+    robot = Duties(KEY, "robot-1", seen)
     begin(robot, order())
-    anew = Obedience(KEY, "robot-1", Seen.load(seen.dump(), 10.0))
+    anew = Duties(KEY, "robot-1", Seen.load(seen.dump(), 10.0))
     found, answer = anew.hear(order().message(KEY), 5.0, UNIX_S + 1)
     assert found is None
-    assert answer == StopAnswer(order().id, "robot-1", {levels.ASKED: 0.0}, obey.FORGOTTEN)
+    assert answer == StopAnswer(order().id, "robot-1", {levels.ASKED: 0.0}, duties.FORGOTTEN)
 
 
-def test_another_key_is_counted_and_not_answered(robot: Obedience) -> None:
+def test_another_key_is_counted_and_not_answered(robot: Duties) -> None:
     for _ in range(3):
         assert robot.hear(order().message(bytes(32)), 0.0, UNIX_S) == (None, None)
     assert (robot.forged, robot.last_forged) == (3, "signed with another key")
 
 
-def test_it_is_followed_for_a_while_and_no_longer(robot: Obedience) -> None:
+def test_it_is_followed_for_a_while_and_no_longer(robot: Duties) -> None:
     begin(robot, order())
-    assert robot.busy(obey.FOLLOWED_S)
-    assert not robot.busy(obey.FOLLOWED_S + 0.1)
+    assert robot.busy(duties.FOLLOWED_S)
+    assert not robot.busy(duties.FOLLOWED_S + 0.1)
 
 
 def test_a_flood_of_genuine_stops_keeps_a_bounded_number() -> None:
-    robot = Obedience(KEY, "robot-1", Seen(10.0))
+    robot = Duties(KEY, "robot-1", Seen(10.0))
     for number in range(200):
         begin(robot, order(number, UNIX_S + number * 1e-3))
-    assert len(robot.look(stopped(written_s=1e-6), 0.1)) == obey.MOST_DUTIES
+    assert len(robot.look(stopped(written_s=1e-6), 0.1)) == duties.MOST_DUTIES

@@ -1,4 +1,4 @@
-"""Face: what the page shows of a state, as plain values. Pure: the times are arguments.
+"""View: what the page shows of a state, as plain values. Pure: the times are arguments.
 
 The word is for arm's length; the reason is one sentence; the next step is what a person does, by the buttons of the
 page and not by commands.
@@ -26,7 +26,7 @@ ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "f
 MOST_EVENTS = 40
 
 
-def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
+def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
     """Everything that changes seldom. `events`: of this run, oldest first."""
     return {
         "name": state.name,
@@ -72,7 +72,7 @@ def live(state: State, vibration_radps: float | None) -> list[Any]:
 
 
 def absent(note: str) -> dict[str, Any]:
-    """A `face` for where no service runs."""
+    """A `view` for where no service runs."""
     return {
         "name": "",
         "word": verdict.NO_SERVICE,

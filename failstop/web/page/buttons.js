@@ -1,4 +1,4 @@
-// Hands: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go,
+// Buttons: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go,
 // sliding off, or anything unexpected, cancels. The robot measures the hold: this page says that it begins, again and again
 // that it lasts, and, when the robot says that it was long enough, that it lasts even now.
 import {post, send} from "/link.js";
@@ -79,7 +79,7 @@ function isOn(button, {clientX, clientY}) {
   return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
 }
 
-for (const button of document.querySelectorAll("#hands button")) {
+for (const button of document.querySelectorAll("#buttons button")) {
   button.addEventListener("pointerdown", (event) => {
     touched = event.timeStamp;
     if (!event.isPrimary || event.button) return;
@@ -111,7 +111,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
   asking = "";
   said(text, !done);
 });
-addEventListener("face", (event) => {
+addEventListener("view", (event) => {
   ({can, limit} = event.detail);
   if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
   ({epoch} = event.detail);
@@ -124,4 +124,4 @@ addEventListener("face", (event) => {
     if (why && holding && holding.button === $(verb)) cancel();
   }
 });
-addEventListener("device", (event) => { $("hands").hidden = !event.detail.device; });
+addEventListener("device", (event) => { $("buttons").hidden = !event.detail.device; });

@@ -1,0 +1,50 @@
+"""Lines: what boards share that are commanded by lines of text, and answer in lines."""
+
+from __future__ import annotations
+
+from failstop.board.wire import Reader, Sample, beyond, two_speeds
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    import re
+    from collections.abc import Callable, Sequence
+
+
+class MotionLine:
+    """The line that sets the speeds of left and right; its methods are those that wire.Motion asks for."""
+
+    def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
+        """`form`: has a group for each speed; `write`: makes the line, rounded towards zero; `most`: the largest speed
+        that the board takes, in its `unit`."""
+        self._form, self._write, self._most, self._unit = form, write, most, unit
+
+    def frame(self, both: Sequence[float], limit: float) -> bytes:
+        """The line for left and right, each within plus or minus `limit`. Raises FrameError."""
+        return self._write(*two_speeds(both, limit, self._most, self._unit))
+
+    def speeds(self, frame: bytes) -> tuple[float, float] | None:
+        """Left and right of a motion line; None for other bytes."""
+        found = self._form.fullmatch(frame)
+        return (float(found[1]), float(found[2])) if found else None
+
+    def check(self, frame: bytes, limit: float) -> str:
+        """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
+        found = self.speeds(frame)
+        if found is None:
+            return "not a motion line"
+        if self._write(*found) != frame:
+            return "not as this board's motion lines are written"
+        return beyond(found, limit, self._most)
+
+
+class LineReader(Reader):
+    """The samples in the lines of a board."""
+
+    def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
+        """`samples`: of one line; `longest`: bytes that are kept of one that is not complete, the last ones."""
+        self._samples, self._longest, self._kept = samples, longest, b""
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        *lines, rest = (self._kept + chunk).split(b"\n")
+        self._kept = rest[-self._longest :]
+        return [sample for line in lines for sample in self._samples(line)]
