@@ -178,7 +178,7 @@ class ProcessTable:
     def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
         """The machine did not run a process for so long; told at once, then at most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
-        self._starved = max(self._shown_starved(now_ns), (silent_ms, name))
+        self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda told: told[0])
         self._starved_times += 1
         self._starved_ns = now_ns
         if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
