@@ -131,8 +131,9 @@ def lintian(packages: list[Path]) -> list[stats.Row]:
     for path in sorted((ROOT / "packaging/deb").glob("*.lintian-overrides")):
         above = ""
         for line in path.read_text().splitlines():
-            overrides += not line.startswith("#")
-            bare += [line] * (not above)
+            if not line.startswith("#"):
+                overrides += 1
+                bare += [line] * (not above)
             above = line
     said = f"; the first: {wrong[0]}" if wrong else ""
     found = f"{len(wrong)} of {len(packages)} packages{said}"
@@ -149,11 +150,10 @@ def lived(old: Path, new: Path, rounds: int) -> list[stats.Row]:
             shutil.copy(path, place.packages / f"{name}.deb")
         before = place.files()
         progress("installing the last release")
-        place.box.write("/etc/hostname", "robot\n")
         settings = f'# mine\n[device]\npath = "{BOARD}"\n'
+        place.box.write(SETTINGS, settings)
         place.dpkg("-i", "/packages/old.deb")
-        place.box.path(SETTINGS).write_text(settings)
-        place.box.ctl("restart", UNIT)
+        place.box.wait(UNIT, 60.0, **READY)
         upgrades = []
         for turn in range(rounds):
             progress(f"upgrade {turn + 1} of {rounds}")

@@ -25,9 +25,12 @@ PREFIX = "/opt/failstop"
 """Where the environment is to be; what the units call is below it."""
 PYTHON = f"python{sys.version_info[0]}.{sys.version_info[1]}"
 SITE = f"lib/{PYTHON}/site-packages"
-LEFT_OUT = frozenset({"__pycache__", "tests", "distutils", "f2py"})
+LEFT_OUT = frozenset({"__pycache__", "tests", "test", "distutils", "f2py", "include", "_examples"})
 """Folders of the packages that a service has no use for: numpy's tests are a fifth of its size, and what builds
 extensions a quarter of its modules."""
+STUBS = ".pyi"
+"""The end of a file's name that type checkers read alone: each file makes an upgrade, and so the service's absence,
+longer."""
 Find = Callable[[str], Distribution]
 EXTRA = re.compile(r"extra == [\"'](\w+)")
 """In a requirement's condition: of which extra it is."""
@@ -163,7 +166,7 @@ def _files(distribution: Distribution) -> Iterator[Entry]:
     for file in distribution.files:
         source = str(file.locate())
         outside = file.parts[0] == ".." or file.is_absolute()
-        if not outside and not LEFT_OUT.intersection(file.parts) and os.path.isfile(source):
+        if not outside and not LEFT_OUT.intersection(file.parts) and file.suffix != STUBS and os.path.isfile(source):
             yield _copied(str(file), source)
 
 
