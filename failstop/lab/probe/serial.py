@@ -198,7 +198,7 @@ class SerialProbe:
             self._shaking = judge.Shaking(noises[0], noises[1]) if noises[0] and noises[1] else None
             tells = self._shaking is not None and self._shaking.tells
         else:
-            tells = judge.rest_ns(still) is not None and bool(turning) and judge.rest_ns(turning) is None
+            tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._by_key = True
@@ -315,6 +315,11 @@ class SerialProbe:
                     with contextlib.suppress(OSError):
                         pipe.close()
             self._driver = None
+
+
+def _ends_at_rest(samples: list[SeenSample]) -> bool:
+    """Whether these end in a rest that lasts: of two reports after each other a slow wheel may say the same place."""
+    return judge.believed(samples, judge.rest_ns(samples))
 
 
 def frame_of(board: Board, rps: float = RPS) -> bytes:
