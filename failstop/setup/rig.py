@@ -22,8 +22,8 @@ from failstop import config, stopping
 from failstop.api.client import attach, send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Blocked, Robot
-from failstop.api.snapshot import Block
-from failstop.board.interface import HEARD_WHEELS
+from failstop.api.snapshot import Block, State
+from failstop.board.interface import BY_WHEELS, HEARD_WHEELS
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.files import instance
@@ -36,6 +36,7 @@ RIG = "setup-"
 READY_S = 15.0
 END_S = 5.0
 FREE_S = 5.0
+STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
 """A power of two: forward and turn cancel on one side to the last bit, at every moment of their ramps."""
@@ -174,6 +175,26 @@ class Rig:
             blocked = str(error)
         if blocked:
             raise Left(f"the wheels were stopped: {self._why() or blocked}; {POWER}")
+        self._stand()
+
+    def _stand(self) -> None:
+        """Stop, and wait until the board says that it has: nobody is asked anything while a wheel may turn. Raises
+        Left."""
+        assert self._robot
+        epoch = self._robot.state.epoch
+
+        def stands(state: State) -> bool:
+            stop = state.last_stop
+            if stop is None or stop.epoch <= epoch:
+                return False
+            seen = stop.observed_s is not None or stop.observed_by != BY_WHEELS
+            return seen and (stop.acknowledged_s is not None or not stop.acknowledged_by)
+
+        try:
+            self._robot.estop("setup: the wheels have turned")
+            self._robot.wait_for(stands, STANDS_S)
+        except FailstopError:
+            raise Left(f"the board did not say within {STANDS_S:g} s that it has stopped the wheels; {POWER}") from None
 
     def _take(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
         speeds, positions = said

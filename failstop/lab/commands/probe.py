@@ -90,7 +90,7 @@ def _say(text: str) -> None:
 def _consent(arguments: Namespace, count: int) -> None:
     if arguments.yes:
         return
-    sys.stderr.write(WARNING.format(seconds=12, count=count, word=WORD))
+    sys.stderr.write(WARNING.format(seconds=15, count=count, word=WORD))
     sys.stderr.flush()
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")

@@ -116,7 +116,8 @@ class Listener:
 
     def turning(self) -> bool:
         """Whether it says that it moves."""
-        return bool(self.samples) and judge.rest_ns(self.samples[-2:]) is None
+        last = self.samples[-2:]
+        return len(last) == 2 and judge.rest_ns(last) != last[0][0]
 
     def close(self) -> None:
         """Leave."""

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from failstop import stopping
 from failstop.api.errors import FailstopError
 from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
+from failstop.board.kinds import is_described, wire_of
 from failstop.board.port import PortError, has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
@@ -31,6 +32,7 @@ PERIOD_S = 0.1
 """Between two frames of the throw-away driver, as vendors' drivers have it."""
 RPS = 0.5
 TURNS_S = 1.5
+MORE_S = 0.5
 STILL_S = 2.0
 ASK_S = 0.02
 TURN_S = 0.002
@@ -72,6 +74,10 @@ class SerialProbe:
         self._watcher: subprocess.Popen[str] | None = None
         self._gone_ns = 0
         self._here_s = 0.0
+        own_s = wire_of(kind).watchdog.after_ns / 1e9 if is_described(kind) else 0.0
+        self._turns_s = max(TURNS_S, own_s + MORE_S)
+        """Before a failure: the stop before may have armed the board's watchdog, which must have acted by then. Else it
+        would stop the wheels of a driver whose frames do not feed it."""
 
     @property
     def by(self) -> str:
@@ -198,7 +204,7 @@ class SerialProbe:
             self._shaking = judge.Shaking(noises[0], noises[1]) if noises[0] and noises[1] else None
             tells = self._shaking is not None and self._shaking.tells
         else:
-            tells = judge.rest_ns(still) is not None and bool(turning) and judge.rest_ns(turning) is None
+            tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._by_key = True
@@ -213,7 +219,7 @@ class SerialProbe:
         if name == "plug":
             return self._plug()
         self._start()
-        self._until(TURNS_S)
+        self._until(self._turns_s)
         assert self._driver
         if self._by_key:
             self._say("Press Enter as soon as the wheels stand.")
@@ -256,7 +262,7 @@ class SerialProbe:
     def _plug(self) -> Row:
         """The person pulls it, and says when the wheels stand: nothing comes through it any more."""
         self._start()
-        self._until(TURNS_S)
+        self._until(self._turns_s)
         self._gone_ns = 0
         self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels stand.")
         judge.key_pressed()
@@ -315,6 +321,11 @@ class SerialProbe:
                     with contextlib.suppress(OSError):
                         pipe.close()
             self._driver = None
+
+
+def _ends_at_rest(samples: list[SeenSample]) -> bool:
+    """Whether these end in a rest that lasts: of two reports after each other a slow wheel may say the same place."""
+    return judge.believed(samples, judge.rest_ns(samples))
 
 
 def frame_of(board: Board, rps: float = RPS) -> bytes:
