@@ -36,6 +36,7 @@ HELD: tuple[str, ...] = (
     "port_owner_held_in_its_write",
 )
 HELD += ("port_owner_stays_down", "port_owner_hangs_and_stays_down", "port_owner_starves_and_hangs")
+HELD += ("stopper_dies_while_telemetry_hangs",)
 ON_ONE_ALONE = {
     **dict.fromkeys(HELD, "processes are held at moments that a signal does not hit"),
     "supervisor_hangs": "a signal that silences it tells it so",

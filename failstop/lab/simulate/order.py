@@ -70,6 +70,8 @@ class Order:
         self._files: dict[int, dict[int, Watched]] = {}
         """Of each file, by its Node's number: the watched places."""
         self._runs: dict[str, ServiceRun] = {}
+        self.asks = False
+        """The supervisor asks whether anything moves, and will spare a process by the answer."""
         machine.on_store, machine.on_load = self._stored, self._loaded
 
     def _record(self, mapped: Mapped, at: int) -> Watched | None:
@@ -126,7 +128,7 @@ class Order:
         run = record.run
         if name == "port_owner" and record.name == EPOCH and run.moving and run.moving[1] < 0:
             run.moving = run.moving[0], saw
-        elif name == "supervisor" and record.name == MOVING and run.raised and run.raised[1] < 0:
+        elif name == "supervisor" and self.asks and record.name == MOVING and run.raised and run.raised[1] < 0:
             run.raised = run.raised[0], saw
         else:
             return
@@ -136,6 +138,23 @@ class Order:
                 self._witness.wrong(
                     "port owner and supervisor have both missed what the other said of moving and epoch"
                 )
+
+
+def watch_looks(loader: Any, order: Order) -> None:
+    """Have the supervisor say when it asks whether anything moves: its other looks at that word decide how long it
+    sleeps."""
+    supervisor = loader.load("failstop.supervisor.main").Supervisor
+    motion = supervisor._motion
+
+    def asked(self: Any) -> bool:
+        order.asks = True
+        try:
+            found: bool = motion(self)
+        finally:
+            order.asks = False
+        return found
+
+    supervisor._motion = asked
 
 
 def watch_rings(loader: Any, witness: Witness) -> None:

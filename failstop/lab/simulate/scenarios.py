@@ -114,6 +114,15 @@ def port_owner_and_supervisor_hang(stage: Stage, robot: Any) -> None:
 
 
 @driven
+def stopper_dies_while_telemetry_hangs(stage: Stage, robot: Any) -> None:
+    """The supervisor asks whether anything moves, since telemetry is silent, just when it has raised the epoch."""
+    stage.freeze("telemetry", 300)
+    stage.drive(robot, 0.2)
+    stage.kill("stopper")
+    stage.drive(robot, 0.04)
+
+
+@driven
 def stopper_alone_runs(stage: Stage, robot: Any) -> None:
     """Nothing but the stopper runs for a while; supervisor and gate wake before the port owner, and judge nobody."""
     for name in ("supervisor", "gate"):

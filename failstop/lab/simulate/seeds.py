@@ -255,7 +255,7 @@ class Nursery:
         number = int(run.rounds[-1].split()[0])
         for skipped in (number - 1, number - 2):
             kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
-            if skipped > 0 and fails({**kept, "skipped": skipped}) is not None:
+            if skipped > 0 and (fails({**kept, "skipped": skipped}) or fails(kept)) is not None:
                 break
         for most in SUFFIXES:
             last = set([label for label in best.draws if _is_event(label)][-most:])

@@ -18,7 +18,7 @@ from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
-from failstop.lab.simulate.order import Order, watch_rings
+from failstop.lab.simulate.order import Order, watch_looks, watch_rings
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
 from failstop.policy.layouts import BOARDS
 
@@ -73,7 +73,7 @@ class Stage:
         self.marks = marks.Marks()
         marks.watch(self.robot.loader, self.marks, self.witness)
         if isinstance(self.machine, WeakMachine):
-            Order(self.machine, self.witness)
+            watch_looks(self.robot.loader, Order(self.machine, self.witness))
             watch_rings(self.robot.loader, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
         self.time = self.robot.time

@@ -18,7 +18,6 @@ TELEMETRY_MODULE, CLIENT_MODULE, CELL_MODULE = (
     "failstop.shm.cell",
 )
 BARRIER = "self._barrier()\n"
-WITH_STARVED = (*MEMORY, "starved")
 
 
 def without(module: str, before: str, after: str, barrier: str = BARRIER) -> Patches:
@@ -51,19 +50,17 @@ WEAK_CONTROLS = (
     ),
     WeakControl(
         "moving: port owner",
-        "drive",
+        "stopper_dies_while_telemetry_hangs",
         without(
             PORT_OWNER_MODULE,
             "        self._moving_word.set(1)\n",
             "        now_ns = monotonic_ns()\n        frame = motion[0]\n",
         ),
-        WITH_STARVED,
     ),
     WeakControl(
         "moving: supervisor",
-        "drive",
+        "stopper_dies_while_telemetry_hangs",
         without(SUPERVISOR_MODULE, "", "        if self._moving_word.get():\n"),
-        WITH_STARVED,
     ),
     WeakControl("ring: any writer", "drive_and_stop", PUT),
     WeakControl(
