@@ -16,7 +16,7 @@ import pytest
 
 from failstop.shm import bell
 from failstop.shm.bell import EventBell
-from tests.support.children import NOBODY, Child
+from tests.support.children import NOBODY
 
 from .simulated import content, kill, living, put, user
 
@@ -58,22 +58,6 @@ def test_a_full_counter_rings_and_does_not_block(event: EventBell) -> None:
     assert not rings(event.fd)
 
 
-def test_an_event_bell_wakes_an_epoll_in_another_process(event: EventBell) -> None:
-    def work(send: Send, wait: Wait) -> bool:
-        poll = select.epoll()
-        poll.register(event.fd, select.EPOLLIN)
-        send("waiting")
-        woken = bool(poll.poll(20))
-        event.clear()
-        return woken
-
-    with Child(work) as child:
-        assert child.receive() == "waiting"
-        event.ring()
-        assert child.result() is True
-    assert not rings(event.fd)
-
-
 def test_of_several_bells_those_that_have_rung_are_cleared(fds: list[int]) -> None:
     bells = [EventBell.create() for _ in range(3)]
     fds += [each.fd for each in bells]
@@ -89,35 +73,6 @@ def test_bells_block_nobody_and_do_not_cross_an_exec(event: EventBell, tmp_path:
     for fd in (event.fd, reading, writing):
         assert not os.get_inheritable(fd)
         assert not os.get_blocking(fd)
-
-
-def test_messages_of_many_writers_do_not_mix(tmp_path: Path, fds: list[int]) -> None:
-    bell.make_pipe(f"{tmp_path}/stop", 0o666)
-    fds.append(reading := bell.open_pipe(f"{tmp_path}/stop"))
-    count, size = 60, 400
-
-    def writer(letter: bytes) -> Callable[[Send, Wait], int]:
-        def work(send: Send, wait: Wait) -> int:
-            fd = bell.open_pipe_to_write(f"{tmp_path}/stop")
-            wait()
-            return sum(bell.send(fd, letter * size + b"\n") for _ in range(count))
-
-        return work
-
-    children = [Child(writer(letter)) for letter in (b"a", b"b", b"c")]
-    try:
-        for child in children:
-            child.go()
-        sent = sum(child.result() for child in children)
-    finally:
-        for child in children:
-            child.close()
-    data = b""
-    while part := bell.take(reading):
-        data += part
-    lines = data.split(b"\n")[:-1]
-    assert len(lines) == sent > 100
-    assert all(len(line) == size and len(set(line)) == 1 for line in lines)
 
 
 def test_the_mode_is_exact_whatever_the_umask_and_until_then_it_is_nobody_else_s(on: SimpleNamespace) -> None:
@@ -164,7 +119,6 @@ def test_what_a_dead_run_left_is_replaced(on: SimpleNamespace, old: str) -> None
 
 @pytest.fixture
 def ends(on: SimpleNamespace) -> tuple[int, int]:
-    """The service's and a client's end of the stop pipe."""
     on.bell.make_pipe(STOP, 0o666)
     return on.bell.open_pipe(STOP), on.bell.open_pipe_to_write(STOP)
 

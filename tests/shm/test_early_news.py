@@ -15,10 +15,10 @@ import pytest
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.shm.segment import Segment
-from tests.support.children import Child, needs_root, scheduled
+from tests.support.children import needs_root, scheduled
 from tests.support.waiting import until
 
-from .dying import Send, Wait, alive, asleep, ends, holding, lifelines, rung, threads, watching
+from .dying import alive, asleep, ends, holding, rung, threads, watching
 from .simulated import living, refusing
 
 
@@ -73,28 +73,11 @@ def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, l
         life.close()
 
 
-def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_starter(
-    name: str, news: EarlyNews
-) -> None:
-    """A process that has real-time rights hands none of them on to a thread that it starts."""
-    with holding(name, 2) as holder:
-        life, before = Lifeline(holder.pid), threads()
-        with scheduled(os.SCHED_BATCH):
-            news.arm(life, 2, 0)
-        (thread,) = threads() - before
-        until(lambda: os.sched_getscheduler(thread) == os.SCHED_OTHER, "its own scheduling")
-        os.kill(holder.pid, signal.SIGKILL)
-        assert rung(news.bell.fd)
-        life.close()
-
-
 def attached(on: SimpleNamespace) -> Any:
-    """The lines of every block."""
     return on.segments.attach("run", "lifelines", 9, write=True)
 
 
 def lines_of(on: SimpleNamespace) -> Any:
-    """New ones."""
     on.segments.create("run", "lifelines", 9)
     return attached(on)
 
@@ -127,7 +110,6 @@ def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rig
 
 
 def refuse_above(on: SimpleNamespace, own: int) -> None:
-    """No thread may have a higher priority than this."""
 
     def refuse(thread: object, call: str, about: tuple[int, ...]) -> None:
         if call == "sched_setscheduler" and about[2] > own:
@@ -173,31 +155,14 @@ def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, lines: Seg
             assert last.result() == (True, True, True)
 
 
-def test_blocks_do_not_touch_each_other(name: str, lines: Segment) -> None:
-    with holding(name, 0), holding(name, 2), holding(name, 1) as holder:
-        holder.kill()
-        for _ in range(2):
-            assert lines.futex("held", PER_BLOCK).wait_for_death() is True, "the mark stays for who comes late"
-        with watching(name, os.getpid(), 0, 0) as watcher:
-            other = Lifeline(watcher.pid)
-            assert not rung(other.fd, 0.05)
-            other.close()
-
-
-def select_poll(fd: int) -> list[tuple[int, int]]:
-    poll = select.poll()
-    poll.register(fd, select.POLLIN)
-    return poll.poll(2_000)
-
-
 def test_the_pidfd_alone_is_enough(news: EarlyNews) -> None:
     """The early news never comes where the futex was not held: the late word is there all the same."""
     with alive() as (child, life):
         with ends():
             news.arm(life, 7, 0)
             os.kill(child.pid, signal.SIGKILL)
-            ready = dict(select_poll(life.fd))
-        assert life.died(ready)
+            assert rung(life.fd)
+        assert life.died({life.fd: select.POLLIN})
         assert not life.marked
         assert life.dead()
 
@@ -231,18 +196,9 @@ def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, news: EarlyNews) -
     assert not life.marked
 
 
-def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(
-    name: str, lines: Segment, news: EarlyNews
-) -> None:
-    """By one line alone; the pidfd is that of this process, which lives."""
-
-    def work(send: Send, wait: Wait) -> None:
-        kept = lifelines(name).futex("held", write=True).hold()
-        send("held" if kept else "the kernel can't")
-        wait()
-
-    with Child(work) as holder:
-        assert holder.receive() == "held"
+def test_a_watch_that_names_no_line_is_of_the_first(name: str, lines: Segment, news: EarlyNews) -> None:
+    """As that of a client; the pidfd is that of this process, which lives."""
+    with holding(name, 0) as holder:
         life = Lifeline(os.getpid())
         news.watch(life, lines)
         holder.kill()

@@ -66,7 +66,6 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(on: SimpleNamespace, ba
 
 
 def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...], str]:
-    """How the last run of this name was started."""
     found = on.instance.last(name)
     return found.device, found.command, found.servos, found.board
 

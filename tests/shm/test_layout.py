@@ -148,16 +148,6 @@ def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str)
     assert changed & 0xFFFFFFFF != LAYOUT_HASH & 0xFFFFFFFF
 
 
-def test_all_variants_of_one_number_have_their_own_hash() -> None:
-    hashes = {variant(r'_latest\("link", 32', f'_latest("link", {size}').LAYOUT_HASH for size in range(129, 300)}
-    assert len(hashes) == 171
-    assert LAYOUT_HASH not in hashes
-    halves = [(number >> 32, number & 0xFFFFFFFF) for number in hashes]
-    assert all(high != low for high, low in halves), "two sums, and not one twice"
-    assert all(max(half) > 2**31 and any(number & 1 for number in half) for half in zip(*halves, strict=True))
-    assert max(hashes) < 2**64
-
-
 @pytest.mark.parametrize("pages", [1, 2, 5000])
 @pytest.mark.parametrize(("beyond", "more"), [(0, 0), (1, 1)])
 def test_a_segment_is_of_whole_pages_and_of_no_more_than_it_needs(pages: int, beyond: int, more: int) -> None:
