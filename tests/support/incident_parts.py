@@ -27,12 +27,10 @@ RATE_STILL, RATE_MOVING = 0.002, 0.006
 
 
 def at(ms: float) -> int:
-    """CLOCK_MONOTONIC of a moment."""
     return CAUSE_NS + round(ms * 1e6)
 
 
 def printed(lines: list[style.Line]) -> str:
-    """A report, without its colours."""
     return "\n".join(map(style.plain, lines))
 
 

@@ -15,7 +15,6 @@ STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4.4e-
 
 
 def process(**changed: Any) -> Process:
-    """A process that runs well."""
     healthy = Process(4711, "running", 0.005, 0, None, 0.02, realtime=True, memory_locked=True)
     return dataclasses.replace(healthy, **changed)
 
@@ -56,20 +55,17 @@ def state(**changed: Any) -> State:
 
 
 def latched(cause: Cause = KEY, **changed: Any) -> State:
-    """A state with a stop latched."""
     told = {"cause": cause, "estop": str(cause), "blocked": f"estop: {cause}", "last_stop": stop(cause)}
     return state(**{**told, **changed})
 
 
 def arm(*joints: str, **changed: Any) -> ArmState:
-    """An arm that stands, with these joints."""
     rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
     base = ArmState("", "", False, "", "", "", False, (), (), "", None, None, rows)
     return dataclasses.replace(base, **changed)
 
 
 def driving(**changed: Any) -> State:
-    """A state while a client drives forward."""
     source = Source("cmd_vel", 0, "nav (pid 42)", "drives")
     base = {
         "enabled": True,
