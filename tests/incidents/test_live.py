@@ -6,7 +6,6 @@ import contextlib
 import os
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -51,7 +50,6 @@ class Kept:
         self._told.clear()
 
     def rest(self) -> None:
-        """Wait until no saver of this service runs."""
         wait_for("the end of every saver", lambda: not self._savers(psutil.process_iter()), SAVED_S)
 
     def heads(self) -> list[dict[str, object]]:
@@ -83,7 +81,6 @@ class Kept:
         return found
 
     def saver(self) -> psutil.Process:
-        """The saver, as soon as it runs."""
         supervisor = psutil.Process(self.trial.service.pids()[layout.SUPERVISOR])
         found: list[psutil.Process] = []
         wait_for("a saver", lambda: found.extend(self._savers(supervisor.children())) or found, SAVED_S)
@@ -191,26 +188,6 @@ def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> No
     assert any(event.kind == "device_back" for event in incident.events)
 
 
-def test_a_killed_supervisor_is_told_of_by_the_next_start(kept: Kept) -> None:
-    trial = kept.trial
-    trial.enable()
-    trial.drive(0.5)
-    assert trial.kill(layout.SUPERVISOR, 0.2).stop_ns is not None
-    assert kept.heads() == []
-    trial.recover(layout.SUPERVISOR, 0)
-    incident = kept.saved()
-    assert (incident.reason, incident.head["kind"]) == ("supervisor died", "left")
-    stop = incident.head["stop"]
-    assert stop["written_by"] in ("port owner", "stopper")
-    assert stop["written_us"] >= 0
-    assert incident.ticks[-1].block == "driving"
-    assert "the last beat of the supervisor" in [line.text for line in story.tell(incident)]
-    trial.leave()
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving(), "the new run is not the old one's"
-
-
 def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
     """Two stories: the stop's, saved at once by the saver that was there, and the death's, by the next start."""
     trial = kept.trial
@@ -286,27 +263,3 @@ def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
     assert kept.saved().reason.startswith("stop request: third")
     assert not half.exists()
     assert trial.robot.state.estop is not None
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to mount a tiny disk")
-def test_a_full_disk(kept: Kept) -> None:
-    trial = kept.trial
-    kept.folder().mkdir(parents=True, exist_ok=True)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "none", str(kept.folder())]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("mounting is not allowed here")
-    try:
-        trial.enable()
-        trial.drive(1.0)
-        trial.robot.estop("into a full disk")
-        wait_for("a word on it", lambda: len(kept.told()) == 1, SAVED_S)
-        assert "No space left on device" in kept.told()[0]
-        assert list(kept.folder().iterdir()) == [], "neither half a file nor a draft"
-        state = trial.robot.state
-        assert (state.estop or "").startswith("stop request: into a full disk")
-        trial.enable()
-        trial.drive(0.2)
-        assert trial.moving()
-        trial.robot.disable()
-    finally:
-        subprocess.run(["umount", str(kept.folder())], check=True)

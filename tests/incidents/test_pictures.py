@@ -29,11 +29,6 @@ def incident() -> Incident:
     return drive_and_die().incident()
 
 
-def test_a_name_that_is_no_picture(incident: Incident, tmp_path: Path) -> None:
-    with pytest.raises(IncidentError, match=r"ends in \.png, \.svg, \.pdf"):
-        plot.save(incident, str(tmp_path / "a.txt"), 5.0)
-
-
 @pytest.mark.parametrize(
     ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
 )
@@ -45,6 +40,16 @@ def test_a_missing_extra_is_named_with_its_command(
     with pytest.raises(IncidentError, match=f"pip install {' '.join(extras.PACKAGES[extra])}"):
         plot.save(incident, path, 5.0) if module is plot else export.save(incident, path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("needed", "suffixes"), [("matplotlib", r"\.png, \.svg, \.pdf"), ("mcap_ros2.writer", r"\.mcap")]
+)
+def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, suffixes: str) -> None:
+    pytest.importorskip(needed)
+    path = str(tmp_path / "a.txt")
+    with pytest.raises(IncidentError, match=rf"ends in {suffixes}"):
+        plot.save(incident, path, 5.0) if needed == "matplotlib" else export.save(incident, path)
 
 
 def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tmp_path: Path) -> None:
@@ -61,7 +66,6 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
 
 
 def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
-    """Check the values that drive_and_die() has put in."""
 
     def value(topic: str, index: int) -> object:
         return found[f"/failstop/{topic}"][index][1]
@@ -80,12 +84,6 @@ def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
     assert imu.orientation_covariance[0] == -1  # type: ignore[attr-defined]
     causes = [(at_ns, m) for at_ns, m in found["/failstop/events"] if m.name == "failstop.cause"]  # type: ignore[attr-defined]
     assert [(at_ns, m.msg, m.level) for at_ns, m in causes] == [(UNIX_NS, "gate died", 40)]  # type: ignore[attr-defined]
-
-
-def test_a_name_that_is_no_export(incident: Incident, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2.writer")
-    with pytest.raises(IncidentError, match=r"ends in \.mcap"):
-        export.save(incident, str(tmp_path / "a.incident"))
 
 
 def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:

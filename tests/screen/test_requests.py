@@ -18,12 +18,7 @@ from tests.support.typist import Typist
 
 @pytest.mark.parametrize(
     "words",
-    [
-        "drive 0.1 0 0 --for",
-        "arm jog base=0.1 --for",
-        "arm move base=0.1 --over",
-        "incident plot last --seconds",
-    ],
+    ["drive 0.1 0 0 --for", "arm jog base=0.1 --for", "arm move base=0.1 --over", "incident plot last --seconds"],
 )
 @pytest.mark.parametrize("time", ["-1", "0", "nan", "inf", "soon"])
 def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsys: pytest.CaptureFixture[str]) -> None:

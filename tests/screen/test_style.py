@@ -67,7 +67,6 @@ def test_wrapped_lines_fit_and_lose_nothing_but_spaces(line: style.Line, columns
 
 
 def letters(line: style.Line) -> list[tuple[str, str]]:
-    """Each character with its role, but the spaces."""
     return [(character, role) for text, role in line for character in text if character != " "]
 
 

@@ -141,7 +141,6 @@ def test_commands_name_the_robot_where_there_are_several() -> None:
 
 
 def _gate_reasons() -> dict[str, str]:
-    """Every block reason, as the gate itself gives it."""
     settings = Settings()
     core = GateCore(settings, kinematics.from_settings(settings), 0)
     found = {"disabled": core.blocked(1)}
