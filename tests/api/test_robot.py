@@ -241,9 +241,7 @@ def test_threads_that_drive_and_look_at_once(trial: Trial) -> None:
     assert not errors
 
 
-def test_what_waited_for_a_thread_s_request_was_asked_before_the_stop_meanwhile(
-    trial: Trial,
-) -> None:
+def test_what_waited_for_a_thread_s_request_was_asked_before_the_stop_meanwhile(trial: Trial) -> None:
     """The gate hangs in front of the first, and is killed for that: a reset of before must not clear it."""
     robot = Robot(trial.name)
     robot.limit_speed(1.0)

@@ -36,9 +36,7 @@ UNIT = {
     "NRestarts": "0",
 }
 TICKS = (True, [20_000] * 500)
-FILES = {
-    f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
-}
+FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
 KERNEL: dict[str, Any] = {
     "room": 1 << 30,
     "early_news": True,
@@ -121,20 +119,16 @@ def look(name: str = "failstop", **changed: Any) -> Look:
 
 
 def on(comm: str, pid: int = 9, command: str = "") -> dict[str, str | None]:
-    """The files of a machine on which this program runs."""
     return {f"/proc/{pid}/comm": comm, f"/proc/{pid}/cmdline": "\0".join(command.split())}
 
 
 def of(kind: str) -> Settings:
-    """Settings that name another board."""
     return Settings({"board.kind": kind})
 
 
 def serving(**changed: Any) -> tuple[State, str, str]:
-    """The service, in a state but for this."""
     return dataclasses.replace(STATE, **changed), VERSION, ""
 
 
 def but(part: Any, **changed: Any) -> Any:
-    """One part, changed."""
     return part | changed if isinstance(part, dict) else dataclasses.replace(part, **changed)

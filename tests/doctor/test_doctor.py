@@ -33,14 +33,12 @@ class Doctor:
         self._capsys = capsys
 
     def said(self, *words: str) -> tuple[int, str]:
-        """Exit code, and what it printed."""
         code = main(["doctor", "--quick", *words])
         out, errors = self._capsys.readouterr()
         assert errors == ""
         return code, out
 
     def __call__(self, *words: str) -> tuple[int, Found]:
-        """Exit code, and the findings."""
         code, out = self.said("--json", *words)
         result = json.loads(out)
         found: Found = {}
@@ -140,12 +138,6 @@ def test_settings_that_no_service_would_start_with(doctor: Doctor, board: SimBoa
     _, found = doctor("--config", str(config), "--name", name)
     assert found["settings"][0] == {"check": "settings", "level": "ok", "text": str(config), "fix": "", "advice": ""}
     assert board.link in found["port"][0]["text"]
-
-
-def test_no_device(doctor: Doctor, name: str) -> None:
-    code, found = doctor("--device", "/dev/nowhere", "--name", name)
-    assert code == 1
-    assert found["port"][0]["level"] == "fail"
 
 
 def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str) -> None:

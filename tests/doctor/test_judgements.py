@@ -130,7 +130,6 @@ def test_on_a_machine_that_is_well_every_check_says_so() -> None:
 
 
 def said(given: Look, check: str) -> list[tuple[str, str, str]]:
-    """(text, fix, advice) of each finding of a check."""
     return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
 
 
@@ -258,8 +257,7 @@ def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fi
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{}, {"node": but(NODE, pseudo=True), "usb_id": ""}, {"usb_id": "", "device_path": "/dev/x"}],
+    "changed", [{}, {"node": but(NODE, pseudo=True), "usb_id": ""}, {"usb_id": "", "device_path": "/dev/x"}]
 )
 def test_where_it_is_tried(changed: dict[str, Any]) -> None:
     [(text, *_)] = said(look(service=NOBODY, device=("/nowhere", ""), **changed), "stop path")

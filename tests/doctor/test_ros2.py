@@ -19,11 +19,7 @@ HERE = "the bridge to ROS 2 is connected"
     ("pid", "environment", "says"),
     [
         (0, "", "no bridge to ROS 2 is connected"),
-        (
-            7,
-            "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0",
-            f"{HERE} (pid 7, user {ME})",
-        ),
+        (7, "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0", f"{HERE} (pid 7, user {ME})"),
         (7, "HOME=/\0", f"{HERE} (pid 7, user {ME}), by UDP alone"),
         (8, "", f"{HERE} (pid 8, user ), by UDP alone"),
     ],

@@ -71,7 +71,7 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
 
 @pytest.mark.slow
 def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
-    """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_judge.py."""
+    """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_starved_rows.py."""
     settings = tmp_path / "own.toml"
     settings.write_text(f"{status.LEASE} = {status.LEASE_WITHOUT_S}\n")
     out = tmp_path / "evidence"

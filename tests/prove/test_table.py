@@ -62,26 +62,6 @@ def test_rows_say_what_was_measured_and_what_is_wrong() -> None:
     assert "blind for 0.30 s" in report.row(result(blind_s=0.3))
 
 
-@pytest.mark.parametrize(
-    ("results", "ended", "passed"),
-    [
-        ([result()], "", True),
-        ([result(), result(skipped="nobody")], "", True),
-        ([result(), result(wrong=["late"])], "", False),
-        ([result()], "interrupted", False),
-        ([result(skipped="nobody")], "", False),
-        ([], "", False),
-    ],
-)
-def test_all_of_it_passes_only_if_nothing_failed_and_something_was_tried(
-    results: list[Result], ended: str, passed: bool
-) -> None:
-    evidence = Evidence("/dev/board", False, True, SIMULATED, results, ended)
-    assert evidence.passed is passed
-    assert evidence.as_dict()["passed"] is passed
-    assert f"\n{'PASS' if passed else 'FAIL'}\n" in report.text(evidence)
-
-
 @pytest.mark.starts
 def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
     evidence = Evidence("/dev/board", False, True, SIMULATED, [result(samples=gyro((1.0, 0.002)))])

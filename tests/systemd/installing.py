@@ -58,7 +58,6 @@ class Place:
         return self.box.run("grep", "-h", "failstop", "/etc/passwd", "/etc/group", check=False).stdout.splitlines()
 
     def plug(self) -> None:
-        """The board has the name that the udev rule gives it."""
         self.box.path(LINK).symlink_to(BOARD)
 
     def unplug(self) -> None:
@@ -66,7 +65,6 @@ class Place:
 
     @contextlib.contextmanager
     def driving(self) -> Iterator[None]:
-        """The wheels turn, and a client goes on commanding."""
         self.box.run("failstop", "enable")
         words = self.box.entering("failstop", "drive", "0.1", "0", "0", "--for", "60")
         with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:

@@ -32,7 +32,6 @@ def completes(place: Place, script: str) -> bool:
 
 
 def said_of(package: str, what: str, *words: str) -> str:
-    """The answer of dpkg-deb."""
     return subprocess.run(["dpkg-deb", what, package, *words], check=True, capture_output=True, text=True).stdout
 
 

@@ -51,11 +51,6 @@ def whole_again(scene: Scene, before: dict[str, int]) -> None:
     assert not any(event.is_motion for event in scene.board.events())
 
 
-def stop_since(scene: Scene, since_ns: int) -> None:
-    """Wait for a stop."""
-    scene.board.wait_for(lambda event: event.is_stop and event.arrival_ns > since_ns, NEVER_S)
-
-
 def status(scene: Scene) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(scene.failstop("status", "--json").stdout)
     return found
@@ -290,7 +285,9 @@ def test_a_crash_loop_ends_stopped(shared_scene: Scene) -> None:
         for start in (1, 2):
             killed_ns = time.monotonic_ns()
             scene.kill_all()
-            stop_since(scene, killed_ns)
+            scene.board.wait_for(
+                lambda event, since_ns=killed_ns: event.is_stop and event.arrival_ns > since_ns, NEVER_S
+            )  # type: ignore[misc]
             scene.board.events()
             if start < 2:
                 scene.recover(start)
