@@ -20,7 +20,6 @@ UNHEARD = f"a node that hears of the goal has acknowledged nothing for {GOAL_TIM
 
 @pytest.fixture
 def planner(scene: BridgeTrial, offers: bool) -> Node:
-    """A client of the action."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
     return scene.node("planner")

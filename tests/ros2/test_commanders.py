@@ -32,7 +32,6 @@ MS = 1_000_000
 
 
 def seen(commanders: Commanders, now_ns: int, *publishers: Publisher) -> Commanders:
-    """The graph is asked, as the shell does it."""
     if commanders.wants_look(len(publishers), now_ns):
         commanders.look(publishers, now_ns)
     commanders.counted(len(publishers), now_ns)

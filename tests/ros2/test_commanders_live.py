@@ -96,13 +96,10 @@ def test_a_wrong_type_is_told_everywhere(scene: BridgeTrial) -> None:
     told(scene, said, "events", "--kind", "said")
 
 
-def test_best_effort_is_not_heard_and_is_told(scene: BridgeTrial) -> None:
+def test_a_wrong_scan_estop_and_quality_are_told(scene: BridgeTrial) -> None:
     shy = scene.node("shy")
     shy.publish("cmd_vel", TWIST, FORWARD, match=False, qos={"reliable": False})
     scene.state(lambda state: "/shy publishes cmd_vel as best effort" in (state["wrong"] or ""))
-
-
-def test_a_wrong_scan_and_a_wrong_estop(scene: BridgeTrial) -> None:
     node = scene.node("confused")
     node.publish("scan", "sensor_msgs/msg/PointCloud2", {}, match=False)
     node.publish("estop", "std_msgs/msg/String", {}, match=False)

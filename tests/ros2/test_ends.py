@@ -32,7 +32,6 @@ def driving(scene: BridgeTrial) -> Node:
 
 
 def stopped(scene: BridgeTrial, since_ns: int) -> None:
-    """The wheels were told to stand after that."""
     scene.trial.board.wait_for(
         lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > since_ns, timeout_s=DEADLINE_S
     )

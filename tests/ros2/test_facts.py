@@ -41,7 +41,6 @@ def test_the_fields_of_a_message_and_their_defaults(seen: dict[str, Any], name: 
 
 
 def within(here: Any, there: Any) -> Any:
-    """The part of what was recorded that is here."""
     if isinstance(here, dict):
         return {field: within(value, there[field]) for field, value in here.items()}
     return there

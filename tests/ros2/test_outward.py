@@ -45,7 +45,6 @@ def heard(node: Node, topics: dict[str, tuple[str, int]]) -> dict[str, Heard]:
 
 @pytest.fixture(scope="module")
 def still(stage: BridgeTrial) -> dict[str, Heard]:
-    """Topics of a robot at rest."""
     stage.fresh()
     listener = stage.node("listener")
     found = heard(listener, STILL)
@@ -55,7 +54,6 @@ def still(stage: BridgeTrial) -> dict[str, Heard]:
 
 @pytest.fixture(scope="module")
 def driven(stage: BridgeTrial) -> dict[str, Heard]:
-    """Topics of a robot that drives."""
     stage.fresh()
     stage.scan()
     stage.drive()

@@ -19,7 +19,6 @@ ROWS = "silence,sigkill,sigstop,abort,nan,two" if LONG else "sigkill,abort"
 
 
 def card(ros: Ros, base_s: float, rows: str, out: Path) -> dict:
-    """The card of a driver with this timeout."""
     with subprocess.Popen([sys.executable, BASE, str(base_s)], env=ros.environment, stdout=subprocess.DEVNULL) as base:
         try:
             words = ["probe", "ros2", "--rows", rows, "--yes", "--json", "--out", str(out / "card")]

@@ -37,5 +37,4 @@ class Parameter:
 
 
 def value_of(message: ParameterValue) -> object:
-    """The inverse."""
     return getattr(message, FIELDS[message.type]) if message.type else None
