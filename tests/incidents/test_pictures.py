@@ -32,7 +32,7 @@ def incident() -> Incident:
 @pytest.mark.parametrize(
     ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
 )
-def test_a_missing_extra_is_named_with_its_command(
+def test_a_missing_extra_is_named(
     incident: Incident, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: object, needed: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, needed, None)
@@ -112,11 +112,8 @@ def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
         made.tick(ms)
     assert [what for what, _, _ in made.incident().gate_spans()] == ["disabled"]
     made.event(5, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
-    assert made.incident().gate_spans() == [
-        ("disabled", at(-40), at(0)),
-        (SILENT, at(0), at(40)),
-        ("disabled", at(40), at(60)),
-    ]
+    before, after = ("disabled", at(-40), at(0)), ("disabled", at(40), at(60))
+    assert made.incident().gate_spans() == [before, (SILENT, at(0), at(40)), after]
 
 
 def test_a_curve_is_broken_where_the_board_was_silent() -> None:
@@ -155,11 +152,8 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     assert [pulses for _, pulses in sent[4]] == list(range(300, 280, -1))
     assert [found.joint(servo) for servo in (1, 4, 6)] == ["base", "wrist", "servo 6"]
     told = [line.text for line in story.tell(found) if line.what == "arm"]
-    assert told == [
-        "follow for nav (pid 77): base 519, wrist 282",
-        "jog for nav (pid 77): base 24/s",
-        "moved by nobody",
-    ]
+    by_nav = ["follow for nav (pid 77): base 519, wrist 282", "jog for nav (pid 77): base 24/s"]
+    assert told == [*by_nav, "moved by nobody"]
     assert found.undecoded == 0
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"svg.fonttype": "none"}):

@@ -50,7 +50,7 @@ def result(**changed: object) -> Result:
         (["late"], ["late"], "held", True, "FAIL"),
     ],
 )
-def test_only_what_a_starved_machine_can_bring_about_is_invalid(
+def test_what_a_starved_machine_brings_about_is_invalid(
     wrong: list[str], doubts: list[str], starved: str, runaway: bool, verdict: str
 ) -> None:
     assert result(wrong=wrong, doubts=doubts, starved=starved, runaway=runaway).verdict == verdict
@@ -177,9 +177,7 @@ def evidence(*verdicts: str, ended: str = "", spoiled: bool = False) -> Evidence
         (evidence("PASS", "INVALID", ended=report.INTERRUPTED), "FAIL", 130),
     ],
 )
-def test_the_sum_is_invalid_when_nothing_failed_and_something_was_spoiled(
-    found: Evidence, verdict: str, code: int
-) -> None:
+def test_the_sum_is_invalid_when_what_failed_was_spoiled(found: Evidence, verdict: str, code: int) -> None:
     assert (found.verdict, found.exit_code) == (verdict, code)
     assert (found.passed, found.as_dict()["passed"]) == (verdict == "PASS", verdict == "PASS")
     assert (f"\n{verdict}\n" in report.text(found), found.as_dict()["verdict"]) == (True, verdict)
@@ -285,7 +283,7 @@ def on_stand(tmp_path: Path) -> Iterator[Stand]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Runaway("THE WHEELS DID NOT COME TO REST"), "FAIL")]
+    ("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Runaway("THE WHEELS DID NOT REST"), "FAIL")]
 )
 def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error: Exception, verdict: str) -> None:
     def breaks_off(_: str) -> None:

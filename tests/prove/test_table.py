@@ -17,13 +17,8 @@ from tests.prove.noise import SIMULATED, gyro
 def test_every_process_is_killed_and_hung() -> None:
     for kind in (table.KILL, table.HANG):
         assert {path.process for path in PATHS if path.kind == kind} == set(PROCESS_NAMES)
-    assert {path.kind for path in PATHS} >= {
-        table.TIMEOUT,
-        table.STOP_REQUEST,
-        table.DISABLING,
-        table.SCAN,
-        table.PAD_STOP,
-    }
+    others = {table.TIMEOUT, table.STOP_REQUEST, table.DISABLING, table.SCAN, table.PAD_STOP}
+    assert {path.kind for path in PATHS} >= others
     assert len(BY_PATH) == len(PATHS)
 
 

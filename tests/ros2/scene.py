@@ -58,9 +58,7 @@ class Ros:
         self.environment = _real(folder) if self.real else _stand_in(folder)
 
     def run(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            words, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
-        )
+        return subprocess.run(words, env=self.environment, capture_output=True, text=True, timeout=timeout_s)
 
 
 def _stand_in(folder: Path) -> dict[str, str]:

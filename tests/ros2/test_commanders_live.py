@@ -42,9 +42,7 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: 
     scene.state(lambda state: state["publishers"] == ["/nav"])
 
 
-def test_the_second_publisher_is_named_wherever_the_cause_is_told(
-    scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_second_publisher_is_named_everywhere(scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is silent, and the graph knows a new publisher before its name."""
     scene.drive()
     scene.node("joystick").ask("advertise", topic="cmd_vel", type=TWIST)

@@ -30,11 +30,8 @@ TOPICS_OUT = {
     "~/emergency_stop": ("std_msgs/msg/Bool", TRANSIENT_LOCAL, 10),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", RELIABLE_10, 1),
 }
-SERVICE_TYPES = {
-    "~/enable": "std_srvs/srv/SetBool",
-    "~/reset_estop": "std_srvs/srv/Trigger",
-    "~/stop": "std_srvs/srv/Trigger",
-}
+TRIGGER = "std_srvs/srv/Trigger"
+SERVICE_TYPES = {"~/enable": "std_srvs/srv/SetBool", "~/reset_estop": TRIGGER, "~/stop": TRIGGER}
 STATE_KEYS = [
     *("enabled", "estop", "plugged", "arm_enabled", "arm_moving", "arm_pose", "servo_silent", "blocked", "body_vel"),
     *("scan_age", "gyro_bias_dps", "gyro_bias_tracking", "arm_holding", "pad_mode", "pad_joint", "auto_tuck_in_s"),

@@ -32,9 +32,7 @@ def driving(scene: BridgeTrial) -> Node:
 
 
 def stopped(scene: BridgeTrial, since_ns: int) -> None:
-    scene.trial.board.wait_for(
-        lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > since_ns, timeout_s=DEADLINE_S
-    )
+    scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > since_ns, DEADLINE_S)
 
 
 def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: BridgeTrial) -> None:

@@ -33,9 +33,7 @@ STATES = {
     "latched": latched(causes.REQUESTED("hand near the left wheel", "failstop estop", 4711)),
     "waiting for the port": latched(causes.DEVICE_LOST(), device=LOST, waiting_for="the port"),
     "deaf": latched(causes.DEAF(), device=DEAF),
-    "process down": latched(
-        causes.DIED("gate"), processes={**state().processes, **DOWN}, waiting_for="gate", age_s=9.0
-    ),
+    "process down": latched(causes.DIED("gate"), processes={**state().processes, **DOWN}, waiting_for="gate", age_s=9),
     "long": latched(causes.PIPED("x" * 300), clients=tuple(Client(i, "n" * 64, 4194304, False) for i in range(8))),
 }
 

@@ -177,6 +177,7 @@ def told(pilot: Pilot, seen: Any) -> str:
     return style.plain(line)
 
 
+DIED = "the service has died, and the wheels are stopped: q leaves"
 LATCHED = "a stop is latched: {}r resets it, then e enables motion"
 
 
@@ -196,10 +197,7 @@ def down(*names: str) -> Any:
         (latched(processes=down("gate"), waiting_for="gate"), LATCHED.format("wait for gate, then ")),
         (latched(processes=down("telemetry"), waiting_for="telemetry"), LATCHED.format("")),
         (latched(device=Device("/dev/ttyACM0", "lost", "alive")), LATCHED.format("plug the board in, then ")),
-        (
-            latched(processes={"supervisor": process(state="dead")}),
-            "the service has died, and the wheels are stopped: q leaves",
-        ),
+        (latched(processes={"supervisor": process(state="dead")}), DIED),
     ],
 )
 def test_the_line_says_what_holds_the_wheels_now(pilot: Pilot, seen: Any, line: str) -> None:

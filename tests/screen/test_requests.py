@@ -28,9 +28,7 @@ def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsy
 
 
 @pytest.mark.parametrize("percent", ["0", "-5", "3", "101", "nan"])
-def test_a_limit_that_is_none_is_refused_in_percent(
-    trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_limit_that_is_none_is_refused(trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["limit", percent, "--name", trial.name]) == 2
     assert capsys.readouterr().err == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
 
@@ -50,9 +48,7 @@ def test_progress_is_for_a_terminal_alone(
     assert capsys.readouterr().out == ""
 
 
-def test_progress_is_one_line_that_is_gone_at_the_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_progress_is_one_line_and_goes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     with Progress() as progress:
@@ -62,10 +58,7 @@ def test_progress_is_one_line_that_is_gone_at_the_end(
 
 
 def test_enabling_with_an_arm_is_one_line() -> None:
-    with (
-        ArmTrial(f"requests-{os.getpid()}-arm") as trial,
-        Typist([*FAILSTOP, "enable", "--name", trial.name]) as typist,
-    ):
+    with ArmTrial(f"arm-{os.getpid()}") as trial, Typist([*FAILSTOP, "enable", "--name", trial.name]) as typist:
         assert typist.end() == 0
         assert "s left" in typist.raw, "how far it is"
         assert "motion enabled" in typist.raw

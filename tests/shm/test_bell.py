@@ -166,9 +166,7 @@ def test_no_reader_is_enxio_and_one_that_goes_a_broken_pipe(on: SimpleNamespace,
 
 
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.ENXIO, errno.EIO])
-def test_what_else_a_pipe_is_refused_with_is_told_as_it_is(
-    on: SimpleNamespace, ends: tuple[int, int], number: int
-) -> None:
+def test_what_a_pipe_is_refused_with_is_told_as_it_is(on: SimpleNamespace, ends: tuple[int, int], number: int) -> None:
     def refuse(*_: object) -> None:
         raise OSError(number, "refused")
 
@@ -178,9 +176,7 @@ def test_what_else_a_pipe_is_refused_with_is_told_as_it_is(
     assert told.value.errno == number
 
 
-def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
-    on: SimpleNamespace, ends: tuple[int, int]
-) -> None:
+def test_the_reader_sees_no_end_of_file_as_clients_come_and_go(on: SimpleNamespace, ends: tuple[int, int]) -> None:
     reading, writing = ends
     on.os.close(writing)
     poll = on.system["select"].epoll()

@@ -70,11 +70,7 @@ PAIRS_OF_PAYLOADS: dict[str, tuple[Callable[[int], bytes], Callable[[int], bytes
         lambda n: struct.pack(f"<{n // 8}d", *[0.2] * (n // 8)),
     ),
 }
-STEPS = {
-    "next seq, next ms": (7, 10**15, 8, 10**15 + 10**6),
-    "next seq, same time": (7, 9, 8, 9),
-    "carry": (255, 5, 256, 6),
-}
+STEPS = {"next ms": (7, 10**15, 8, 10**15 + 10**6), "same time": (7, 9, 8, 9), "carry": (255, 5, 256, 6)}
 
 
 @pytest.mark.parametrize("pair", PAIRS_OF_PAYLOADS)

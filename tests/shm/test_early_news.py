@@ -86,7 +86,7 @@ def lines_of(on: SimpleNamespace) -> Any:
 @pytest.mark.parametrize(
     ("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (1, 6, 7), (0, 6, 0), (5, 0, 5), (1, 0, 1)]
 )
-def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rights(
+def test_a_thread_that_stops_runs_above_the_dying(
     on: SimpleNamespace, own: int, dying: int, found: int, refused: bool, of_a_service: bool
 ) -> None:
     """It may not be let; then it runs as its process does. Nobody has to run above one that has no priority."""
@@ -171,9 +171,7 @@ def test_the_pidfd_alone_is_enough(news: EarlyNews) -> None:
     ("call", "error"),
     [("thread", RuntimeError("can't start new thread")), ("mmap", OSError(errno.ENOMEM, "no memory"))],
 )
-def test_a_machine_that_is_out_of_something_still_has_the_late_news(
-    on: SimpleNamespace, call: str, error: Exception
-) -> None:
+def test_a_machine_that_lacks_something_has_the_late_news(on: SimpleNamespace, call: str, error: Exception) -> None:
     news = on.lifeline.EarlyNews(lines_of(on))
     process = living(on, lambda: None)
     life = on.lifeline.Lifeline(process.pid)

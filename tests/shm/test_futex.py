@@ -197,9 +197,7 @@ def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str
     pytest.fail("the pidfd came first ten times")
 
 
-def test_where_the_kernel_can_t_nothing_is_held_and_nothing_proven(
-    lines: Segment, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_kernel_can_t_nothing_is_held_or_proven(lines: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
     """As under qemu's user mode, which has no robust lists."""
     assert futex.proven()
     monkeypatch.setattr(futex, "_SET_ROBUST_LIST", -1)
@@ -210,7 +208,7 @@ def test_where_the_kernel_can_t_nothing_is_held_and_nothing_proven(
 
 
 @pytest.mark.parametrize("looks", [3, 1 << 30])
-def test_a_kernel_that_tells_late_is_proven_and_one_that_never_tells_is_not(
+def test_a_kernel_is_proven_that_tells_late_and_none_that_never_tells(
     monkeypatch: pytest.MonkeyPatch, looks: int
 ) -> None:
     """The last as gVisor's, which takes the list and marks nothing: it is waited for for a second."""

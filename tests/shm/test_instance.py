@@ -86,9 +86,7 @@ def test_a_runtime_dir_is_taken_over(on: SimpleNamespace, bases: list[str]) -> N
 
 
 @pytest.mark.parametrize(("taken", "rights"), [(0, 0o755), (1, 0o755), (2, 0o700)])
-def test_the_shared_place_is_private_and_others_are_everyone_s_to_read(
-    on: SimpleNamespace, bases: list[str], taken: int, rights: int
-) -> None:
+def test_the_shared_place_alone_is_private(on: SimpleNamespace, bases: list[str], taken: int, rights: int) -> None:
     """So that every local user can reach the stop pipe."""
     for base in bases[:taken]:
         block(on, base)
@@ -117,12 +115,10 @@ def test_every_place_that_is_no_good_is_told_of(on: SimpleNamespace, bases: list
     for base in bases[: 1 if second == "full" else 2]:
         on.os.mkdir(base)
         on.os.chmod(base, 0o777)
-    expected = (
-        f"{bases[1]}/robot: No space left on device" if second == "full" else f"{bases[1]} may be written by others .*"
-    )
+    expected = f"{bases[1]}/robot: No space left" if second == "full" else f"{bases[1]} may be written by others"
     with (
         refusing(on, "mkdir", errno.ENOSPC, of=bases[1] if second == "full" else ""),
-        pytest.raises(on.instance.InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected}$"),
+        pytest.raises(on.instance.InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected} "),
     ):
         on.instances.make_runtime_dir("robot")
 
@@ -195,9 +191,7 @@ def test_a_second_service_is_refused_with_the_first_one_s_pid(on: SimpleNamespac
 
 
 @pytest.mark.parametrize("lets_go", [True, False])
-def test_a_lock_whose_owner_has_died_is_waited_for_and_not_without_end(
-    on: SimpleNamespace, bases: list[str], lets_go: bool
-) -> None:
+def test_a_lock_of_a_dead_owner_is_waited_for_a_while(on: SimpleNamespace, bases: list[str], lets_go: bool) -> None:
     """A supervisor that dies while it starts a process, which has its lock too: that one lets go at its exec."""
     path, machine = on.instances.make_runtime_dir("robot"), on.machine
     dead = holder(on, path)
@@ -270,13 +264,9 @@ def test_a_command_names_every_instance_but_the_default_one() -> None:
     assert instance.option("robot") == " --name robot"
 
 
-def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(
-    on: SimpleNamespace, bases: list[str]
-) -> None:
+def test_a_lock_that_can_not_be_made_or_written_is_told(on: SimpleNamespace, bases: list[str]) -> None:
     path = f"{bases[0]}/robot"
-    with pytest.raises(
-        on.instance.InstanceError, match=rf"the lock {path}/lock can't be made: No such file or directory"
-    ):
+    with pytest.raises(on.instance.InstanceError, match=rf"{path}/lock can't be made: No such file or directory"):
         on.instances.lock(path)
     assert on.instances.make_runtime_dir("robot") == path
     before = open_fds(on)
@@ -289,9 +279,7 @@ def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(
         assert open_fds(on) == before
 
 
-def test_a_lock_is_its_directory_s_and_its_owner_s_alone_and_crosses_no_exec(
-    on: SimpleNamespace, bases: list[str]
-) -> None:
+def test_a_lock_is_its_directory_s_alone_and_crosses_no_exec(on: SimpleNamespace, bases: list[str]) -> None:
     paths = [on.instances.make_runtime_dir(name) for name in ("one", "two")]
     fds = [on.instances.lock(path) for path in paths]
     assert len(set(fds)) == 2

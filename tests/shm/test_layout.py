@@ -64,10 +64,8 @@ def test_every_segment_has_a_writer_and_every_record_a_reader(spec: SegmentSpec)
 def test_no_record_is_declared_twice() -> None:
     """A second one of the same name would silently replace the first and leave a hole."""
     for spec in SEGMENTS:
-        assert (
-            sum(record.size() for record in spec.records.values())
-            == max(end for _, end, _ in places(spec)) - HEADER_BYTES
-        )
+        taken = sum(record.size() for record in spec.records.values())
+        assert taken == max(end for _, end, _ in places(spec)) - HEADER_BYTES
     assert len(SEGMENT_BY_NAME) == len(SEGMENTS)
 
 

@@ -178,9 +178,7 @@ def test_whose_base_is_trusted(folder: Any, above: int, rights: int, owner: int,
 
 
 @pytest.mark.parametrize(("owner", "looks", "trusted"), [(OTHER, 0, True), (0, NOBODY, True), (1, 0, False)])
-def test_what_is_in_a_user_s_base_is_that_user_s_or_root_s(
-    folder: Any, owner: int, looks: int, *, trusted: bool
-) -> None:
+def test_a_user_s_base_has_that_user_s_or_root_s(folder: Any, owner: int, looks: int, *, trusted: bool) -> None:
     on = folder
     give(on, OTHER, BASE)
     give(on, owner, FOLDER)

@@ -50,9 +50,7 @@ def test_a_new_segment_is_empty(name: str) -> None:
 
 
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
-def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
-    on: SimpleNamespace, own: int, gid: int, group: int
-) -> None:
+def test_modes_and_groups_are_the_layout_s(on: SimpleNamespace, own: int, gid: int, group: int) -> None:
     for mask, of in itertools.product((0o000, 0o022, 0o077, 0o777), NAMES):
         on.own.umask = mask
         with user(on, 0, own):
@@ -128,9 +126,8 @@ def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: st
         slot[1].latest_writer("hello").write(b"x")
 
 
-CLIENT_RECORDS = [
-    name for name, record in SEGMENT_BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
-]
+OF_CLIENT = SEGMENT_BY_NAME["client.0"].records
+CLIENT_RECORDS = [name for name, record in OF_CLIENT.items() if record.kind == "latest" and name != "left"]
 
 
 def test_a_goodbye_outlives_the_next_holder_s_begin(slot: Slot) -> None:

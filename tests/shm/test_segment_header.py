@@ -76,10 +76,7 @@ OTHER_VERSION = ("version", f"is of failstop 9.8.7, this program is {VERSION}")
         *((cut(size), NO_HEADER) for size in (0, 1, 23, 24, 100, 127)),
         # Another layout is told before anything else is judged: nothing else need mean the same there.
         *((header(**OTHER, **other), OTHER_VERSION) for other in ({}, {"size": 77}, {"run": 1}, {"name": "other"})),
-        (
-            header(layout=LAYOUT_HASH ^ 1, version="9\u00e4"),
-            ("version", "is of failstop 9\ufffd\ufffd, this program is"),
-        ),
+        (header(layout=LAYOUT_HASH ^ 1, version="9\u00e4"), ("version", "is of failstop 9\ufffd\ufffd, this")),
         (header(run=RUN + 1), ("damaged", "another run")),
         (header(size=4096 * 99), NO_FILE),
         (header(name="telemetry"), NO_FILE),

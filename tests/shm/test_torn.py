@@ -75,15 +75,13 @@ class Stepwise:
             self.each()
 
 
-SEED = cell.seed("test.torn", 1)
+SEED, Patch = cell.seed("test.torn", 1), pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("stores", ["one", "separate"])
 @pytest.mark.parametrize("kind", ["latest", "ring"])
 @pytest.mark.parametrize("crc", [True, False])
-def test_a_reader_after_every_byte_of_every_store(
-    kind: str, crc: bool, stores: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_after_every_byte_of_a_store(kind: str, crc: bool, stores: str, monkeypatch: Patch) -> None:
     """No luck is in it: with the CRC nothing torn is read, without it much is."""
     if not crc:
         monkeypatch.setattr(cell, "check", check_without_crc)

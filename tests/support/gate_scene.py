@@ -96,11 +96,8 @@ class Scene(Stage):
         """`changed`: settings that are not the defaults."""
         super().__init__(layout.GATE, **(changed or {}))
         self.os.makedirs(os.path.dirname(NAMESPACE))
-        for fd in (
-            self.load("failstop.shm.claim").open_claims(CLAIMS, create=True),
-            self.os.open(NAMESPACE, os.O_RDWR | os.O_CREAT),
-        ):
-            self.os.close(fd)
+        self.os.close(self.load("failstop.shm.claim").open_claims(CLAIMS, create=True))
+        self.os.close(self.os.open(NAMESPACE, os.O_RDWR | os.O_CREAT))
         bell = self.load("failstop.shm.bell")
         bell.make_pipe(BELL, 0o600)
         self._fds["client_bell"] = bell.open_pipe(BELL)

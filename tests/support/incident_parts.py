@@ -161,12 +161,7 @@ def drive_and_die() -> Recorder:
     for ms in range(-3000, 2200, 100):
         made.beats(ms, gate=190.0 if ms == 200 else 90.0 if ms == 100 else 5.0)
     made.cause(0, GATE_DIED)
-    made.event(
-        0.5,
-        "stop",
-        "STOP latched: gate died; stop frame written by the port owner after 212 us",
-        "warning",
-        cause="died",
-    )
+    latched = "STOP latched: gate died; stop frame written by the port owner after 212 us"
+    made.event(0.5, "stop", latched, "warning", cause="died")
     made.event(1.0, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
     return made

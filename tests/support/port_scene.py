@@ -64,11 +64,9 @@ class Scene(Stage):
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
         self.frames.put(records.FRAME.pack(epoch, kind, frame), self.clock() - age_ns)
 
-    def forward(
-        self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION, elapsed_ns: int = 0
-    ) -> bytes:
-        """The bytes that it writes in a turn for a frame of the gate's."""
-        self.put(frame, epoch=epoch, age_ns=age_ns, kind=kind)
+    def forward(self, frame: bytes = MOTION, *, elapsed_ns: int = 0, **words: int) -> bytes:
+        """The bytes that it writes in a turn for a frame of the gate's, put with these words."""
+        self.put(frame, **words)
         return self.turn(elapsed_ns)
 
     def answer(self, elapsed_ns: int = 0, *, alive: bool = True) -> tuple[bytes, list[str]]:

@@ -213,9 +213,8 @@ class Stage(PortMachine):
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.messages.segments")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
-        self.settings = self.load("failstop.policy.settings").Settings(
-            {"device.path": self.wire.link, **self.changed, **changed}
-        )
+        changed = {"device.path": self.wire.link, **self.changed, **changed}
+        self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.board = self.load("failstop.board.kinds").board_of(*self.settings.board())
         self.supervisor = Dummy(self.machine, layout.SUPERVISOR)
         self.parent = self.supervisor.pid

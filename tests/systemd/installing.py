@@ -19,17 +19,9 @@ SETTINGS = "/etc/failstop/failstop.toml"
 OLDER = "0.0.9"
 OPERATES = "/etc/systemd/system/failstop-web.service.d"
 PLACES = (
-    *(
-        "/opt/failstop",
-        "/etc",
-        "/var/lib/failstop",
-        "/run/failstop",
-        "/usr/lib/systemd",
-        "/usr/lib/sysusers.d",
-        "/usr/bin",
-    ),
+    *("/opt/failstop", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd", "/usr/lib/sysusers.d"),
     *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
-    "/usr/share/man/man1",
+    *("/usr/bin", "/usr/share/man/man1"),
 )
 
 
