@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 import pty
+import stat
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
 
+from failstop.board.rrc.board import BOARD
 from failstop.doctor import machine, port, stop_path, table
-from failstop.doctor.look import Look
+from failstop.doctor.look import FAIL, Look
 from failstop.doctor.system import Holder, System
 from failstop.instances import unit_of
+from tests.support.ptys import new_pty, open_fds
 
 
 def write(root: Path, path: str, text: str) -> None:
@@ -163,3 +168,35 @@ def test_all_of_it_is_quick() -> None:
     assert time.monotonic() - begun_s < 10.0
     assert look.service == (None, "", "")
     assert [row.text for row in stop_path.stop_path(look)] == ["not tested: there is no port"]
+
+
+def test_listing_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = [
+        SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None),
+        SimpleNamespace(device="/dev/ttyUSB0", description="USB Serial", vid=0x1A86, pid=0x7523),
+        SimpleNamespace(device="/dev/ttyACM1", description="Board B", vid=0x1A86, pid=0x55D4),
+        SimpleNamespace(device="/dev/ttyACM0", description="Board A", vid=0x1A86, pid=0x55D4),
+    ]
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    listed = [path.removeprefix("/dev/tty") for path, _ in System().ports(["1a86:55d4"])]
+    assert listed == ["ACM0", "ACM1", "USB0", "S0"]
+    assert dict(System().ports(["1a86:55d4"]))["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
+    assert "the board's" in dict(System().ports(["1a86:55d4"]))["/dev/ttyACM0"]
+    assert "the board's" not in " ".join(what for _, what in System().ports([]))
+
+
+def test_listing_really_lists() -> None:
+    for path, description in System().ports(()):
+        assert stat.S_ISCHR(os.stat(path).st_mode), description
+
+
+def test_a_burst_that_is_not_written_is_told() -> None:
+    with new_pty() as pty:
+        pty.fill()
+        before = open_fds()
+        told, [found] = stop_path.by_hand(os.ttyname(pty.slave), {"rrc": BOARD}, "failstop doctor")
+        assert open_fds() == before
+    assert told == []
+    assert (found.level, found.fix) == (FAIL, "failstop doctor")
+    assert found.text.startswith("no stop was written: /dev/pts/")
+    assert "POWER SWITCH" in found.advice
