@@ -176,7 +176,6 @@ def test_motion_that_another_enabled_stays_so(trial: Trial) -> None:
 
 
 def test_each_of_many_threads_gets_its_own_answer(trial: Trial) -> None:
-    """Requests that the gate grants and such that it refuses, all by one Robot at once."""
     robot = trial.robot
     robot.estop("held")
     robot.wait_for("latched", 5.0)

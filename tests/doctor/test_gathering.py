@@ -55,7 +55,6 @@ def test_units_by_name() -> None:
 
 
 def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_path: Path) -> None:
-    """No other board's language is tried there."""
     file = tmp_path / "robot.toml"
     file.write_text(f'[board]\nkind = "{tmp_path}/tank"\n')
     look = Look("nobody-here", config_path=str(file), device_path="/dev/null")

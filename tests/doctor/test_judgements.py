@@ -163,7 +163,6 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
 
 @pytest.mark.parametrize(("kind", "fitted", "level"), [("rrc", True, WARN), ("rrc", False, OK), ("ugv", True, "")])
 def test_an_imu_that_would_observe_the_wheels_and_is_not_there_is_told(kind: str, fitted: bool, level: str) -> None:
-    """A board that reports its wheels needs none."""
     device = but(PORT, imu=fitted)
     found = CHECKS["service"](look(service=serving(imu=None, device=device), told=of(kind)))
     assert [row.level for row in found if "no IMU reports" in row.text] == [level] * bool(level)

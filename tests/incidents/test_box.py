@@ -87,7 +87,6 @@ def test_no_command_is_too_strange_to_be_recorded(velocity: tuple[float, float, 
 
 
 def test_the_wire_is_recorded_after_it_was_written() -> None:
-    """Records come in the order of the bytes, with what the kernel took; a refusal too."""
     reads, writes = os.pipe()
     os.set_blocking(writes, False)
 

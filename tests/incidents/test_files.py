@@ -76,7 +76,6 @@ def test_a_pipe_among_the_incidents_is_not_waited_for(path: str) -> None:
 
 
 def test_what_a_person_writes_goes_through_no_link(tmp_path: Path) -> None:
-    """A draft in a folder that is everybody's may be there before, as a link."""
     victim = tmp_path / "victim"
     victim.write_text("precious\n")
     (tmp_path / "a.png.part").symlink_to(victim)

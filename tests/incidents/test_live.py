@@ -168,7 +168,6 @@ def check_driven(incident: Incident) -> None:
 
 
 def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:
-    """The stop, which is written at the return, and what came of it are in the file."""
     trial = kept.trial
     trial.enable()
     trial.drive(0.5)
@@ -238,7 +237,6 @@ def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
 
 
 def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
-    """One line each, no half file, and the next stop is saved as if nothing had been."""
     trial = kept.trial
     kept.folder().mkdir(parents=True, exist_ok=True)
     half = kept.folder() / ".draft-1999999999"

@@ -199,7 +199,6 @@ def test_lateness_is_counted_since_a_moment() -> None:
 
 
 def test_others_that_wait_for_a_processor_are_named() -> None:
-    """A pid that is new, or none, has waited for nothing yet."""
     waits = {7: 5_000 * MS, 8: 0}
     held = Held(others=lambda: {"gate": 7, "the simulated board": 8, "stopper": 0})
     for at_ns, gate_ms, board_ms in ((100 * MS, 49, 0), (200 * MS, 0, 60), (300 * MS, 49, 0)):
@@ -258,7 +257,6 @@ def test_a_process_that_was_not_run_knows_it() -> None:
 
 @pytest.mark.parametrize("simulated", [True, False])
 def test_advice_fits_the_board(simulated: bool) -> None:
-    """Wheels that are told to turn, and shake as those at rest."""
     driver = SimpleNamespace(robot=SimpleNamespace(disable=str), enable=str)
     settings = {"still.std_radps": 0.0035, "limits.acceleration_mps2": 0.5, "limits.acceleration_radps2": 2.0}
     watch = SimpleNamespace(samples=gyro((2.0, STILL)), forget=str)

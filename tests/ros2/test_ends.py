@@ -36,7 +36,6 @@ def stopped(scene: BridgeTrial, since_ns: int) -> None:
 
 
 def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: BridgeTrial) -> None:
-    """A bridge that is started anew drives nothing before an enable, while its publisher goes on commanding."""
     driving(scene)
     with open(f"/proc/{scene.bridge.process.pid}/maps", encoding="utf-8") as file:
         assert "/dev/shm/fastrtps" not in file.read()

@@ -173,7 +173,6 @@ def test_diagnostics(still: dict[str, Heard], scene: BridgeTrial) -> None:
 
 
 def test_the_running_bridge_offers_what_the_contract_says(scene: BridgeTrial) -> None:
-    """test_contract.py restates the contract."""
     graph = scene.eyes.ask("graph")
     for service in contract.SERVICES:
         assert graph["services"][service.name.replace("~", NODE)] == [service.type]

@@ -49,7 +49,6 @@ def test_a_stamp_from_the_future_is_told_and_not_refused(stamps: Stamps) -> None
 
 
 def test_the_words_stay_while_the_age_is_about_the_same(stamps: Stamps) -> None:
-    """Each change of them is an event for people."""
     found = set()
     for tick, age_s in enumerate((5.0, 5.04, 4.96, 5.9, 5.1)):
         stamps.late("cmd_vel", "/nav", stamp(age_s), 0.3, S + tick)

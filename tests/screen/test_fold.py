@@ -91,7 +91,6 @@ def test_only_on_a_terminal() -> None:
 
 
 def test_the_service_s_lines(capfd: pytest.CaptureFixture[str]) -> None:
-    """One event is one line for whatever reads a pipe; on a terminal no word is broken."""
     say(LINE.removeprefix("failstop: "))
     assert capfd.readouterr().err == f"{LINE}\n"
     code = f"from failstop.supervisor.events import say; say({LINE.removeprefix('failstop: ')!r})"

@@ -92,7 +92,6 @@ def _ticks(pid: int) -> int:
 
 @pytest.mark.slow
 def test_it_costs_little(watch: Typist, trial: Trial) -> None:
-    """The robot drives, so that everything on the screen changes."""
     trial.enable()
     wait_for("the screen to settle", lambda: "no command" in watch.look(0.05))
     before = _ticks(watch.process.pid)

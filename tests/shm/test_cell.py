@@ -89,7 +89,6 @@ def test_every_mix_of_the_words_of_two_images(word: int, sizes: tuple[int, ...],
 
 @pytest.mark.parametrize(("shorter", "longer"), [(0, 24), (8, 24), (16, 20), (17, 24), (23, 24), (1, 2), (24, 24)])
 def test_every_mix_of_payloads_of_different_length(shorter: int, longer: int) -> None:
-    """A shorter image leaves the tail of the one before it, and of those before that, in the cell."""
     oldest = image(3, 1, b"\xee" * 24)
     for first, second in ((shorter, longer), (longer, shorter)):
         old = padded(image(5, 2, counter(7, first)), 48, oldest)

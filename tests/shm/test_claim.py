@@ -76,7 +76,6 @@ def test_a_claim_is_held_and_dropped_between_processes(path: str, pair: list[int
 
 
 def test_two_descriptors_of_one_process_are_two_holders(path: str, pair: list[int]) -> None:
-    """A program that the holder starts has neither."""
     one, other = pair
     assert not os.get_inheritable(one)
     for index in (1, 2, 1):
@@ -120,7 +119,6 @@ def test_a_read_only_descriptor_can_look_but_not_take(path: str, pair: list[int]
 
 
 def test_of_many_that_race_each_gets_a_slot_as_long_as_there_is_one(path: str) -> None:
-    """As clients do: take the first byte that is free."""
 
     def work(send: Send, wait: Wait) -> None:
         while True:

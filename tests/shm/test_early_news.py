@@ -46,7 +46,6 @@ def test_every_watcher_gets_the_early_news(name: str, lines: Segment, block: int
 
 @pytest.mark.parametrize("index", range(PER_BLOCK))
 def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, news: EarlyNews, index: int) -> None:
-    """In the process that holds the lifeline, as the port owner does, however often it is armed."""
     with holding(name, 2) as holder, ends() as before:
         life = Lifeline(holder.pid)
         for _ in range(3):
@@ -195,7 +194,6 @@ def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, news: EarlyNews) -
 
 
 def test_a_watch_that_names_no_line_is_of_the_first(name: str, lines: Segment, news: EarlyNews) -> None:
-    """As that of a client; the pidfd is that of this process, which lives."""
     with holding(name, 0) as holder:
         life = Lifeline(os.getpid())
         news.watch(life, lines)

@@ -44,7 +44,6 @@ def test_beats(name: str) -> None:
 
 
 def test_a_successor_starts_anew(name: str) -> None:
-    """Nothing that its dead predecessor had seen and done counts as its own."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
     beats.state(BEAT_RUNNING, 1_000)

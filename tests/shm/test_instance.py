@@ -110,7 +110,6 @@ def test_a_full_disk_is_told_and_not_passed_over(on: SimpleNamespace, bases: lis
 
 @pytest.mark.parametrize("second", ["everyone's", "full"])
 def test_every_place_that_is_no_good_is_told_of(on: SimpleNamespace, bases: list[str], second: str) -> None:
-    """To a user: root has the first alone."""
     block(on, bases[2])
     for base in bases[: 1 if second == "full" else 2]:
         on.os.mkdir(base)
@@ -312,7 +311,6 @@ def test_everyone_can_find_a_service_of_root_s_that_everyone_may_stop(on: Simple
 
 
 def test_root_takes_over_no_directory_of_another_user(on: SimpleNamespace) -> None:
-    """That one could neither use what root leaves there nor remove it."""
     path = on.instances.make_runtime_dir("robot")
     for each in (path, os.path.dirname(path)):
         on.os.chown(each, OTHER, OTHER)

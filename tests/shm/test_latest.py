@@ -179,7 +179,6 @@ def test_a_value_that_was_seen_and_is_damaged_since_falls_back_too() -> None:
 
 @given(cuts=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 46), st.booleans()), max_size=40))
 def test_model(cuts: list[tuple[int, int, bool]]) -> None:
-    """Any series of writes, deaths and successors against the obvious model: the last value that was wholly stored."""
     memory, writer, reader = made()
     seq, value = 0, None
     for cut, size, dies in cuts:

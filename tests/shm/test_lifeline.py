@@ -41,7 +41,6 @@ def test_the_dying_are_demoted_without_any_capability() -> None:
 
 
 def test_a_thread_that_ends_first_leaves_no_other_one_its_rights(on: SimpleNamespace) -> None:
-    """Between the look at the threads and the call."""
     dying = on.machine.process("dying", lambda process: on.machine.block())
     others = [on.machine.thread(dying, on.machine.block) for _ in range(2)]
     life = on.lifeline.Lifeline(dying.pid)

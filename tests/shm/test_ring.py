@@ -145,7 +145,6 @@ def test_damage_to_the_newest_waits_for_what_comes() -> None:
 
 
 def test_a_cell_copied_over_another_is_damage() -> None:
-    """Whole, with a right CRC, and in the wrong place."""
     for source in range(1, 7):
         for target in range(2, 6):
             if source == target:

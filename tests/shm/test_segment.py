@@ -282,7 +282,6 @@ def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
 
 
 def test_instances_do_not_see_each_other(name: str) -> None:
-    """Not even one whose name begins with another's."""
     longer = name + "-2"
     try:
         create_all(name, 1)
@@ -320,7 +319,6 @@ def test_no_descriptor_crosses_an_exec_or_outlives_its_segment(on: SimpleNamespa
 
 
 def test_readers_outlive_the_segment_object(name: str) -> None:
-    """A mapping ends with its last reader, not with the object it came from."""
     segments.create(name, "gate", RUN).close()
     writer = segments.attach(name, "gate", RUN, write=True).latest_writer("state")
     seen = segments.attach(name, "gate", RUN)

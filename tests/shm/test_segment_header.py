@@ -107,7 +107,6 @@ def test_a_header_with_any_byte_changed_is_refused(name: str) -> None:
 
 
 def test_cells_of_another_run_are_not_read(name: str) -> None:
-    """Even with every byte of the dead run's records in place."""
     segments.create(name, "gate", 1).close()
     own = segments.attach(name, "gate", 1, write=True)
     own.latest_writer("state").write(b"old", 1)

@@ -76,7 +76,6 @@ def scribbled(now: bytes, image: bytes, dice: random.Random) -> bytes:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_memory_that_was_scribbled_over_is_read_as_what_was_written(kind: str) -> None:
-    """By readers that were there before, and by ones that come after."""
     dice = random.Random(kind)
     for _ in range(amount(60, 3000)):
         memory = Memory(AT + KINDS[kind] * SIZE)

@@ -76,7 +76,6 @@ def test_it_ends_with_everything_in_it() -> None:
 
 
 def test_it_ends_with_a_killed_owner(box: Container) -> None:
-    """The next one takes away what it has left."""
     program = (
         "import signal; from bench.container import Container as C; c = C(); print(c.pid, flush=True); signal.pause()"
     )

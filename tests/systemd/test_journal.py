@@ -96,7 +96,6 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
 
 @pytest.mark.slow
 def test_nothing_is_told_twice(incident: Scene) -> None:
-    """An entry comes natively, and not by stderr as well."""
     assert entries(incident, "_TRANSPORT=stdout", f"_SYSTEMD_UNIT={UNIT}", "_COMM=fs:supervisor") == []
 
 

@@ -161,7 +161,6 @@ def test_timeouts_leave_room_for_the_stop_tool() -> None:
 
 
 def test_the_watchdog_waits_for_those_who_stop_first() -> None:
-    """The port owner's lease, and its leave."""
     first_ns = Settings().ns("gate.lease_s") + LEAVE_AFTER_NS
     assert float(UNIT["WatchdogSec"]) * 1e9 > 2 * first_ns
 
