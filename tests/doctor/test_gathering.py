@@ -7,7 +7,6 @@ import pty
 import stat
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -160,11 +159,9 @@ def test_the_ticks_of_this_machine() -> None:
     assert min(late_ns) >= 0
 
 
-def test_all_of_it_is_quick() -> None:
-    begun_s = time.monotonic()
+def test_all_of_it_is_looked_at_without_a_port() -> None:
     look = Look(f"none-{os.getpid()}", device_path="/nowhere", quick=True)
     table.examine(look)
-    assert time.monotonic() - begun_s < 10.0
     assert look.service == (None, "", "")
     assert [row.text for row in stop_path.stop_path(look)] == ["not tested: there is no port"]
 

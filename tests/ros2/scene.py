@@ -320,6 +320,15 @@ class BridgeTrial:
 
         wait_for(f"motion to be enabled, {found}", enabled)
 
+    def driving(self, **words: Any) -> Node:
+        """The driver of wheels that turn; the board's past is forgotten."""
+        self.scan()
+        driver = self.drive(**words)
+        self.enable()
+        self.moving()
+        self.trial.board.events()
+        return driver
+
     def moving(self) -> None:
         self.trial.board.wait_wheels(moving=True, timeout_s=DEADLINE_S)
 

@@ -45,15 +45,6 @@ def settled(commanders: Commanders, *publishers: Publisher) -> Commanders:
     return commanders
 
 
-def test_nobody_and_one() -> None:
-    commanders = Commanders(BOTH)
-    assert not commanders.holds(S), "never asked"
-    assert settled(commanders).holds(S)
-    assert seen(commanders, S + 1, NAV).passes(S + 1)
-    assert commanders.cause(S + 1) == ""
-    assert commanders.names() == "/nav"
-
-
 def test_the_interlock_holds_only_while_the_count_is_fresh() -> None:
     commanders = seen(Commanders(BOTH), S, NAV)
     assert commanders.holds(S + FRESH_NS)

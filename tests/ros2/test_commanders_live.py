@@ -19,11 +19,7 @@ def told(scene: BridgeTrial, text: str, *words: str) -> None:
 
 @pytest.mark.parametrize(("kind", "reliable"), [(TWIST, True), (STAMPED, False)])
 def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: str, reliable: bool) -> None:
-    scene.scan()
-    scene.drive()
-    scene.enable()
-    scene.moving()
-    scene.trial.board.events()
+    scene.driving()
     second = scene.node("joystick")
     fields = {"twist": BACKWARD} if kind == STAMPED else BACKWARD
     second.publish("cmd_vel", kind, fields, hz=100.0, match=False, qos={"reliable": reliable})

@@ -55,10 +55,7 @@ def still(stage: BridgeTrial) -> dict[str, Heard]:
 @pytest.fixture(scope="module")
 def driven(stage: BridgeTrial) -> dict[str, Heard]:
     stage.fresh()
-    stage.scan()
-    stage.drive()
-    stage.enable()
-    stage.moving()
+    stage.driving()
     stage.state(lambda state: state["body_vel"] == [0.2, 0.0, 0.0])
     return heard(stage.node("listener"), DRIVEN)
 

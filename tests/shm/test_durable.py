@@ -128,13 +128,6 @@ def test_a_draft_takes_the_place_of_an_old_one_for_all_to_read_whatever_the_umas
     assert stat.S_IMODE(draft.stat().st_mode) == 0o644
 
 
-def test_a_draft_goes_through_no_link(victim: Path) -> None:
-    draft = victim.with_name("draft")
-    draft.symlink_to(victim)
-    durable.write_draft(str(draft), b"whole")
-    assert (draft.is_symlink(), draft.read_bytes(), victim.read_text()) == (False, b"whole", "precious\n")
-
-
 def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2, before[1]))

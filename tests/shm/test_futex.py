@@ -44,11 +44,6 @@ def held_by_thread(lines: Segment, line: int = 0) -> Callable[[], None]:
     return lambda: (let_go.set(), thread.join())[1]
 
 
-def test_what_nobody_holds_is_no_death(lines: Segment) -> None:
-    for line in range(PER_BLOCK):
-        assert lines.futex("held", line).wait_for_death() is False
-
-
 @pytest.mark.parametrize("line", [-1, BLOCKS * PER_BLOCK])
 def test_there_is_no_line_beyond_the_record(lines: Segment, line: int) -> None:
     with pytest.raises(IndexError, match=rf"held has {BLOCKS * PER_BLOCK} lines, none is {line}$"):

@@ -36,19 +36,6 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
     made.close()
 
 
-def test_a_new_segment_is_empty(name: str) -> None:
-    create_all(name)
-    for of in SERVICE:
-        seen = segments.attach(name, of)
-        for record in seen.spec.records.values():
-            if record.kind == "word":
-                assert seen.word(record.name).get() == 0
-            elif record.kind == "latest":
-                assert seen.latest_reader(record.name).read() is None
-            else:
-                assert seen.ring_reader(record.name, from_oldest=True).next() is None
-
-
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
 def test_modes_and_groups_are_the_layout_s(on: SimpleNamespace, own: int, gid: int, group: int) -> None:
     for mask, of in itertools.product((0o000, 0o022, 0o077, 0o777), NAMES):
@@ -197,15 +184,6 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
     with pytest.raises(TypeError, match="words are only read through a mapping"):
         made.word("beat_ns")
     made.close()
-
-
-def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
-    segments.create(name, "gate", RUN).close()
-    own = segments.attach(name, "gate", RUN, write=True)
-    own.ring_writer("frames").put(b"before", 1)
-    now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
-    assert now.next() is None
-    assert oldest.next() == (1, 1, b"before")
 
 
 def test_create_takes_nothing_that_is_there(on: SimpleNamespace) -> None:

@@ -111,10 +111,6 @@ def test_the_catalog_is_accepted_and_explains_a_stop(incident: Scene) -> None:
     assert not re.search(r"@?FAILSTOP_(SILENT_MS|NAME)@?", explained), "every placeholder was filled"
 
 
-def test_there_are_ten_questions() -> None:
-    assert len(QUESTIONS) == 10
-
-
 ANSWERS = [
     {"stop"},
     {"stop", "stop_again"},
