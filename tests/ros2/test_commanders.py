@@ -70,15 +70,6 @@ def test_what_was_received_while_there_were_two_may_be_of_the_one_that_has_left(
     assert commanders.passes(S + 11 + GONE_NS)
 
 
-def test_nobody_knows_who_published_while_the_bridge_was_held_up() -> None:
-    commanders = settled(Commanders(BOTH), NAV)
-    seen(commanders, S + FRESH_NS, NAV)
-    assert commanders.passes(S + 1), "looked at often enough"
-    seen(commanders, S + 2 * FRESH_NS + 1, NAV)
-    assert not commanders.passes(S + 3 * FRESH_NS + 1), "what waited for it is received first of all"
-    assert commanders.passes(S + 3 * FRESH_NS + 2)
-
-
 def test_how_long_a_message_waited() -> None:
     assert waited_ns(S, S + 7) == 7
     assert waited_ns(0, S) == FRESH_NS, "DDS does not say"
