@@ -95,15 +95,13 @@ EXCUSABLE: dict[str, Change] = {
     UNSEEN: shakes((3.0, STILL)),
     "at rest after": shakes((1.0, DRIVE), (1.0, DRIVE), (1.5, STILL)),
 }
+WRONG = (None, causes.KEY(1), causes.PIPED("another"), causes.DIED("prove"))
 FIRM: dict[str, Change] = {
     "NO STOP written": lambda made: setattr(made.stand.watch, "written", []),
     "not acknowledged": lambda made: setattr(made.stand.watch, "answers", []),
     "1 motion frames after the stop": sees(event(0, 1.0, REST), event(1, 2.0, TURNING), event(2, 3.0, REST)),
     "the board has seen NO STOP": sees(),
-    "latched: None, not piped prove": latches(None),
-    "latched: key1, not piped prove": latches(causes.KEY(1)),
-    "latched: another, not piped prove": latches(causes.PIPED("another")),
-    "latched: prove died, not piped prove": latches(causes.DIED("prove")),
+    **{f"latched: {cause}, not piped prove": latches(cause) for cause in WRONG},
     "THE WHEELS DID NOT COME TO REST": shakes((5.0, DRIVE)),
     "the IMU is silent": shakes((1.0, DRIVE)),
     "the service ended with exit code 3": PathRun.check_end,
