@@ -33,7 +33,7 @@ def reader_of(view: View, cells: int = CELLS, capacity: int = CAPACITY, *, from_
     return RingReader(view, AT, capacity, cells, SEED, from_oldest=from_oldest)
 
 
-def ring(cells: int = CELLS) -> tuple[RingWriter, RingReader]:
+def ring(cells: int = CELLS) -> tuple[Memory, RingWriter, RingReader]:
     memory = ring_memory(cells)
     return memory, writer_of(memory, cells), reader_of(memory, cells)
 

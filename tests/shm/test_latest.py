@@ -25,7 +25,7 @@ def pair(view: View, capacity: int) -> tuple[LatestWriter, LatestReader]:
     return LatestWriter(view, AT, capacity, SEED), LatestReader(view, AT, capacity, SEED)
 
 
-def made() -> tuple[LatestWriter, LatestReader]:
+def made() -> tuple[Memory, LatestWriter, LatestReader]:
     """Memory, a writer and a reader of a record of 40 bytes."""
     memory = Memory(AT + 2 * cell_bytes(40))
     return memory, *pair(memory, 40)

@@ -75,7 +75,8 @@ class Stepwise:
             self.each()
 
 
-SEED, Patch = cell.seed("test.torn", 1), pytest.MonkeyPatch
+SEED = cell.seed("test.torn", 1)
+Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("stores", ["one", "separate"])
