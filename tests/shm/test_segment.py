@@ -259,19 +259,6 @@ def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     assert len(on.os.listdir("/dev/shm")) == 2
 
 
-def test_instances_do_not_see_each_other(name: str) -> None:
-    longer = name + "-2"
-    try:
-        create_all(name, 1)
-        create_all(longer, 2)
-        segments.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
-        assert segments.attach(longer, "gate", 2).word("beat_ns").get() == 0
-        segments.unlink_all(name)
-        segments.attach(longer, "gate", 2)
-    finally:
-        segments.unlink_all(longer)
-
-
 def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
     for of in ("gate", "telemetry", "client.0", "client.1"):
         on.segments.create("r", of, RUN)
@@ -294,15 +281,3 @@ def test_no_descriptor_crosses_an_exec_or_outlives_its_segment(on: SimpleNamespa
         for each in held:
             each.close()
     assert open_fds(on) == 0
-
-
-def test_readers_outlive_the_segment_object(name: str) -> None:
-    segments.create(name, "gate", RUN).close()
-    writer = segments.attach(name, "gate", RUN, write=True).latest_writer("state")
-    seen = segments.attach(name, "gate", RUN)
-    reader, word = seen.latest_reader("state"), seen.word("beat_ns")
-    seen.close()
-    del seen
-    writer.write(b"still here", 1)
-    assert reader.read() == (1, 1, b"still here")
-    assert word.get() == 0
