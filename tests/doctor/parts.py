@@ -26,15 +26,8 @@ STATE = state(
 SERVICE = (STATE, VERSION, "")
 NOBODY = (None, "", "")
 """No service."""
-UNIT = {
-    "LoadState": "loaded",
-    "ActiveState": "active",
-    "SubState": "running",
-    "UnitFileState": "enabled",
-    "Result": "success",
-    "MainPID": "100",
-    "NRestarts": "0",
-}
+UNIT = {"LoadState": "loaded", "ActiveState": "active", "SubState": "running", "UnitFileState": "enabled"}
+UNIT |= {"Result": "success", "MainPID": "100", "NRestarts": "0"}
 TICKS = (True, [20_000] * 500)
 FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
 KERNEL: dict[str, Any] = {"room": 1 << 30, "early_news": True, "ticks": TICKS, "contained": False}
@@ -44,18 +37,9 @@ SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
 """The output of a command."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
-SHARED: dict[str, Any] = {
-    "quick": False,
-    "device_path": None,
-    "settings": ("", Settings(), ""),
-    "service": SERVICE,
-    "unit": UNIT,
-    "device": ("/dev/ttyACM0", "the default of device.path"),
-    "node": NODE,
-    "told": Settings(),
-    "usb_id": BOARD.usb[0],
-    "holders": ((), 0),
-}
+SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
+SHARED |= {"unit": UNIT, "device": ("/dev/ttyACM0", "the default of device.path"), "node": NODE, "told": Settings()}
+SHARED |= {"usb_id": BOARD.usb[0], "holders": ((), 0)}
 """Options of the call, and values that checks share (Look)."""
 
 

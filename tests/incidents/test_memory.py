@@ -159,16 +159,8 @@ def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
 DIED = causes.DIED("gate")
 T = 1_000_000_000
 LOST = causes.DEVICE_LOST()
-RECORD = {
-    "cause": DIED.pack(),
-    "epoch": 7,
-    "noticed_ns": T,
-    "noticed_by": "port_owner",
-    "written_by": "port owner",
-    "written_us": 82.0,
-    "acknowledged_us": 4400.0,
-    "observed_ms": 300.0,
-}
+RECORD = {"cause": DIED.pack(), "epoch": 7, "noticed_ns": T, "noticed_by": "port_owner", "written_by": "port owner"}
+RECORD |= {"written_us": 82.0, "acknowledged_us": 4400.0, "observed_ms": 300.0}
 
 
 def event(kind: str, **fields: Any) -> bytes:

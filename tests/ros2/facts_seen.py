@@ -152,15 +152,8 @@ def main() -> None:
     words = ["--ros-args", "-p", "given:=text", "-p", "use_sim_time:=true"]
     rclpy.init(args=["facts", *words])
     pair = Pair()
-    found = {
-        "messages": messages(),
-        "fields": fields(),
-        "matching": matching(pair),
-        "late": late(pair),
-        "graph": graph(pair),
-        "parameters": parameters(pair),
-        "clock": clock(pair),
-    }
+    found = {"messages": messages(), "fields": fields(), "parameters": parameters(pair), "clock": clock(pair)}
+    found |= {"matching": matching(pair), "late": late(pair), "graph": graph(pair)}
     sys.stdout.write(json.dumps(found, indent=1, sort_keys=True) + "\n")
     sys.stdout.flush()
     rclpy.try_shutdown()

@@ -66,14 +66,8 @@ def stopped(trial: Trial, since_ns: int) -> None:
     assert not trial.moving()
 
 
-DIRECTIONS = {
-    b"w": (1, 1, -1, -1),
-    b"s": (-1, -1, 1, 1),
-    b"a": (-1, -1, -1, -1),
-    b"\x1b[C": (1, 1, 1, 1),
-    b"j": (-1, 1, -1, 1),
-    b"L": (1, -1, 1, -1),
-}
+DIRECTIONS = {b"w": (1, 1, -1, -1), b"s": (-1, -1, 1, 1), b"a": (-1, -1, -1, -1), b"\x1b[C": (1, 1, 1, 1)}
+DIRECTIONS |= {b"j": (-1, 1, -1, 1), b"L": (1, -1, 1, -1)}
 
 
 def test_hold_to_run_and_leave(pilot: Typist, trial: Trial) -> None:

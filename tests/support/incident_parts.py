@@ -52,13 +52,8 @@ class Recorder:
     def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
         self.why = cause
         self.kind = kind
-        self.stop: dict[str, Any] | None = {
-            "written_by": "port owner",
-            "noticed_by": "port_owner",
-            "written_us": 212.0,
-            "acknowledged_us": 3100.0,
-            "observed_ms": 320.0,
-        }
+        self.stop: dict[str, Any] | None = {"written_by": "port owner", "noticed_by": "port_owner", "written_us": 212.0}
+        self.stop |= {"acknowledged_us": 3100.0, "observed_ms": 320.0}
         self.rings: dict[tuple[str, str], KeptRing] = {}
         self.settings = Settings({"device.path": "/dev/pts/7"})
         self.core = GateCore(self.settings, from_settings(self.settings), 0)
@@ -105,22 +100,17 @@ class Recorder:
         self.ring(layout.PORT_OWNER, "stops").put(payload, at(ms))
 
     def head(self, name: str = "failstop", unix_ns: int = UNIX_NS) -> dict[str, Any]:
-        return {
-            "name": name,
-            "t": unix_ns / 1e9,
-            "saved": unix_ns / 1e9 + 2.2,
+        head = {"name": name, "t": unix_ns / 1e9, "saved": unix_ns / 1e9 + 2.2, "kind": self.kind, "host": "robot"}
+        head |= {
             "reason": str(self.why),
             "cause": self.why.as_map(),
-            "kind": self.kind,
             "cause_ns": CAUSE_NS,
             "epoch": 7,
-            "unix_minus_monotonic_ns": unix_ns - CAUSE_NS,
             "stop": self.stop,
-            "layout": layout.LAYOUT_VERSION,
-            "run": "0123456789abcdef",
-            "host": "robot",
-            "versions": {"failstop": "0.1.0", "python": "3.11.7", "kernel": "6.1", "machine": "aarch64"},
         }
+        head |= {"unix_minus_monotonic_ns": unix_ns - CAUSE_NS, "layout": layout.LAYOUT_VERSION}
+        versions = {"failstop": "0.1.0", "python": "3.11.7", "kernel": "6.1", "machine": "aarch64"}
+        return {**head, "run": "0123456789abcdef", "versions": versions}
 
     def body(self) -> dict[str, Any]:
         segments: dict[str, Any] = {}

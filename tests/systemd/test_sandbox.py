@@ -23,26 +23,16 @@ ALLOWED = {
 }
 RIGHTS_ALONE = {"real time", "locked memory"}
 """Here by a drop-in's capabilities, on a machine by the unit's limits, which may not be raised here."""
-REFUSED = {
-    "write /etc": "EROFS",
-    "write /usr": "EROFS",
-    "write /opt": "EROFS",
-    "write /proc/sys": "ENOENT",
-    "list /root": "EACCES",
-    "list /home": "EACCES",
-    "see /proc/1": "ENOENT",
-    "signal to another's process": "EPERM",
-    "device of memory": "EPERM",
-    "device of a serial port that is not the board's": "EPERM",
-    "inet socket": "EAFNOSUPPORT",
-    "netlink socket": "EAFNOSUPPORT",
-    "executable memory": "EPERM",
-    "namespace": "EPERM",
-    "mount": "EPERM",
-    "setuid": "EPERM",
-    "keyring": "EPERM",
-    "suid file": "EPERM",
-}
+DEVICES = ("device of memory", "device of a serial port that is not the board's")
+SOCKETS = ("inet socket", "netlink socket")
+RIGHTS_OF_ROOT = ("executable memory", "namespace", "mount", "setuid", "keyring", "suid file")
+REFUSED = (
+    dict.fromkeys(("write /etc", "write /usr", "write /opt"), "EROFS")
+    | dict.fromkeys(("write /proc/sys", "see /proc/1"), "ENOENT")
+    | dict.fromkeys(("list /root", "list /home"), "EACCES")
+    | dict.fromkeys(SOCKETS, "EAFNOSUPPORT")
+    | dict.fromkeys(("signal to another's process", *DEVICES, *RIGHTS_OF_ROOT), "EPERM")
+)
 
 
 def in_place_of_the_service(scene: Scene, rights: str) -> dict[str, Any]:
