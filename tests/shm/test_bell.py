@@ -194,14 +194,6 @@ def test_the_reader_sees_no_end_of_file_as_clients_come_and_go(on: SimpleNamespa
     assert poll.poll(0) == []
 
 
-def test_a_pipe_that_is_kept_open_outlives_a_restarted_reader(on: SimpleNamespace, ends: tuple[int, int]) -> None:
-    """The supervisor keeps the stop pipe open across a restart of the process that reads it: no stop is lost."""
-    first, writing = on.bell.open_pipe(STOP), ends[1]
-    on.os.close(first)
-    assert on.bell.send(writing, b"stop while nobody reads\n")
-    assert on.bell.take(on.bell.open_pipe(STOP)) == b"stop while nobody reads\n"
-
-
 def access(on: Any, path: str) -> list[str]:
     """The answers that the calling user gets when it opens a pipe in each way."""
     found = []

@@ -9,8 +9,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from failstop import instances
 from failstop.files import instance, root
@@ -32,17 +30,6 @@ def test_a_name_is_of_few_letters() -> None:
         with pytest.raises(InstanceError) as refused:
             use(name)
         assert str(refused.value) == f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -"
-
-
-@given(st.text(max_size=40))
-def test_a_good_name_is_one_plain_path_component(name: str) -> None:
-    try:
-        instance.check_name(name)
-    except InstanceError:
-        return
-    assert name == os.path.basename(name)
-    assert name.isascii()
-    assert name.strip(".")
 
 
 def test_the_order_of_candidates(on: SimpleNamespace) -> None:

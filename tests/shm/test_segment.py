@@ -17,7 +17,7 @@ from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.shm.segment import HEADER_BYTES, Segment
 from tests.support.children import NOBODY
 
-from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
+from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, path_of
 from .simulated import content, open_fds, put, refusing, user
 
 
@@ -47,31 +47,20 @@ def test_modes_and_groups_are_the_layout_s(on: SimpleNamespace, own: int, gid: i
         assert (found.st_uid, found.st_gid) == (0, group if SEGMENT_BY_NAME[of].mode & 0o060 == 0o060 else own)
 
 
-def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
+def test_everybody_reads_the_service_and_the_group_has_the_clients_slots(on: SimpleNamespace) -> None:
     for of in NAMES:
-        on.segments.create("r", of, RUN)
-    with user(on, NOBODY):
-        for of in NAMES:
-            for write in (False, True):
-                if of in SERVICE and not write:
-                    on.segments.attach("r", of, RUN, owner=0)
+        on.segments.create("r", of, RUN, client_gid=NOBODY)
+    clients = [f"client.{index}" for index in range(CLIENT_SLOTS)]
+    for gid, slots in ((NOBODY, clients), (NOBODY - 1, [])):
+        with user(on, NOBODY, gid):
+            for of, write in itertools.product(NAMES, (False, True)):
+                if of in slots or (of in SERVICE and not write):
+                    on.segments.attach("r", of, RUN, write=write, owner=0)
                     continue
                 with pytest.raises(on.segments.AttachError, match="join the group `failstop`") as refused:
                     on.segments.attach("r", of, RUN, write=write, owner=0)
                 assert refused.value.kind == "permission"
     assert len(SERVICE) == 5
-
-
-def test_a_member_of_the_group_has_a_client_slot_and_no_more(on: SimpleNamespace) -> None:
-    for of in NAMES:
-        on.segments.create("r", of, RUN, client_gid=NOBODY)
-    with user(on, NOBODY):
-        own = on.segments.attach("r", "client.0", RUN, owner=0, write=True)
-        assert own.latest_writer("hello").write(b"hello", 1) == 1
-        with pytest.raises(on.segments.AttachError) as refused:
-            on.segments.attach("r", "gate", RUN, write=True, owner=0)
-        assert refused.value.kind == "permission"
-    assert on.segments.read_client_slot("r", 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
 
 
 @pytest.mark.parametrize("of", SERVICE)
@@ -241,14 +230,6 @@ def test_a_program_without_descriptors_is_no_damage(on: SimpleNamespace, number:
     assert told.value.kind == kind
 
 
-def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
-    segments.unlink(name, "gate")
-    segments.unlink_all(name)
-    create_all(name)
-    segments.unlink_all(name)
-    assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
-
-
 def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     """Another user's, or a directory that somebody has put there: nobody needs the name again."""
     on.segments.create("r", "gate", RUN)
@@ -256,6 +237,7 @@ def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     with user(on, NOBODY):
         on.segments.unlink("r", "gate")
     on.segments.unlink("r", "stopper")
+    on.segments.unlink("r", "telemetry")
     assert len(on.os.listdir("/dev/shm")) == 2
 
 

@@ -10,11 +10,8 @@ import signal
 import time
 from collections.abc import Callable
 
-import pytest
-
 from failstop.messages import segments
 from failstop.messages.layout import SEGMENT_BY_NAME
-from failstop.messages.segments import AttachError
 from failstop.shm.segment import Segment
 from tests.support.children import Child
 
@@ -121,22 +118,3 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
         assert child.receive() == "reading"
         truncate_all_the_while(name, "client.0", child)
         assert child.wait() == -signal.SIGBUS
-
-
-def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
-    """Its holder and the service have it open; only who comes later finds nothing."""
-    segments.create(name, "client.3", RUN).close()
-    own = segments.attach(name, "client.3", RUN, write=True)
-    seen = segments.read_client_slot(name, 3, RUN)
-    writer, reader = own.latest_writer("command"), seen.latest_reader("command")
-    writer.write(b"one", 1)
-    os.unlink(path_of(name, "client.3"))
-    assert reader.read() == (1, 1, b"one")
-    writer.write(b"two", 2)
-    assert reader.read() == (2, 2, b"two")
-    with pytest.raises(AttachError) as refused:
-        segments.attach(name, "client.3", RUN)
-    assert refused.value.kind == "absent"
-    assert segments.read_client_slot(name, 3, RUN).latest_reader("command").read() is None
-    own.close()
-    seen.close()
