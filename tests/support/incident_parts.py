@@ -100,15 +100,10 @@ class Recorder:
         self.ring(layout.PORT_OWNER, "stops").put(payload, at(ms))
 
     def head(self, name: str = "failstop", unix_ns: int = UNIX_NS) -> dict[str, Any]:
-        head = {"name": name, "t": unix_ns / 1e9, "saved": unix_ns / 1e9 + 2.2, "kind": self.kind, "host": "robot"}
-        head |= {
-            "reason": str(self.why),
-            "cause": self.why.as_map(),
-            "cause_ns": CAUSE_NS,
-            "epoch": 7,
-            "stop": self.stop,
-        }
+        head: dict[str, Any] = {"name": name, "t": unix_ns / 1e9, "saved": unix_ns / 1e9 + 2.2, "host": "robot"}
+        head |= {"reason": str(self.why), "cause": self.why.as_map(), "cause_ns": CAUSE_NS, "kind": self.kind}
         head |= {"unix_minus_monotonic_ns": unix_ns - CAUSE_NS, "layout": layout.LAYOUT_VERSION}
+        head |= {"epoch": 7, "stop": self.stop}
         versions = {"failstop": "0.1.0", "python": "3.11.7", "kernel": "6.1", "machine": "aarch64"}
         return {**head, "run": "0123456789abcdef", "versions": versions}
 

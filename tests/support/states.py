@@ -26,32 +26,13 @@ def stop(cause: Cause = KEY, **changed: Any) -> Stop:
 
 def state(**changed: Any) -> State:
     """A service as it is after its start: disabled, all well."""
-    base = State(
-        name="failstop",
-        enabled=False,
-        estop=None,
-        cause=None,
-        blocked="disabled",
-        body_vel=Velocity(0.0, 0.0, 0.0),
-        wheels_radps=Wheels((0.0,) * 4),
-        epoch=1,
-        waiting_for=None,
-        device=Device("/dev/ttyACM0", "open", "alive"),
-        processes={name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")},
-        starved=None,
-        clients=(),
-        sources=(),
-        scan_age_s=None,
-        last_stop=None,
-        imu=None,
-        gyro_bias=None,
-        odometry=None,
-        pad_mode=None,
-        battery_v=12.0,
-        plugged="unknown",
-        age_s=0.004,
-    )
-    return dataclasses.replace(base, **changed)
+    base: dict[str, Any] = {"name": "failstop", "enabled": False, "estop": None, "cause": None, "blocked": "disabled"}
+    base |= {"body_vel": Velocity(0.0, 0.0, 0.0), "wheels_radps": Wheels((0.0,) * 4), "epoch": 1, "waiting_for": None}
+    base |= {"device": Device("/dev/ttyACM0", "open", "alive"), "starved": None, "clients": (), "sources": ()}
+    base |= {"processes": {name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")}}
+    base |= dict.fromkeys(("scan_age_s", "last_stop", "imu", "gyro_bias", "odometry", "pad_mode"))
+    base |= {"battery_v": 12.0, "plugged": "unknown", "age_s": 0.004}
+    return State(**{**base, **changed})
 
 
 def latched(cause: Cause = KEY, **changed: Any) -> State:
@@ -67,12 +48,11 @@ def arm(*joints: str, **changed: Any) -> ArmState:
 
 def driving(**changed: Any) -> State:
     source = Source("cmd_vel", 0, "nav (pid 42)", "drives")
-    base = {
+    base: dict[str, Any] = {
         "enabled": True,
         "blocked": None,
-        "body_vel": Velocity(0.2, 0.0, 0.0),
-        "wheels_radps": Wheels((5.0,) * 4),
         "sources": (source,),
         "clients": (Client(0, "nav", 42, True),),
     }
+    base |= {"body_vel": Velocity(0.2, 0.0, 0.0), "wheels_radps": Wheels((5.0,) * 4)}
     return state(**{**base, **changed})
