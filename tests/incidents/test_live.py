@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -201,26 +200,6 @@ def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
     trial.service.start()
     wait_for("the second", lambda: len(kept.heads()) == 2, SAVED_S)
     assert {str(head["kind"]) for head in kept.heads()} == {"stop", "left"}
-
-
-def test_all_killed_at_once(kept: Kept) -> None:
-    trial = kept.trial
-    trial.enable()
-    trial.drive(0.5)
-    pids = trial.service.pids().values()
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    for pid in pids:
-        # The supervisor's death takes others along.
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-    trial.leave()
-    trial.service.kill()
-    trial.service.start()
-    incident = kept.saved()
-    assert incident.reason == "all of the service died"
-    assert incident.head["stop"] is None
-    assert incident.ticks[-1].block == "driving"
 
 
 def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
