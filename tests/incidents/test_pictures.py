@@ -42,13 +42,11 @@ def test_a_missing_extra_is_named(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("needed", "suffixes"), [("matplotlib", r"\.png, \.svg, \.pdf"), ("mcap_ros2.writer", r"\.mcap")]
-)
-def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, suffixes: str) -> None:
+@pytest.mark.parametrize(("needed", "ends"), [("matplotlib", r"\.png, \.svg, \.pdf"), ("mcap_ros2.writer", r"\.mcap")])
+def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, ends: str) -> None:
     pytest.importorskip(needed)
     path = str(tmp_path / "a.txt")
-    with pytest.raises(IncidentError, match=rf"ends in {suffixes}"):
+    with pytest.raises(IncidentError, match=rf"ends in {ends}"):
         plot.save(incident, path, 5.0) if needed == "matplotlib" else export.save(incident, path)
 
 

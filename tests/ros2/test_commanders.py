@@ -111,9 +111,8 @@ def test_strangers() -> None:
     commanders = settled(Commanders(BOTH, ["/nav", "teleop", ""]), NAV)
     assert commanders.passes(S + 1)
     assert commanders.wants_look(1, S + 1), "another may have taken its place"
-    assert seen(commanders, S + 1, Publisher("/left/teleop", TWIST)).passes(S + 1), (
-        "a bare name is one in any namespace"
-    )
+    bare = Publisher("/left/teleop", TWIST)
+    assert seen(commanders, S + 1, bare).passes(S + 1), "a bare name is one in any namespace"
     seen(commanders, S + 2, JOY)
     assert not commanders.passes(S + 3)
     assert not commanders.holds(S + 2)

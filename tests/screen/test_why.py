@@ -15,6 +15,7 @@ from failstop.policy import causes
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+DEAF = Device("/dev/ttyACM0", "open", "deaf")
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 
 
@@ -107,12 +108,7 @@ def test_nothing_holds_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "found",
-    [
-        latched(causes.DEVICE_LOST(), device=LOST),
-        state(device=Device("/dev/ttyACM0", "open", "deaf")),
-        latched(causes.UNSTILL()),
-    ],
+    "found", [latched(causes.DEVICE_LOST(), device=LOST), state(device=DEAF), latched(causes.UNSTILL())]
 )
 def test_wheels_that_may_turn_are_not_said_to_stand(found: State) -> None:
     answer = why(found)

@@ -203,9 +203,7 @@ def test_where_the_kernel_can_t_nothing_is_held_or_proven(lines: Segment, monkey
 
 
 @pytest.mark.parametrize("looks", [3, 1 << 30])
-def test_a_kernel_is_proven_that_tells_late_and_none_that_never_tells(
-    monkeypatch: pytest.MonkeyPatch, looks: int
-) -> None:
+def test_a_kernel_that_tells_late_is_proven_and_a_mute_one_is_not(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
     """The last as gVisor's, which takes the list and marks nothing: it is waited for for a second."""
     told = Futex.told
     seen: list[bool] = []
