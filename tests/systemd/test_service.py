@@ -51,6 +51,10 @@ def whole_again(scene: Scene, before: dict[str, int]) -> None:
     assert not any(event.is_motion for event in scene.board.events())
 
 
+def stop_since(scene: Scene, since_ns: int) -> None:
+    scene.board.wait_for(lambda event: event.is_stop and event.arrival_ns > since_ns, NEVER_S)
+
+
 def status(scene: Scene) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(scene.failstop("status", "--json").stdout)
     return found
@@ -283,9 +287,7 @@ def test_a_crash_loop_ends_stopped(shared_scene: Scene) -> None:
         for start in (1, 2):
             killed_ns = time.monotonic_ns()
             scene.kill_all()
-            scene.board.wait_for(
-                lambda event, since_ns=killed_ns: event.is_stop and event.arrival_ns > since_ns, NEVER_S
-            )  # type: ignore[misc]
+            stop_since(scene, killed_ns)
             scene.board.events()
             if start < 2:
                 scene.recover(start)
