@@ -27,7 +27,7 @@ test: $(VENV)/.dev lint
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
 campaigns: $(VENV)/.dev fuzz
-	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
+	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_spoiled.py \
 	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \

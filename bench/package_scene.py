@@ -20,17 +20,9 @@ SETTINGS = "/etc/failstop/failstop.toml"
 OLDER = "0.0.9"
 OPERATES = "/etc/systemd/system/failstop-web.service.d"
 PLACES = (
-    *(
-        "/opt/failstop",
-        "/etc",
-        "/var/lib/failstop",
-        "/run/failstop",
-        "/usr/lib/systemd",
-        "/usr/lib/sysusers.d",
-        "/usr/bin",
-    ),
+    *("/opt/failstop", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd", "/usr/lib/sysusers.d"),
     *("/usr/lib/udev/rules.d", "/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish"),
-    "/usr/share/man/man1",
+    *("/usr/bin", "/usr/share/man/man1"),
 )
 
 
@@ -59,7 +51,6 @@ class Place:
         return self.box.run("grep", "-h", "failstop", "/etc/passwd", "/etc/group", check=False).stdout.splitlines()
 
     def plug(self) -> None:
-        """The board has the name that the udev rule gives it."""
         self.box.path(LINK).symlink_to(BOARD)
 
     def unplug(self) -> None:
@@ -67,7 +58,6 @@ class Place:
 
     @contextlib.contextmanager
     def driving(self) -> Iterator[None]:
-        """The wheels turn, and a client goes on commanding."""
         self.box.run("failstop", "enable")
         words = self.box.entering("failstop", "drive", "0.1", "0", "0", "--for", "60")
         with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as client:

@@ -98,10 +98,7 @@ WORDS = {
     "a list without end": (deep(), "list"),
     "a name": (Why.WALL, "Why"),
 }
-MORE = {
-    "an exception with words of its own": "Wall: a wall at 0.3 m",
-    "a name": "Why.WALL",
-}
+MORE = {"an exception with words of its own": "Wall: a wall at 0.3 m", "a name": "Why.WALL"}
 
 
 @pytest.mark.parametrize("name", WORDS)

@@ -176,7 +176,6 @@ def test_motion_that_another_enabled_stays_so(trial: Trial) -> None:
 
 
 def test_each_of_many_threads_gets_its_own_answer(trial: Trial) -> None:
-    """Requests that the gate grants and such that it refuses, all by one Robot at once."""
     robot = trial.robot
     robot.estop("held")
     robot.wait_for("latched", 5.0)
@@ -241,9 +240,7 @@ def test_threads_that_drive_and_look_at_once(trial: Trial) -> None:
     assert not errors
 
 
-def test_what_waited_for_a_thread_s_request_was_asked_before_the_stop_meanwhile(
-    trial: Trial,
-) -> None:
+def test_what_waited_for_a_thread_s_request_was_asked_before_the_stop_meanwhile(trial: Trial) -> None:
     """The gate hangs in front of the first, and is killed for that: a reset of before must not clear it."""
     robot = Robot(trial.name)
     robot.limit_speed(1.0)

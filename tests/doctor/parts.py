@@ -26,44 +26,20 @@ STATE = state(
 SERVICE = (STATE, VERSION, "")
 NOBODY = (None, "", "")
 """No service."""
-UNIT = {
-    "LoadState": "loaded",
-    "ActiveState": "active",
-    "SubState": "running",
-    "UnitFileState": "enabled",
-    "Result": "success",
-    "MainPID": "100",
-    "NRestarts": "0",
-}
+UNIT = {"LoadState": "loaded", "ActiveState": "active", "SubState": "running", "UnitFileState": "enabled"}
+UNIT |= {"Result": "success", "MainPID": "100", "NRestarts": "0"}
 TICKS = (True, [20_000] * 500)
-FILES = {
-    f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
-}
-KERNEL: dict[str, Any] = {
-    "room": 1 << 30,
-    "early_news": True,
-    "ticks": TICKS,
-    "services": [],
-    "ports": [],
-    "contained": False,
-}
+FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
+KERNEL: dict[str, Any] = {"room": 1 << 30, "early_news": True, "ticks": TICKS, "contained": False}
+KERNEL |= {"services": [], "ports": []}
 """Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
 """The output of a command."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
-SHARED: dict[str, Any] = {
-    "quick": False,
-    "device_path": None,
-    "settings": ("", Settings(), ""),
-    "service": SERVICE,
-    "unit": UNIT,
-    "device": ("/dev/ttyACM0", "the default of device.path"),
-    "node": NODE,
-    "told": Settings(),
-    "usb_id": BOARD.usb[0],
-    "holders": ((), 0),
-}
+SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
+SHARED |= {"unit": UNIT, "device": ("/dev/ttyACM0", "the default of device.path"), "node": NODE, "told": Settings()}
+SHARED |= {"usb_id": BOARD.usb[0], "holders": ((), 0)}
 """Options of the call, and values that checks share (Look)."""
 
 
@@ -121,20 +97,16 @@ def look(name: str = "failstop", **changed: Any) -> Look:
 
 
 def on(comm: str, pid: int = 9, command: str = "") -> dict[str, str | None]:
-    """The files of a machine on which this program runs."""
     return {f"/proc/{pid}/comm": comm, f"/proc/{pid}/cmdline": "\0".join(command.split())}
 
 
 def of(kind: str) -> Settings:
-    """Settings that name another board."""
     return Settings({"board.kind": kind})
 
 
 def serving(**changed: Any) -> tuple[State, str, str]:
-    """The service, in a state but for this."""
     return dataclasses.replace(STATE, **changed), VERSION, ""
 
 
 def but(part: Any, **changed: Any) -> Any:
-    """One part, changed."""
     return part | changed if isinstance(part, dict) else dataclasses.replace(part, **changed)

@@ -1,13 +1,18 @@
-"""Whether doctor sees that a robot of a fleet obeys no stop of the fleet."""
+"""The robot's publisher and the bridge to ROS 2, as doctor sees them."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from failstop.api.snapshot import Client
 from failstop.doctor.look import OK, WARN
-from failstop.fleet.check import UNIT, check
-
-from .parts import look
+from failstop.doctor.system import System
+from failstop.fleet import check as fleet
+from failstop.fleet.check import UNIT
+from failstop.ros2 import check as ros2
+from tests.doctor.parts import NOBODY, look, serving
 
 INSTALLED = {"LoadState": "loaded", "ActiveState": "inactive", "UnitFileState": "disabled", "StatusErrno": "0"}
 RUNS = {**INSTALLED, "ActiveState": "active", "UnitFileState": "enabled"}
@@ -28,5 +33,31 @@ DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107
 )
 def test_what_the_publisher_says_of_itself(unit: dict[str, str] | None, level: str, text: str, fix: str) -> None:
     said = None if unit is None else "".join(f"{key}={value}\n" for key, value in unit.items())
-    [found] = check(look(says={"systemctl": said}))
+    [found] = fleet.check(look(says={"systemctl": said}))
     assert (found.level, found.text, found.fix) == (level, text, fix)
+
+
+ME = System().owner("/proc/self")
+HERE = "the bridge to ROS 2 is connected"
+
+
+@pytest.mark.parametrize(
+    ("pid", "environment", "says"),
+    [
+        (0, "", "no bridge to ROS 2 is connected"),
+        (7, "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0", f"{HERE} (pid 7, user {ME})"),
+        (7, "HOME=/\0", f"{HERE} (pid 7, user {ME}), by UDP alone"),
+        (8, "", f"{HERE} (pid 8, user ), by UDP alone"),
+    ],
+    ids=["none", "own profile", "UDP", "gone meanwhile"],
+)
+def test_what_is_seen_of_it(tmp_path: Path, pid: int, environment: str, says: str) -> None:
+    (tmp_path / "dev/shm").mkdir(parents=True)
+    for name in ("fastrtps_1a", "fastrtps_port7411_el", "failstop.failstop.gate"):
+        (tmp_path / "dev/shm" / name).touch()
+    process = tmp_path / "proc/7"
+    process.mkdir(parents=True)
+    (process / "environ").write_text(environment)
+    found = look(service=serving(clients=(Client(0, "ros2", pid, False),)) if pid else NOBODY)
+    found.system = System(str(tmp_path))
+    assert [row.text for row in ros2.check(found)] == [says]

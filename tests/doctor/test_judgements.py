@@ -22,15 +22,20 @@ UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row i
 UNLOCKED = {name: but(row, memory_locked=False) for name, row in STATE.processes.items()}
 STARVED = Starved(0.07, "gate")
 PORT = STATE.device
-UNASKED = but(PORT, link="unasked")
 VENDORS = "/home/ws/ugv_rpi/ugv-env/bin/python /home/ws/ugv_rpi/app.py"
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
+RESTARTING = but(UNIT, ActiveState="activating", SubState="auto-restart", NRestarts="3")
 REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
 DEAF = "LoadState=loaded\nActiveState=active\nStatusText=obeys no fleet stop: no key\nStatusErrno=107\n"
 """Words of systemd about the robot's publisher."""
 BY_HAND: dict[str, Any] = {"unit": {}, "owners": {"/proc/100": "anna"}}
 """Started by a person."""
+
+
+def linked(link: str, **changed: Any) -> Any:
+    """The service, with this of the board's answers."""
+    return serving(device=but(PORT, link=link), **changed)
 
 
 def nodes(*users: str) -> dict[str, Any]:
@@ -53,20 +58,10 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
     ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
     ("identity", look(usb_id="2341:0043", told=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
-    ("board", look(service=serving(device=but(PORT, link="deaf"))), WARN, "it is not known to be rrc"),
-    (
-        "board",
-        look(service=serving(device=but(PORT, link="unproven"), battery_v=7.2)),
-        WARN,
-        "questions, and reports a battery of 7.2 V",
-    ),
-    ("board", look(service=serving(device=UNASKED, battery_v=None), told=of("hoverboard")), WARN, "no report has"),
-    (
-        "commanders",
-        look(files=on("python3", command=VENDORS), told=of("ugv")),
-        WARN,
-        "python3 (pid 9) runs: the vendor",
-    ),
+    ("board", look(service=linked("deaf")), WARN, "it is not known to be rrc"),
+    ("board", look(service=linked("unproven", battery_v=7.2)), WARN, "questions, and reports a battery of 7.2 V"),
+    ("board", look(service=linked("unasked", battery_v=None), told=of("hoverboard")), WARN, "no report has"),
+    ("commanders", look(files=on("python3", command=VENDORS), told=of("ugv")), WARN, "(pid 9) runs: the vendor"),
     ("commanders", look(told=of("ugv")), WARN, "its Wi-Fi: "),
     ("commanders", look(told=of("ugv")), WARN, "ESP-NOW: "),
     ("commanders", look(told=of("hoverboard")), WARN, "its second cable: "),
@@ -77,8 +72,8 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("deaths", look(early_news=False), WARN, "tells of a death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' runs"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
-    ("service", look(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
-    ("service", look(service=serving(device=but(PORT, link="unproven"))), WARN, "waits for the board's first answer"),
+    ("service", look(service=linked("deaf")), FAIL, "does not answer"),
+    ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
     ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
     ("clients", look(service=serving(clients=(BRIDGE,))), WARN, "/a and /b drive"),
@@ -87,12 +82,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("unit", look(unit=but(UNIT, ActiveState="failed", Result="watchdog")), FAIL, "watchdog"),
     ("unit", look(unit=but(UNIT, ActiveState="inactive", Result="watchdog")), FAIL, "result: watchdog"),
     ("unit", look(unit=but(UNIT, NRestarts="3")), WARN, "restarted by systemd: 3"),
-    (
-        "unit",
-        look(unit=but(UNIT, ActiveState="activating", SubState="auto-restart", NRestarts="3")),
-        FAIL,
-        "auto-restart",
-    ),
+    ("unit", look(unit=RESTARTING), FAIL, "auto-restart"),
     ("unit", look(unit=but(UNIT, UnitFileState="disabled")), WARN, "not started at boot"),
     ("rights", look(service=serving(processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
     ("rights", look(service=serving(processes=UNLOCKED)), WARN, "supervisor, port_owner"),
@@ -130,12 +120,13 @@ def test_on_a_machine_that_is_well_every_check_says_so() -> None:
 
 
 def said(given: Look, check: str) -> list[tuple[str, str, str]]:
-    """(text, fix, advice) of each finding of a check."""
     return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
 
 
 RUNS = f"'failstop' runs (pid 100, user failstop, failstop {VERSION}"
 WELL = "device open, the board answers, motion"
+FT232 = "USB 0403:6001, a FT232 as in many devices: it says nothing of the board behind it"
+READ = "the service reads it as hoverboard, which answers no question, and reports a battery of 36.1 V"
 OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
 
 
@@ -153,19 +144,11 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("service", look(), f"{RUNS}), {WELL} disabled"),
         ("service", look(service=serving(enabled=True)), f"{RUNS}), {WELL} enabled"),
         ("identity", look(usb_id="2341:0043", told=of("arduino")), "USB 2341:0043, the board's"),
-        (
-            "identity",
-            look(usb_id="0403:6001", told=of("ugv")),
-            "USB 0403:6001, a FT232 as in many devices: it says nothing of the board behind it",
-        ),
+        ("identity", look(usb_id="0403:6001", told=of("ugv")), FT232),
         ("identity", look(usb_id="1209:2444", told=of("ugv")), "USB 1209:2444; ugv may be at any port"),
         ("identity", look(usb_id="", told=of("ugv")), "no USB device; ugv may be at any port"),
         ("board", look(), "it answers the service's questions as rrc does, and reports a battery of 12.0 V"),
-        (
-            "board",
-            look(service=serving(device=UNASKED, battery_v=36.1), told=of("hoverboard")),
-            "the service reads it as hoverboard, which answers no question, and reports a battery of 36.1 V",
-        ),
+        ("board", look(service=linked("unasked", battery_v=36.1), told=of("hoverboard")), READ),
         ("commanders", look(told=of("arduino")), "nobody is known who could command it beside failstop"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
         ("unit", look(), "failstop.service is active, started at boot"),
@@ -180,7 +163,6 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
 
 @pytest.mark.parametrize(("kind", "fitted", "level"), [("rrc", True, WARN), ("rrc", False, OK), ("ugv", True, "")])
 def test_an_imu_that_would_observe_the_wheels_and_is_not_there_is_told(kind: str, fitted: bool, level: str) -> None:
-    """A board that reports its wheels needs none."""
     device = but(PORT, imu=fitted)
     found = CHECKS["service"](look(service=serving(imu=None, device=device), told=of(kind)))
     assert [row.level for row in found if "no IMU reports" in row.text] == [level] * bool(level)
@@ -209,12 +191,7 @@ UNREADABLE = (None, "", "is of another version")
         ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root sees them"),
         ("service", look(service=UNREADABLE), "sudo systemctl restart failstop.service", "stops the wheels"),
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
-        (
-            "rights",
-            look(service=serving(processes=UNRIGHTED)),
-            "sudo systemctl edit failstop.service",
-            "LimitRTPRIO=40 and",
-        ),
+        ("rights", look(service=serving(processes=UNRIGHTED)), "sudo systemctl edit failstop.service", "LimitRTPRIO"),
         ("stop path", look(service=serving(last_stop=None)), "failstop stop", "`failstop reset`"),
         ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), SWITCHED, "UDP alone"),
     ],
@@ -234,6 +211,7 @@ def test_the_verdict_on_a_burst() -> None:
 
 
 UNTOUCHED = but(NODE, accessible=False)
+ACM = "/dev/ttyACM0"
 
 
 @pytest.mark.parametrize(
@@ -244,11 +222,7 @@ UNTOUCHED = but(NODE, accessible=False)
         ({"node": UNTOUCHED}, "this user may not open the port", ""),
         ({"holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
         ({"settings": ("x", Settings(), "wrong")}, "the settings that name the board can't be used", ""),
-        (
-            {"usb_id": ""},
-            "/dev/ttyACM0 may not be the board, and it is not written to",
-            "failstop doctor --device /dev/ttyACM0",
-        ),
+        ({"usb_id": ""}, f"{ACM} may not be the board, and it is not written to", f"failstop doctor --device {ACM}"),
     ],
 )
 def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
@@ -258,8 +232,7 @@ def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fi
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{}, {"node": but(NODE, pseudo=True), "usb_id": ""}, {"usb_id": "", "device_path": "/dev/x"}],
+    "changed", [{}, {"node": but(NODE, pseudo=True), "usb_id": ""}, {"usb_id": "", "device_path": "/dev/x"}]
 )
 def test_where_it_is_tried(changed: dict[str, Any]) -> None:
     [(text, *_)] = said(look(service=NOBODY, device=("/nowhere", ""), **changed), "stop path")
@@ -351,9 +324,7 @@ def test_ticks_in_numbers() -> None:
     assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
-@pytest.mark.parametrize(
-    ("contained", "remedy"), [(False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")]
-)
+@pytest.mark.parametrize(("contained", "remedy"), [(False, "prlimit --pid $$ --rtprio"), (True, "--cap-add SYS_NICE")])
 @pytest.mark.parametrize(
     "changed", [{"service": NOBODY, "realtime": False}, {"service": serving(processes=UNRIGHTED), "unit": {}}]
 )

@@ -76,7 +76,6 @@ def test_a_pipe_among_the_incidents_is_not_waited_for(path: str) -> None:
 
 
 def test_what_a_person_writes_goes_through_no_link(tmp_path: Path) -> None:
-    """A draft in a folder that is everybody's may be there before, as a link."""
     victim = tmp_path / "victim"
     victim.write_text("precious\n")
     (tmp_path / "a.png.part").symlink_to(victim)
@@ -149,28 +148,9 @@ def test_drafts_of_the_dead_are_cleared_and_those_of_the_living_are_not(path: st
     assert alive.exists()
 
 
-_WRITE = """
-import resource, sys
-from failstop.incidents import files
-resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-try:
-    files.write(sys.argv[1], "big", files.build({"name": "x"}, {"noise": __import__("os").urandom(5000)}))
-except OSError as error:
-    print(error.strerror)
-"""
-
-
 def test_the_saver_imports_little() -> None:
     """The saver starts just after a stop, on the robot's own processor."""
     assert sorted(imported("failstop.incidents.saver") & FORBIDDEN) == []
-
-
-def test_a_disk_that_takes_no_more_leaves_nothing_behind(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", _WRITE, str(tmp_path)], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout.strip() == "File too large"
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_writer_that_dies_at_any_call_leaves_a_whole_file_or_none_of_that_name() -> None:

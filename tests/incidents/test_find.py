@@ -104,18 +104,14 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
 
 @pytest.mark.usefixtures("environ")
 @pytest.mark.slow
-def test_a_file_is_named_for_the_incident_or_as_it_was_asked_for(
+def test_a_file_is_named_for_the_incident_or_as_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
     pytest.importorskip("mcap_ros2.writer")
     monkeypatch.chdir(tmp_path)
-    asked = ["-o", "mine.mcap"]
-    for action, words, name in (
-        ("plot", [], f"{IDS[-1]}.png"),
-        ("export", [], f"{IDS[-1]}.mcap"),
-        ("export", asked, asked[1]),
-    ):
+    asked = [["plot"], ["export"], ["export", "-o", "mine.mcap"]]
+    for (action, *words), name in zip(asked, (f"{IDS[-1]}.png", f"{IDS[-1]}.mcap", "mine.mcap"), strict=True):
         assert main(["incident", action, *words]) == 0
         assert capsys.readouterr().out.startswith(f"wrote {name}")
         assert (tmp_path / name).stat().st_size > 1000

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
-import subprocess
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -51,7 +49,6 @@ class Kept:
         self._told.clear()
 
     def rest(self) -> None:
-        """Wait until no saver of this service runs."""
         wait_for("the end of every saver", lambda: not self._savers(psutil.process_iter()), SAVED_S)
 
     def heads(self) -> list[dict[str, object]]:
@@ -83,7 +80,6 @@ class Kept:
         return found
 
     def saver(self) -> psutil.Process:
-        """The saver, as soon as it runs."""
         supervisor = psutil.Process(self.trial.service.pids()[layout.SUPERVISOR])
         found: list[psutil.Process] = []
         wait_for("a saver", lambda: found.extend(self._savers(supervisor.children())) or found, SAVED_S)
@@ -171,7 +167,6 @@ def check_driven(incident: Incident) -> None:
 
 
 def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:
-    """The stop, which is written at the return, and what came of it are in the file."""
     trial = kept.trial
     trial.enable()
     trial.drive(0.5)
@@ -191,26 +186,6 @@ def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> No
     assert any(event.kind == "device_back" for event in incident.events)
 
 
-def test_a_killed_supervisor_is_told_of_by_the_next_start(kept: Kept) -> None:
-    trial = kept.trial
-    trial.enable()
-    trial.drive(0.5)
-    assert trial.kill(layout.SUPERVISOR, 0.2).stop_ns is not None
-    assert kept.heads() == []
-    trial.recover(layout.SUPERVISOR, 0)
-    incident = kept.saved()
-    assert (incident.reason, incident.head["kind"]) == ("supervisor died", "left")
-    stop = incident.head["stop"]
-    assert stop["written_by"] in ("port owner", "stopper")
-    assert stop["written_us"] >= 0
-    assert incident.ticks[-1].block == "driving"
-    assert "the last beat of the supervisor" in [line.text for line in story.tell(incident)]
-    trial.leave()
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.turning(), "the new run is not the old one's"
-
-
 def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
     """Two stories: the stop's, saved at once by the saver that was there, and the death's, by the next start."""
     trial = kept.trial
@@ -227,26 +202,6 @@ def test_a_supervisor_that_dies_while_a_stop_is_being_saved(kept: Kept) -> None:
     assert {str(head["kind"]) for head in kept.heads()} == {"stop", "left"}
 
 
-def test_all_killed_at_once(kept: Kept) -> None:
-    trial = kept.trial
-    trial.enable()
-    trial.drive(0.5)
-    pids = trial.service.pids().values()
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    for pid in pids:
-        # The supervisor's death takes others along.
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-    trial.leave()
-    trial.service.kill()
-    trial.service.start()
-    incident = kept.saved()
-    assert incident.reason == "all of the service died"
-    assert incident.head["stop"] is None
-    assert incident.ticks[-1].block == "driving"
-
-
 def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
     trial = kept.trial
     trial.robot.estop("the last word")
@@ -261,7 +216,6 @@ def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
 
 
 def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
-    """One line each, no half file, and the next stop is saved as if nothing had been."""
     trial = kept.trial
     kept.folder().mkdir(parents=True, exist_ok=True)
     half = kept.folder() / ".draft-1999999999"
@@ -286,27 +240,3 @@ def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
     assert kept.saved().reason.startswith("stop request: third")
     assert not half.exists()
     assert trial.robot.state.estop is not None
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to mount a tiny disk")
-def test_a_full_disk(kept: Kept) -> None:
-    trial = kept.trial
-    kept.folder().mkdir(parents=True, exist_ok=True)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "none", str(kept.folder())]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("mounting is not allowed here")
-    try:
-        trial.enable()
-        trial.drive(1.0)
-        trial.robot.estop("into a full disk")
-        wait_for("a word on it", lambda: len(kept.told()) == 1, SAVED_S)
-        assert "No space left on device" in kept.told()[0]
-        assert list(kept.folder().iterdir()) == [], "neither half a file nor a draft"
-        state = trial.robot.state
-        assert (state.estop or "").startswith("stop request: into a full disk")
-        trial.enable()
-        trial.drive(0.2)
-        assert trial.turning()
-        trial.robot.disable()
-    finally:
-        subprocess.run(["umount", str(kept.folder())], check=True)

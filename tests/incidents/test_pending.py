@@ -29,7 +29,6 @@ def command(service: Simulated) -> Any:
 
 
 def saved(service: Simulated, after_s: float, name: str = OLDER) -> None:
-    """An incident whose cause was so long after the last stop."""
     made = drive_and_die()
     unix_ns = round((service.robot.state.last_stop.t + after_s) * NS)
     file = Regular()

@@ -29,15 +29,10 @@ def incident() -> Incident:
     return drive_and_die().incident()
 
 
-def test_a_name_that_is_no_picture(incident: Incident, tmp_path: Path) -> None:
-    with pytest.raises(IncidentError, match=r"ends in \.png, \.svg, \.pdf"):
-        plot.save(incident, str(tmp_path / "a.txt"), 5.0)
-
-
 @pytest.mark.parametrize(
     ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
 )
-def test_a_missing_extra_is_named_with_its_command(
+def test_a_missing_extra_is_named(
     incident: Incident, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: object, needed: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, needed, None)
@@ -45,6 +40,14 @@ def test_a_missing_extra_is_named_with_its_command(
     with pytest.raises(IncidentError, match=f"pip install {' '.join(extras.PACKAGES[extra])}"):
         plot.save(incident, path, 5.0) if module is plot else export.save(incident, path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("needed", "ends"), [("matplotlib", r"\.png, \.svg, \.pdf"), ("mcap_ros2.writer", r"\.mcap")])
+def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, ends: str) -> None:
+    pytest.importorskip(needed)
+    path = str(tmp_path / "a.txt")
+    with pytest.raises(IncidentError, match=rf"ends in {ends}"):
+        plot.save(incident, path, 5.0) if needed == "matplotlib" else export.save(incident, path)
 
 
 def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tmp_path: Path) -> None:
@@ -61,7 +64,6 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
 
 
 def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
-    """Check the values that drive_and_die() has put in."""
 
     def value(topic: str, index: int) -> object:
         return found[f"/failstop/{topic}"][index][1]
@@ -80,12 +82,6 @@ def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
     assert imu.orientation_covariance[0] == -1  # type: ignore[attr-defined]
     causes = [(at_ns, m) for at_ns, m in found["/failstop/events"] if m.name == "failstop.cause"]  # type: ignore[attr-defined]
     assert [(at_ns, m.msg, m.level) for at_ns, m in causes] == [(UNIX_NS, "gate died", 40)]  # type: ignore[attr-defined]
-
-
-def test_a_name_that_is_no_export(incident: Incident, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2.writer")
-    with pytest.raises(IncidentError, match=r"ends in \.mcap"):
-        export.save(incident, str(tmp_path / "a.incident"))
 
 
 def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:
@@ -114,11 +110,8 @@ def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
         made.tick(ms)
     assert [what for what, _, _ in made.incident().gate_spans()] == ["disabled"]
     made.event(5, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
-    assert made.incident().gate_spans() == [
-        ("disabled", at(-40), at(0)),
-        (SILENT, at(0), at(40)),
-        ("disabled", at(40), at(60)),
-    ]
+    before, after = ("disabled", at(-40), at(0)), ("disabled", at(40), at(60))
+    assert made.incident().gate_spans() == [before, (SILENT, at(0), at(40)), after]
 
 
 def test_a_curve_is_broken_where_the_board_was_silent() -> None:
@@ -157,11 +150,8 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     assert [pulses for _, pulses in sent[4]] == list(range(300, 280, -1))
     assert [found.joint(servo) for servo in (1, 4, 6)] == ["base", "wrist", "servo 6"]
     told = [line.text for line in story.tell(found) if line.what == "arm"]
-    assert told == [
-        "follow for nav (pid 77): base 519, wrist 282",
-        "jog for nav (pid 77): base 24/s",
-        "moved by nobody",
-    ]
+    by_nav = ["follow for nav (pid 77): base 519, wrist 282", "jog for nav (pid 77): base 24/s"]
+    assert told == [*by_nav, "moved by nobody"]
     assert found.undecoded == 0
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"svg.fonttype": "none"}):

@@ -63,6 +63,7 @@ ROOMS = {
             "tests/shm/test_[!npst]*.py",
             "tests/shm/test_place.py",
             "tests/shm/test_segment*.py",
+            "tests/shm/test_spoiled.py",
             "tests/shm/test_cell.py",
             "tests/shm/test_truncated.py",
         ),

@@ -45,11 +45,10 @@ def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object
 
 UNSEEN = "the wheels were not seen turning before the stop"
 LATE = (UNSEEN, "written after", "acknowledged after", "at the board after", "at rest after", "no moment of rest")
-"""Beginnings of faults that a machine which is held up brings about (test_judge.py, test_starved_rows.py)."""
+"""Beginnings of faults that a machine which is held up brings about (test_starved_rows.py)."""
 
 
 def firm(wrong: list[str]) -> list[str]:
-    """Those of the faults of a row that are not of time alone."""
     return [fault for fault in wrong if not fault.startswith(LATE)]
 
 

@@ -26,7 +26,6 @@ def gyro(*stretches: tuple[float, float], seed: int = 1, start_ns: int = 0, bias
 
 
 def level(std: float) -> Noise:
-    """As measured over a long time."""
     return Noise(std, std, 0.85 * std, 1.2 * std, 0.0, 0.0, RATE_HZ)
 
 

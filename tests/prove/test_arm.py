@@ -101,12 +101,8 @@ def test_a_stop_that_is_not_made_fails(stand: Stand) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("by_hand", "wrong"),
-    [(1000, "at rest after"), (0, "it did not follow before the stop")],
-)
+@pytest.mark.parametrize(("by_hand", "wrong"), [(1000, "at rest after"), (0, "it did not follow before the stop")])
 def test_a_joint_that_stands_elsewhere_fails(stand: Stand, by_hand: int, wrong: str) -> None:
-    """The joint stands as far beyond as there is, or behind, whichever way it was going."""
 
     def moved() -> None:
         assert stand.board

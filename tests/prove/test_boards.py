@@ -106,7 +106,7 @@ def test_a_person_says_when_the_wheels_of_a_board_that_reports_nothing_stand(tmp
         (("--board", "ugv"), "--board is for --sim"),
     ],
 )
-def test_a_row_that_a_board_can_not_have_is_refused_with_the_reason(
+def test_a_row_that_a_board_can_not_have_is_refused(
     words: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["prove", *words]) == 1

@@ -101,7 +101,6 @@ def test_a_campaign_on_a_board_whose_frames_nobody_sees_ends_when_it_does_not_st
 
 @pytest.mark.slow
 def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Path) -> None:
-    """An error in the midst of it says nothing of the wheels."""
 
     class Fails(random.Random):
         def choice(self, seq: Any) -> Any:

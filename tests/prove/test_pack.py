@@ -21,7 +21,6 @@ LIMIT_S = 240
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A pack of a run on a simulated board."""
     path = tmp_path_factory.mktemp("pack") / "evidence.html"
     words = ("--sim", "--only", "stop-request", "--at", "0.2", "--pack", str(path))
     done = failstop("prove", *words, timeout=LIMIT_S)

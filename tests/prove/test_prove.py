@@ -71,7 +71,7 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
 
 @pytest.mark.slow
 def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
-    """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_judge.py."""
+    """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_starved_rows.py."""
     settings = tmp_path / "own.toml"
     settings.write_text(f"{status.LEASE} = {status.LEASE_WITHOUT_S}\n")
     out = tmp_path / "evidence"
@@ -198,7 +198,6 @@ def test_every_signal_that_ends_a_program_is_an_interruption(number: int) -> Non
 
 @pytest.mark.slow
 def test_an_interruption_stops_the_wheels_first(board: SimBoard, tmp_path: Path) -> None:
-    """A lost terminal, whose signals go to the service too."""
     command = [*FAILSTOP, "prove", "--device", board.link, "--quick", "--out", str(tmp_path / "evidence")]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as process:

@@ -16,7 +16,6 @@ EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.tom
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.name)
 def test_tables_that_a_file_leaves_empty_do_not_hinder(example: Path, tmp_path: Path) -> None:
-    """As all of those in which every setting has its default."""
     path = str(tmp_path / "own.toml")
     user = config.read(str(example))
     for values in (stand.settings_for(user), {**user, **scene.SETTINGS}):

@@ -24,12 +24,7 @@ def test_noise_of_one_kind() -> None:
 
 @pytest.mark.parametrize(
     "samples",
-    [
-        [],
-        gyro((0.3, STILL)),
-        [(n * S // RATE_HZ, 0.01, 0.01) for n in range(400)],
-        gyro((5.0, STILL))[::6],
-    ],
+    [[], gyro((0.3, STILL)), [(n * S // RATE_HZ, 0.01, 0.01) for n in range(400)], gyro((5.0, STILL))[::6]],
     ids=["none", "short", "dead", "18 Hz"],
 )
 def test_noise_that_says_nothing(samples: list[shake.GyroSample]) -> None:

@@ -33,7 +33,6 @@ def send(planner: Node, fields: dict[str, object]) -> bool:
 
 
 def publish_once(node: Node, fields: dict[str, object]) -> None:
-    """Once somebody hears it."""
     node.ask("advertise", topic="arm/goal", type=GOAL)
     wait_for("the bridge to hear arm/goal", lambda: node.ask("matched", topic="arm/goal")["count"] > 0)
     node.ask("publish", topic="arm/goal", fields=fields)

@@ -32,7 +32,6 @@ def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[BridgeTrial]:
 
 @pytest.fixture
 def scene(stage: BridgeTrial) -> BridgeTrial:
-    """The module's, as at its start."""
     stage.fresh()
     return stage
 

@@ -46,7 +46,6 @@ _domains = itertools.count(os.getpid() % 40 + 1)
 
 
 def new_name() -> str:
-    """A name of a service that no other test has."""
     return f"ros2-{os.getpid()}-{next(_numbers)}"
 
 
@@ -59,10 +58,7 @@ class Ros:
         self.environment = _real(folder) if self.real else _stand_in(folder)
 
     def run(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
-        """A command in this ROS, to its end."""
-        return subprocess.run(
-            words, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
-        )
+        return subprocess.run(words, env=self.environment, capture_output=True, text=True, timeout=timeout_s)
 
 
 def _stand_in(folder: Path) -> dict[str, str]:
@@ -73,7 +69,6 @@ def _stand_in(folder: Path) -> dict[str, str]:
 
 
 def _real(folder: Path) -> dict[str, str]:
-    """The environment of a real ROS."""
     required = os.environ.get(REQUIRED)
     if not required:
         pytest.skip("`make ros2` tries it on a real ROS")
@@ -136,7 +131,6 @@ class Node:
         return found
 
     def ask(self, what: str, **words: Any) -> dict[str, Any]:
-        """Have it do something."""
         self.sent_goals |= what == "send_goal"
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": what, **words}) + "\n")
@@ -158,7 +152,6 @@ class Node:
         return found
 
     def next(self, topic: str, wanted: Any = lambda message: True, timeout_s: float = DEADLINE_S) -> dict[str, Any]:
-        """The next message that is as wanted."""
         until_s = time.monotonic() + timeout_s
         last: dict[str, Any] | None = None
         while time.monotonic() < until_s:
@@ -306,20 +299,17 @@ class BridgeTrial:
         return state
 
     def scan(self) -> Node:
-        """A lidar that delivers."""
         lidar = self.node("lidar")
         lidar.publish("scan", SCAN, {}, hz=20.0, qos=SENSOR)
         return lidar
 
     def drive(self, name: str = "nav", kind: str = TWIST, **words: Any) -> Node:
-        """A node that commands."""
         driver = self.node(name)
         fields = {"twist": FORWARD} if kind == STAMPED else FORWARD
         driver.publish("cmd_vel", kind, fields, **words)
         return driver
 
     def enable(self) -> None:
-        """Once everything is connected."""
         found = ("", "")
 
         def enabled() -> bool:
@@ -329,6 +319,15 @@ class BridgeTrial:
             return done
 
         wait_for(f"motion to be enabled, {found}", enabled)
+
+    def driving(self, **words: Any) -> Node:
+        """The driver of wheels that turn; the board's past is forgotten."""
+        self.scan()
+        driver = self.drive(**words)
+        self.enable()
+        self.moving()
+        self.trial.board.events()
+        return driver
 
     def moving(self) -> None:
         self.trial.board.wait_wheels(turning=True, timeout_s=DEADLINE_S)
@@ -348,7 +347,6 @@ class BridgeTrial:
         self.state(lambda state: state["blocked"] == "disabled")
 
     def leave(self, node: Node) -> None:
-        """End a node in order."""
         self.nodes.remove(node)
         if node.process.poll() is None and not node.sent_goals:
             self._idle.append(node)
@@ -358,7 +356,6 @@ class BridgeTrial:
 
     @contextlib.contextmanager
     def another(self, *words: str, environment: Mapping[str, str] | None = None) -> Iterator[Bridge]:
-        """A bridge with other options in the place of the scene's."""
         self.bridge.end()
         own, self.bridge = self.bridge, Bridge(self.ros, self.trial.name, *words, environment=environment)
         try:

@@ -63,7 +63,6 @@ class Talker:
         threading.Thread(target=self._read, daemon=True).start()
 
     def become(self, name: str) -> dict:
-        """A node of this name, and nothing of the one before."""
         rclpy.init(args=["talker", *sys.argv[2:]])
         self.node = rclpy.create_node(name)
         self.publishers: dict = {}
@@ -130,11 +129,6 @@ class Talker:
 
     def matched(self, topic: str) -> dict:
         return {"count": self.publishers[topic].get_subscription_count()}
-
-    def retract(self, topic: str) -> dict:
-        self.repeats.pop(topic, None)
-        self.node.destroy_publisher(self.publishers.pop(topic))
-        return {}
 
     def publish(self, topic: str, fields: dict, stamp: bool = False) -> dict:
         publisher = self.publishers[topic]

@@ -20,7 +20,6 @@ UNHEARD = f"a node that hears of the goal has acknowledged nothing for {GOAL_TIM
 
 @pytest.fixture
 def planner(scene: BridgeTrial, offers: bool) -> Node:
-    """A client of the action."""
     if not offers:
         pytest.skip("this ROS has no control_msgs")
     return scene.node("planner")
@@ -167,9 +166,7 @@ def test_a_goal_that_is_old_moves_nothing(scene: BridgeTrial) -> None:
     try:
         before = planner.ask("sent", topic="arm/goal")["count"]
         planner.ask("repeat", topic="arm/goal", fields=late, hz=5.0)
-        wait_for(
-            "goals for longer than one counts", lambda: planner.ask("sent", topic="arm/goal")["count"] > before + 6
-        )
+        wait_for("goals that are too old", lambda: planner.ask("sent", topic="arm/goal")["count"] > before + 6)
         planner.ask("rest", topic="arm/goal")
     finally:
         scene.bridge.send(signal.SIGCONT)

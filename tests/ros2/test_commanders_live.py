@@ -19,11 +19,7 @@ def told(scene: BridgeTrial, text: str, *words: str) -> None:
 
 @pytest.mark.parametrize(("kind", "reliable"), [(TWIST, True), (STAMPED, False)])
 def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: str, reliable: bool) -> None:
-    scene.scan()
-    scene.drive()
-    scene.enable()
-    scene.moving()
-    scene.trial.board.events()
+    scene.driving()
     second = scene.node("joystick")
     fields = {"twist": BACKWARD} if kind == STAMPED else BACKWARD
     second.publish("cmd_vel", kind, fields, hz=100.0, match=False, qos={"reliable": reliable})
@@ -42,9 +38,7 @@ def test_a_second_publisher_latches_and_moves_nothing(scene: BridgeTrial, kind: 
     scene.state(lambda state: state["publishers"] == ["/nav"])
 
 
-def test_the_second_publisher_is_named_wherever_the_cause_is_told(
-    scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_second_publisher_is_named_everywhere(scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is silent, and the graph knows a new publisher before its name."""
     scene.drive()
     scene.node("joystick").ask("advertise", topic="cmd_vel", type=TWIST)
@@ -96,13 +90,10 @@ def test_a_wrong_type_is_told_everywhere(scene: BridgeTrial) -> None:
     told(scene, said, "events", "--kind", "said")
 
 
-def test_best_effort_is_not_heard_and_is_told(scene: BridgeTrial) -> None:
+def test_a_wrong_scan_estop_and_quality_are_told(scene: BridgeTrial) -> None:
     shy = scene.node("shy")
     shy.publish("cmd_vel", TWIST, FORWARD, match=False, qos={"reliable": False})
     scene.state(lambda state: "/shy publishes cmd_vel as best effort" in (state["wrong"] or ""))
-
-
-def test_a_wrong_scan_and_a_wrong_estop(scene: BridgeTrial) -> None:
     node = scene.node("confused")
     node.publish("scan", "sensor_msgs/msg/PointCloud2", {}, match=False)
     node.publish("estop", "std_msgs/msg/String", {}, match=False)

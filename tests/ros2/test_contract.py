@@ -30,77 +30,39 @@ TOPICS_OUT = {
     "~/emergency_stop": ("std_msgs/msg/Bool", TRANSIENT_LOCAL, 10),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", RELIABLE_10, 1),
 }
-SERVICE_TYPES = {
-    "~/enable": "std_srvs/srv/SetBool",
-    "~/reset_estop": "std_srvs/srv/Trigger",
-    "~/stop": "std_srvs/srv/Trigger",
-}
+TRIGGER = "std_srvs/srv/Trigger"
+SERVICE_TYPES = {"~/enable": "std_srvs/srv/SetBool", "~/reset_estop": TRIGGER, "~/stop": TRIGGER}
 STATE_KEYS = [
     *("enabled", "estop", "plugged", "arm_enabled", "arm_moving", "arm_pose", "servo_silent", "blocked", "body_vel"),
     *("scan_age", "gyro_bias_dps", "gyro_bias_tracking", "arm_holding", "pad_mode", "pad_joint", "auto_tuck_in_s"),
 ]
-PARAMETERS = {
-    "device": "/dev/ttyACM0",
-    "imu_frame_id": "imu_link",
-    "gyro_calib_seconds": 3.0,
-    "gyro_calib_max_std_dps": 0.3,
-    "estop_key": 1,
-    "control_rate_hz": 50.0,
-    "max_linear": 0.2,
-    "max_angular": 1.0,
-    "max_accel_linear": 0.5,
-    "max_accel_angular": 2.0,
-    "cmd_timeout": 0.3,
-    "scan_timeout": 0.5,
-    "accel_offset_g": [0.0, 0.0, 0.0],
-    "accel_scale": [1.0, 1.0, 1.0],
-    "gyro_bias_tau_s": 20.0,
-    "gyro_bias_settle_s": 1.0,
-    "gyro_bias_max_dev_dps": 0.5,
-    "gyro_noise_rad_s": 0.0012,
-    "odom_frame_id": "odom",
-    "base_frame_id": "base_link",
-    "odom_linear_std": 0.05,
-    "odom_angular_std": 0.2,
-    "odom_scale_x": 1.0,
-    "odom_scale_y": 0.765,
-    "pad_sounds": False,
-    "drive_pan": -1,
-}
-OWN_PARAMETERS = {"cmd_vel_type": "auto", "allowed_publishers": [""], "publish_tf": False}
+PARAMETERS: dict[str, object] = (
+    {"device": "/dev/ttyACM0", "imu_frame_id": "imu_link", "odom_frame_id": "odom", "base_frame_id": "base_link"}
+    | {"gyro_calib_seconds": 3.0, "gyro_calib_max_std_dps": 0.3, "estop_key": 1, "control_rate_hz": 50.0}
+    | {"max_linear": 0.2, "max_angular": 1.0, "max_accel_linear": 0.5, "max_accel_angular": 2.0}
+    | {"cmd_timeout": 0.3, "scan_timeout": 0.5, "accel_offset_g": [0.0] * 3, "accel_scale": [1.0] * 3}
+    | {"gyro_bias_tau_s": 20.0, "gyro_bias_settle_s": 1.0, "gyro_bias_max_dev_dps": 0.5, "gyro_noise_rad_s": 0.0012}
+    | {"odom_linear_std": 0.05, "odom_angular_std": 0.2, "odom_scale_x": 1.0, "odom_scale_y": 0.765}
+    | {"pad_sounds": False, "drive_pan": -1, "cmd_vel_type": "auto", "allowed_publishers": [""], "publish_tf": False}
+)
 
 
-def test_node() -> None:
+def test_topics_and_services() -> None:
     assert contract.NODE == "rosorin_board_driver"
-
-
-def test_topics_in() -> None:
     assert {topic.name: (topic.type, topic.qos) for topic in INWARD} == TOPICS_IN
-
-
-def test_topics_out() -> None:
     assert {topic.name: (topic.type, topic.qos, topic.hz) for topic in OUTWARD} == TOPICS_OUT
-
-
-def test_services() -> None:
     assert {service.name: service.type for service in SERVICES} == SERVICE_TYPES
-
-
-def test_command_types() -> None:
     twist, stamped = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
     assert {"auto": (twist, stamped), "twist": (twist,), "stamped": (stamped,)} == contract.COMMAND_TYPES
 
 
 def test_parameters() -> None:
     own = {setting.name: setting.default for setting in contract.SETTINGS}
-    shown = mirrors.values(Settings().flat())
-    assert {**own, **shown} == {**PARAMETERS, **OWN_PARAMETERS}
-    assert {name: type(value) for name, value in {**own, **shown}.items()} == {
-        name: type(value) for name, value in {**PARAMETERS, **OWN_PARAMETERS}.items()
+    shown = {**own, **mirrors.values(Settings().flat())}
+    assert shown == PARAMETERS
+    assert {name: type(value) for name, value in shown.items()} == {
+        name: type(value) for name, value in PARAMETERS.items()
     }
-
-
-def test_scan_gate_off_is_shown_as_zero() -> None:
     assert mirrors.values({**Settings().flat(), "scan.gate": "off"})["scan_timeout"] == 0.0
 
 

@@ -16,7 +16,6 @@ ROWS = ["cmd_vel node ends", "a second one joins", "the bridge is killed"]
 
 
 def test_its_rows(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of them stops; how soon is for the demo to judge, and for the bench."""
     for key, value in ros.environment.items():
         monkeypatch.setenv(key, value)
     settings = tmp_path / "failstop.toml"

@@ -9,17 +9,7 @@ import time
 import pytest
 
 from failstop.lab.trial import wait_for
-from tests.ros2.scene import (
-    BOOL,
-    DEADLINE_S,
-    FORWARD,
-    NODE,
-    SCAN,
-    SENSOR,
-    STAMPED,
-    TWIST,
-    BridgeTrial,
-)
+from tests.ros2.scene import BOOL, DEADLINE_S, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, BridgeTrial
 from tests.support.commands import failstop
 from tests.support.leases import TIMEOUT_S
 
@@ -38,10 +28,7 @@ def latched(scene: BridgeTrial) -> str:
 @pytest.mark.parametrize(("kind", "stamp"), [(TWIST, False), (STAMPED, True), (STAMPED, False)])
 def test_cmd_vel_drives(scene: BridgeTrial, kind: str, stamp: bool) -> None:
     """A stamp of zero counts as now."""
-    scene.scan()
-    scene.drive(kind=kind, stamp=stamp)
-    scene.enable()
-    scene.moving()
+    scene.driving(kind=kind, stamp=stamp)
     state = scene.state(lambda state: state["body_vel"] == [0.2, 0.0, 0.0])
     assert state["publishers"] == ["/nav"]
     assert state["driver"].startswith("ros2 (pid ")
@@ -74,10 +61,7 @@ def test_an_old_stamp_is_refused_and_whose_clock_disagrees_is_told_everywhere(sc
 
 def test_what_is_not_finite_latches(scene: BridgeTrial) -> None:
     """A value that is not finite counts in the fields that a wheeled base has no use for, too: the sums went wrong."""
-    scene.scan()
-    driver = scene.drive()
-    scene.enable()
-    scene.moving()
+    driver = scene.driving()
     for part, axis, value in NOT_FINITE:
         driver.ask("publish", topic="cmd_vel", fields={part: {axis: value}})
         scene.state(lambda state: state["estop"] == "command from /nav is not finite")
@@ -90,10 +74,7 @@ def test_estop_latches_and_false_does_nothing(scene: BridgeTrial) -> None:
     scene.eyes.hear(f"{NODE}/emergency_stop", BOOL)
     button = scene.node("button")
     button.publish("estop", BOOL, {"data": False})
-    scene.scan()
-    scene.drive()
-    scene.enable()
-    scene.moving()
+    scene.driving()
     assert scene.eyes.next(f"{NODE}/emergency_stop")["data"] is False
     button.ask("rest", topic="estop")
     button.ask("publish", topic="estop", fields={"data": True})
@@ -158,10 +139,7 @@ def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: BridgeTrial) ->
 
 
 def test_a_silent_driver_stops_the_wheels(scene: BridgeTrial) -> None:
-    scene.scan()
-    driver = scene.drive()
-    scene.enable()
-    scene.moving()
+    driver = scene.driving()
     last_ns = driver.ask("rest", topic="cmd_vel")["t_ns"]
     stop = scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > last_ns, DEADLINE_S)
     assert (stop.arrival_ns - last_ns) / 1e9 > 0.9 * TIMEOUT_S, "its last command counts for as long as is set"

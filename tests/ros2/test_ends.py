@@ -22,25 +22,12 @@ RESTARTS = amount(2, 40)
 SETTINGS = '[interlocks.ros2]\ntimeout_s = 0.3\nrefusal = "ROS 2 is away"\n'
 
 
-def driving(scene: BridgeTrial) -> Node:
-    scene.scan()
-    driver = scene.drive()
-    scene.enable()
-    scene.moving()
-    scene.trial.board.events()
-    return driver
-
-
 def stopped(scene: BridgeTrial, since_ns: int) -> None:
-    """The wheels were told to stand after that."""
-    scene.trial.board.wait_for(
-        lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > since_ns, timeout_s=DEADLINE_S
-    )
+    scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > since_ns, DEADLINE_S)
 
 
 def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: BridgeTrial) -> None:
-    """A bridge that is started anew drives nothing before an enable, while its publisher goes on commanding."""
-    driving(scene)
+    scene.driving()
     with open(f"/proc/{scene.bridge.process.pid}/maps", encoding="utf-8") as file:
         assert "/dev/shm/fastrtps" not in file.read()
     with open(f"/proc/{scene.bridge.process.pid}/limits", encoding="utf-8") as file:
@@ -66,7 +53,7 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: Brid
 
 
 def test_a_stopped_bridge_stops_the_wheels_and_passes_on_nothing_old(scene: BridgeTrial) -> None:
-    driver = driving(scene)
+    driver = scene.driving()
     stopped_ns = time.monotonic_ns()
     scene.bridge.send(signal.SIGSTOP)
     stopped(scene, stopped_ns)
@@ -80,7 +67,7 @@ def test_a_stopped_bridge_stops_the_wheels_and_passes_on_nothing_old(scene: Brid
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_told_to_end(scene: BridgeTrial, number: int) -> None:
-    driving(scene)
+    scene.driving()
     told_ns = time.monotonic_ns()
     scene.bridge.send(number)
     stopped(scene, told_ns)
@@ -123,7 +110,7 @@ def test_a_stop_needs_no_client_slot(scene: BridgeTrial) -> None:
 
 
 def test_the_interlock_holds_while_one_at_most_publishes(scene: BridgeTrial) -> None:
-    driving(scene)
+    scene.driving()
     scene.bridge.send(signal.SIGSTOP)
     wait_for("motion to be disabled", lambda: not scene.trial.robot.state.enabled)
     assert "refused: ROS 2 is away; next: " in failstop("enable", "--name", scene.trial.name).stderr
@@ -133,7 +120,7 @@ def test_the_interlock_holds_while_one_at_most_publishes(scene: BridgeTrial) -> 
 
 def test_a_service_that_was_started_anew_is_found_again(scene: BridgeTrial) -> None:
     """While there is none, no wheel turns in what the bridge publishes."""
-    driving(scene)
+    scene.driving()
     scene.eyes.hear("joint_states", "sensor_msgs/msg/JointState")
     scene.eyes.next("joint_states", lambda message: all(message["velocity"][:4]))
     scene.trial.leave()

@@ -35,13 +35,11 @@ def test_nothing_is_seen_that_is_not_recorded(seen: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", RECORDED["messages"])
 def test_the_fields_of_a_message_and_their_defaults(seen: dict[str, Any], name: str) -> None:
-    """The stand-in has those that are used, of the same sort and with the same default."""
     here, there = seen["messages"][name], RECORDED["messages"][name]
     assert typed(here) == typed(within(here, there))
 
 
 def within(here: Any, there: Any) -> Any:
-    """The part of what was recorded that is here."""
     if isinstance(here, dict):
         return {field: within(value, there[field]) for field, value in here.items()}
     return there

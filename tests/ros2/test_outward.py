@@ -45,7 +45,6 @@ def heard(node: Node, topics: dict[str, tuple[str, int]]) -> dict[str, Heard]:
 
 @pytest.fixture(scope="module")
 def still(stage: BridgeTrial) -> dict[str, Heard]:
-    """Topics of a robot at rest."""
     stage.fresh()
     listener = stage.node("listener")
     found = heard(listener, STILL)
@@ -55,12 +54,8 @@ def still(stage: BridgeTrial) -> dict[str, Heard]:
 
 @pytest.fixture(scope="module")
 def driven(stage: BridgeTrial) -> dict[str, Heard]:
-    """Topics of a robot that drives."""
     stage.fresh()
-    stage.scan()
-    stage.drive()
-    stage.enable()
-    stage.moving()
+    stage.driving()
     stage.state(lambda state: state["body_vel"] == [0.2, 0.0, 0.0])
     return heard(stage.node("listener"), DRIVEN)
 
@@ -175,7 +170,6 @@ def test_diagnostics(still: dict[str, Heard], scene: BridgeTrial) -> None:
 
 
 def test_the_running_bridge_offers_what_the_contract_says(scene: BridgeTrial) -> None:
-    """test_contract.py restates the contract."""
     graph = scene.eyes.ask("graph")
     for service in contract.SERVICES:
         assert graph["services"][service.name.replace("~", NODE)] == [service.type]

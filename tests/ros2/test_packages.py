@@ -1,4 +1,4 @@
-"""The ROS packages of the folder failstop/ros2/packages against the code that they are around."""
+"""The ROS packages of the folder failstop/ros2/packages, and docs/ros2.md, against the code that they are of."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.lab.pages import ros2
 from failstop.ros2 import contract, report
 from failstop.version import VERSION
 from tests.support import states
@@ -65,3 +66,7 @@ def test_the_launch_file_declares_what_it_uses() -> None:
     for setting in ("cmd_vel_type", "publish_tf"):
         assert setting in {row.name for row in contract.SETTINGS}
         assert setting in used
+
+
+def test_the_page_is_that_of_the_code() -> None:
+    assert ros2.text() in (ROOT / "docs/ros2.md").read_text(), "renew it: make docs"

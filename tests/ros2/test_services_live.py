@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from failstop.ros2.mirrors import TABLE
+from failstop.policy.settings import Settings
+from failstop.ros2.mirrors import TABLE, values
 from tests.ros2.scene import NODE, BridgeTrial
 from tests.support.leases import TIMEOUT_S
 
@@ -52,34 +53,12 @@ def test_stop_tells_its_three_levels(scene: BridgeTrial) -> None:
 
 def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
     names = [mirror.name for mirror in TABLE]
-    values = scene.eyes.ask("get_parameters", node=NODE, names=names)["values"]
+    told = scene.eyes.ask("get_parameters", node=NODE, names=names)["values"]
     fields = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 8: "double_array_value"}
-    found = {name: value[fields[value["type"]]] for name, value in zip(names, values, strict=True)}
+    found = {name: value[fields[value["type"]]] for name, value in zip(names, told, strict=True)}
     assert found.pop("device") == scene.trial.link
-    assert found == {
-        "gyro_calib_seconds": 3.0,
-        "gyro_calib_max_std_dps": 0.3,
-        "estop_key": 1,
-        "control_rate_hz": 50.0,
-        "max_linear": 0.2,
-        "max_angular": 1.0,
-        "max_accel_linear": 0.5,
-        "max_accel_angular": 2.0,
-        "cmd_timeout": TIMEOUT_S,
-        "scan_timeout": 0.5,
-        "accel_offset_g": [0.0, 0.0, 0.0],
-        "accel_scale": [1.0, 1.0, 1.0],
-        "gyro_bias_tau_s": 20.0,
-        "gyro_bias_settle_s": 1.0,
-        "gyro_bias_max_dev_dps": 0.5,
-        "gyro_noise_rad_s": 0.0012,
-        "odom_linear_std": 0.05,
-        "odom_angular_std": 0.2,
-        "odom_scale_x": 1.0,
-        "odom_scale_y": 0.765,
-        "pad_sounds": False,
-        "drive_pan": -1,
-    }
+    assert {**found, "device": "/dev/ttyACM0", "cmd_timeout": 0.3} == values(Settings().flat())
+    assert found["cmd_timeout"] == TIMEOUT_S
 
 
 def test_a_parameter_is_not_set_and_says_what_to_change(scene: BridgeTrial) -> None:

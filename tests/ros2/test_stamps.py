@@ -1,4 +1,4 @@
-"""Stamps that disagree with the clock here: refused, and told. The clocks are the test's."""
+"""Senders of goals and commands: whether they live, and stamps that disagree with the clock. Times are the test's."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from failstop.ros2.alive import DISCOVERY_NS, LEAST_NS, Alive, Unwatched
 from failstop.ros2.stamps import NO_CLOCK, TOLD_NS, Stamps
 
 S = 1_000_000_000
@@ -48,7 +49,6 @@ def test_a_stamp_from_the_future_is_told_and_not_refused(stamps: Stamps) -> None
 
 
 def test_the_words_stay_while_the_age_is_about_the_same(stamps: Stamps) -> None:
-    """Each change of them is an event for people."""
     found = set()
     for tick, age_s in enumerate((5.0, 5.04, 4.96, 5.9, 5.1)):
         stamps.late("cmd_vel", "/nav", stamp(age_s), 0.3, S + tick)
@@ -66,3 +66,43 @@ def test_where_ros_has_no_time_no_stamp_is_believed() -> None:
     stamps = Stamps(lambda: 0)
     assert stamps.late("cmd_vel", "/nav", stamp(0.0), 0.3, S) == f"how old its stamp is nobody knows: {NO_CLOCK}"
     assert stamps.wrong(S) == [NO_CLOCK]
+
+
+UNACKNOWLEDGED = "a node that hears of the goal has acknowledged nothing for {:g} s"
+SILENT_NS = S + S // 2
+"""When one whose last acknowledgement was at S is gone, by a timeout of 0.5 s."""
+
+
+@pytest.mark.parametrize(
+    ("timeout_s", "looks"),
+    [
+        (0.5, [(1, True, ms * 1_000_000, "") for ms in range(0, 60_000, 20)]),
+        (0.5, [(1, True, S, ""), (1, False, SILENT_NS - 1, ""), (1, False, SILENT_NS, UNACKNOWLEDGED.format(0.5))]),
+        (0.5, [(1, True, S, ""), (2, False, SILENT_NS - 1, ""), (2, False, SILENT_NS, UNACKNOWLEDGED.format(0.5))]),
+        # No shorter than three messages.
+        (0.1, [(1, True, S, ""), (1, False, S + LEAST_NS - 1, ""), (1, False, S + LEAST_NS, "a node")]),
+        (0.5, [(1, True, S, ""), (0, True, S + 1, "nobody hears of the goal any more")]),
+        # Who is never met has the time of discovery; best effort acknowledges nothing.
+        (0.5, [(0, True, DISCOVERY_NS - 1, ""), (0, True, DISCOVERY_NS, "nobody hears of the goal reliably")]),
+        (0.5, [(1, False, DISCOVERY_NS - 1, ""), (1, False, DISCOVERY_NS, "a node")]),
+    ],
+)
+def test_a_client_is_gone_by_what_dds_says(timeout_s: float, looks: list[tuple[int, bool, int, str]]) -> None:
+    client = Alive(0, timeout_s)
+    for heard, acknowledges, now_ns, told in looks:
+        found = client.look(heard, acknowledges, now_ns)
+        assert (found.startswith(told), bool(found)) == (True, bool(told)), (found, now_ns)
+
+
+@pytest.mark.parametrize(
+    "looks",
+    [
+        [(1, 0, ""), (1, 3 * S, ""), (1, 3 * S + 1, "it takes longer than 3 s (arm.unwatched_s)")],
+        [(1, 0, ""), (0, 1, "its publisher has gone")],
+        [(0, DISCOVERY_NS - 1, ""), (1, DISCOVERY_NS, "")],  # the graph may know the publisher later than its message
+        [(0, DISCOVERY_NS, "its publisher has gone")],
+    ],
+)
+def test_a_sender_of_the_topic_is_gone_with_its_publisher(looks: list[tuple[int, int, str]]) -> None:
+    sender = Unwatched(0, 3.0)
+    assert [sender.look(count, now_ns) for count, now_ns, _ in looks] == [told for *_, told in looks]

@@ -32,6 +32,8 @@ def test_it_breaks_at_words_with_a_hanging_indent() -> None:
     assert all(row.startswith(" " * 10) and row[10] != " " for row in rows[1:])
     assert " ".join(row.strip() for row in rows) == LINE
     assert fold(LINE, 400, 10) == LINE
+    assert fold(LINE, LEAST_COLUMNS - 1, 10) == LINE, "a terminal too narrow for an indent breaks the line itself"
+    assert "\n" in fold(LINE, LEAST_COLUMNS, 10)
 
 
 def test_a_command_stays_whole_where_it_fits() -> None:
@@ -63,11 +65,6 @@ def test_a_line_is_filled_to_its_last_column_and_keeps_its_spaces(text: str, row
     assert fold(text, 40, 10).split("\n" + " " * 10) == rows
 
 
-def test_a_terminal_that_is_too_narrow_for_an_indent_breaks_the_line_itself() -> None:
-    assert fold(LINE, LEAST_COLUMNS - 1, 10) == LINE
-    assert "\n" in fold(LINE, LEAST_COLUMNS, 10)
-
-
 @given(st.text(alphabet="ab `\u00e4", max_size=300), st.integers(40, 100), st.integers(0, 12))
 def test_nothing_is_lost(text: str, width: int, indent: int) -> None:
     found = fold(text, width, indent)
@@ -94,7 +91,6 @@ def test_only_on_a_terminal() -> None:
 
 
 def test_the_service_s_lines(capfd: pytest.CaptureFixture[str]) -> None:
-    """One event is one line for whatever reads a pipe; on a terminal no word is broken."""
     say(LINE.removeprefix("failstop: "))
     assert capfd.readouterr().err == f"{LINE}\n"
     code = f"from failstop.supervisor.events import say; say({LINE.removeprefix('failstop: ')!r})"

@@ -22,6 +22,7 @@ from tests.support.states import arm, driving, latched, process, state
 ENABLED = driving(sources=(), body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
 RIVAL = driving()
 FULL = (0.2, 0.2, 1.0)
+ZERO = (0.0, 0.0, 0.0, "cmd_vel")
 
 
 class Scribe:
@@ -72,26 +73,15 @@ def press(pilot: Pilot, *names: str, late: bool = False, now_s: float = 1.0, see
 def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
     press(pilot, "w")
     pilot.note = ("a note", "")
-    lines = pilot.lines(latched(), 1.1, 80)
-    said = shown(lines)
-    for part in (
-        "w s  \u2191 \u2193",
-        "STOP, latched",
-        "keys      held",
-        "0.10 m/s forward",
-        "50 %",
-        "STOPPED",
-        "12.00 V",
-        "a note",
-        "a tap drives",
-    ):
-        assert part in said
+    said = shown(pilot.lines(latched(), 1.1, 80))
+    parts = ("w s  \u2191 \u2193", "STOP, latched", "keys      held", "0.10 m/s forward", "50 %", "STOPPED", "12.00 V")
+    assert [part for part in (*parts, "a note", "a tap drives") if part not in said] == []
 
 
 def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
     found = arm("base", "wrist", mode="jog", by="failstop teleop")
-    found.joints["base"] = dataclasses.replace(found.joints["base"], commanded_rad=0.5)
-    found.joints["wrist"] = dataclasses.replace(found.joints["wrist"], angle_rad=None, commanded_rad=None)
+    for name, told in (("base", {"commanded_rad": 0.5}), ("wrist", {"angle_rad": None, "commanded_rad": None})):
+        found.joints[name] = dataclasses.replace(found.joints[name], **told)  # type: ignore[arg-type]
 
     def screen(joint: int, **changed: Any) -> str:
         pilot.joint = joint
@@ -106,7 +96,6 @@ def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
 
 
 def shown(lines: list[style.Line]) -> str:
-    """The text of a screen that fits."""
     assert len(lines) <= 23
     assert all(style.cells(style.plain(line)) <= 80 for line in lines)
     return "\n".join(map(style.plain, lines))
@@ -121,27 +110,23 @@ def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None
     assert "command   none" in shown(pilot.lines(ENABLED, 1.5, 80))
 
 
-def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:
+@pytest.mark.parametrize(
+    ("names", "late", "asked"),
+    [
+        (("w", "e", SPACE), False, ["estop"]),
+        (("w", SPACE), True, ["estop"]),
+        (("e", "w", "r", "+"), True, [ZERO]),
+        (("q",), True, [ZERO]),
+        (("x",), False, [ZERO]),
+    ],
+)
+def test_the_stop_goes_first_and_of_what_is_late_only_what_stops_counts(
+    pilot: Pilot, scribe: Scribe, names: tuple[str, ...], late: bool, asked: list[Any]
+) -> None:
     press(pilot, "w")
     scribe.asked.clear()
-    press(pilot, "w", "e", SPACE)
-    assert scribe.asked == ["estop"]
-
-
-def test_of_what_comes_late_only_what_stops_counts(pilot: Pilot, scribe: Scribe) -> None:
-    press(pilot, "e", "w", "r", "+", late=True)
-    assert scribe.asked == []
-    press(pilot, "w", SPACE, late=True)
-    assert scribe.asked == ["estop"]
-    press(pilot, "q", late=True)
-    assert pilot.leaving
-
-
-def test_a_key_that_means_nothing_lets_go(pilot: Pilot, scribe: Scribe) -> None:
-    press(pilot, "w")
-    press(pilot, "x")
-    assert scribe.asked[-1] == (0.0, 0.0, 0.0, "cmd_vel")
-    assert not pilot.hold.active
+    press(pilot, *names, late=late)
+    assert (scribe.asked, pilot.leaving, pilot.hold.active) == (asked, names == ("q",), False)
 
 
 def test_beside_another_publisher_not_even_a_zero_goes_out(pilot: Pilot, scribe: Scribe) -> None:
@@ -174,7 +159,7 @@ def test_what_was_held_through_a_stop_drives_nothing_after_it(pilot: Pilot, scri
     scribe.asked.clear()
     press(pilot, now_s=1.1, seen=state())
     press(pilot, now_s=1.2)
-    assert scribe.asked == [(0.0, 0.0, 0.0, "cmd_vel")]
+    assert scribe.asked == [ZERO]
 
 
 def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot, scribe: Scribe) -> None:
@@ -187,14 +172,16 @@ def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot
 
 
 def told(pilot: Pilot, seen: Any) -> str:
-    """The line for people, as the screen shows it."""
     press(pilot, seen=seen)
     *_, line, _how = pilot.lines(seen, 1.0, 200)
     return style.plain(line)
 
 
+DIED = "the service has died, and the wheels are stopped: q leaves"
+LATCHED = "a stop is latched: {}r resets it, then e enables motion"
+
+
 def down(*names: str) -> Any:
-    """Processes, of which those of these names died too often."""
     base = state()
     return {name: process(state="down" if name in names else "running", pid=0) for name in base.processes}
 
@@ -206,23 +193,11 @@ def down(*names: str) -> Any:
         (state(waiting_for="the port"), "motion is disabled: wait for the port, then e enables it"),
         (ENABLED, ""),
         (RIVAL, ""),
-        (latched(), "a stop is latched: r resets it, then e enables motion"),
-        (
-            latched(processes=down("gate"), waiting_for="gate"),
-            "a stop is latched: wait for gate, then r resets it, then e enables motion",
-        ),
-        (
-            latched(processes=down("telemetry"), waiting_for="telemetry"),
-            "a stop is latched: r resets it, then e enables motion",
-        ),
-        (
-            latched(device=Device("/dev/ttyACM0", "lost", "alive")),
-            "a stop is latched: plug the board in, then r resets it, then e enables motion",
-        ),
-        (
-            latched(processes={"supervisor": process(state="dead")}),
-            "the service has died, and the wheels are stopped: q leaves",
-        ),
+        (latched(), LATCHED.format("")),
+        (latched(processes=down("gate"), waiting_for="gate"), LATCHED.format("wait for gate, then ")),
+        (latched(processes=down("telemetry"), waiting_for="telemetry"), LATCHED.format("")),
+        (latched(device=Device("/dev/ttyACM0", "lost", "alive")), LATCHED.format("plug the board in, then ")),
+        (latched(processes={"supervisor": process(state="dead")}), DIED),
     ],
 )
 def test_the_line_says_what_holds_the_wheels_now(pilot: Pilot, seen: Any, line: str) -> None:
@@ -243,6 +218,8 @@ def test_motion_that_it_enabled_is_disabled_at_the_end(pilot: Pilot, scribe: Scr
     press(pilot, "q")
     assert pilot.leave() == "disable done"
     assert scribe.asked == ["enable", "disable"]
+    scribe.answer = NoService("gone")
+    assert pilot.leave() == "the service can't be told (gone); the command timeout stops the wheels"
 
 
 def test_motion_that_somebody_else_enabled_stays_enabled(pilot: Pilot, scribe: Scribe) -> None:
@@ -250,40 +227,32 @@ def test_motion_that_somebody_else_enabled_stays_enabled(pilot: Pilot, scribe: S
     assert pilot.note[0] == "motion is enabled already"
     press(pilot, "w")
     press(pilot, "q")
-    assert pilot.leave() == "motion stays enabled, as it was before"
-    assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.0, "cmd_vel")]
+    assert pilot.leave() == STAYS
+    assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), ZERO]
     scribe.state = state()
     assert pilot.leave() == "motion is disabled"
 
 
-def test_motion_that_somebody_else_enabled_after_a_stop_is_theirs(pilot: Pilot, scribe: Scribe) -> None:
-    press(pilot, "e", seen=state())
-    press(pilot)
-    press(pilot, seen=latched())
-    press(pilot)
-    assert pilot.leave() == "motion stays enabled, as it was before"
-    assert scribe.asked == ["enable"]
+STAYS = "motion stays enabled, as it was before"
 
 
-def test_a_refused_enable_is_not_taken_back(pilot: Pilot, scribe: Scribe) -> None:
-    scribe.answer = Refused("arm is not in the drive pose")
-    press(pilot, "e", seen=state())
-    scribe.answer = None
-    press(pilot)
-    assert pilot.leave() == "motion stays enabled, as it was before"
-
-
-def test_an_enable_that_nobody_answered_is_taken_back(pilot: Pilot, scribe: Scribe) -> None:
-    scribe.answer = NoAnswer("the gate did not answer")
+@pytest.mark.parametrize(
+    ("answer", "seen", "told"),
+    [
+        (None, (ENABLED, latched(), ENABLED), STAYS),  # somebody else enabled it after that stop
+        (Refused("arm is not in the drive pose"), (ENABLED,), STAYS),
+        (NoAnswer("the gate did not answer"), (), "disable done"),
+    ],
+)
+def test_an_enable_is_taken_back_where_motion_may_be_its_own(
+    pilot: Pilot, scribe: Scribe, answer: Exception | None, seen: tuple[Any, ...], told: str
+) -> None:
+    scribe.answer = answer
     press(pilot, "e", seen=state())
     scribe.answer = None
-    assert pilot.leave() == "disable done"
-
-
-def test_a_service_that_has_gone_is_told_of_at_the_end(pilot: Pilot, scribe: Scribe) -> None:
-    press(pilot, "e", seen=state())
-    scribe.answer = NoService("gone")
-    assert pilot.leave() == "the service can't be told (gone); the command timeout stops the wheels"
+    for found in seen:
+        press(pilot, seen=found)
+    assert (pilot.leave(), scribe.asked[0]) == (told, "enable")
 
 
 class WithArm(Scribe):
@@ -304,52 +273,53 @@ class WithArm(Scribe):
         self.let.wait(10)
         return self._ask("enable")
 
+    def answer_enable(self, pilot: Pilot) -> None:
+        self.let.set()
+        assert pilot.enabling
+        pilot.enabling.join(10)
+
 
 ARM = state(arm=arm("base"))
 
 
-def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held() -> None:
+@pytest.fixture
+def armed() -> tuple[WithArm, Pilot]:
     scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+    return scribe, Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+
+
+def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held(armed: tuple[WithArm, Pilot]) -> None:
+    scribe, pilot = armed
     press(pilot, "\u00b2", "1", "]", "[", seen=ARM)
     assert scribe.asked == [{"base": 0.5}, {"base": -0.5}]
     press(pilot, "]", seen=ARM, late=True)
     assert scribe.asked[2:] == [], "what was typed a while ago turns nothing"
 
 
-def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time() -> None:
-    scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time(armed: tuple[WithArm, Pilot]) -> None:
+    scribe, pilot = armed
     press(pilot, "e", seen=ARM)
     press(pilot, SPACE, seen=ARM)
     assert scribe.asked == ["estop"]
-    scribe.let.set()
-    assert pilot.enabling
-    pilot.enabling.join(10)
+    scribe.answer_enable(pilot)
     assert scribe.asked == ["estop", "enable"]
 
 
-def test_with_an_arm_an_enable_that_is_under_way_is_given_up_at_the_end() -> None:
-    scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+def test_with_an_arm_an_enable_that_is_under_way_is_given_up_at_the_end(armed: tuple[WithArm, Pilot]) -> None:
+    scribe, pilot = armed
     press(pilot, "e", seen=ARM)
     for _ in range(3):
         press(pilot, seen=ARM)
     assert pilot.leave() == "disable done"
-    scribe.let.set()
-    assert pilot.enabling
-    pilot.enabling.join(10)
+    scribe.answer_enable(pilot)
 
 
-def test_with_an_arm_a_state_of_before_the_answer_takes_nothing_away() -> None:
+def test_with_an_arm_a_state_of_before_the_answer_takes_nothing_away(armed: tuple[WithArm, Pilot]) -> None:
     """The state was read before the thread heard that motion is enabled."""
-    scribe = WithArm()
-    pilot = Pilot(cast("Robot", scribe), "cmd_vel", FULL)
+    scribe, pilot = armed
     press(pilot, "e", seen=ARM)
     press(pilot, seen=ARM)
-    scribe.let.set()
-    assert pilot.enabling
-    pilot.enabling.join(10)
+    scribe.answer_enable(pilot)
     press(pilot, seen=ARM)
     press(pilot)
     assert pilot.leave() == "disable done"

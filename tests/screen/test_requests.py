@@ -18,12 +18,7 @@ from tests.support.typist import Typist
 
 @pytest.mark.parametrize(
     "words",
-    [
-        "drive 0.1 0 0 --for",
-        "arm jog base=0.1 --for",
-        "arm move base=0.1 --over",
-        "incident plot last --seconds",
-    ],
+    ["drive 0.1 0 0 --for", "arm jog base=0.1 --for", "arm move base=0.1 --over", "incident plot last --seconds"],
 )
 @pytest.mark.parametrize("time", ["-1", "0", "nan", "inf", "soon"])
 def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,9 +28,7 @@ def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsy
 
 
 @pytest.mark.parametrize("percent", ["0", "-5", "3", "101", "nan"])
-def test_a_limit_that_is_none_is_refused_in_percent(
-    trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_limit_that_is_none_is_refused(trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["limit", percent, "--name", trial.name]) == 2
     assert capsys.readouterr().err == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
 
@@ -55,9 +48,7 @@ def test_progress_is_for_a_terminal_alone(
     assert capsys.readouterr().out == ""
 
 
-def test_progress_is_one_line_that_is_gone_at_the_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_progress_is_one_line_and_goes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     with Progress() as progress:
@@ -67,10 +58,7 @@ def test_progress_is_one_line_that_is_gone_at_the_end(
 
 
 def test_enabling_with_an_arm_is_one_line() -> None:
-    with (
-        ArmTrial(f"requests-{os.getpid()}-arm") as trial,
-        Typist([*FAILSTOP, "enable", "--name", trial.name]) as typist,
-    ):
+    with ArmTrial(f"arm-{os.getpid()}") as trial, Typist([*FAILSTOP, "enable", "--name", trial.name]) as typist:
         assert typist.end() == 0
         assert "s left" in typist.raw, "how far it is"
         assert "motion enabled" in typist.raw

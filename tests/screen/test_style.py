@@ -67,7 +67,6 @@ def test_wrapped_lines_fit_and_lose_nothing_but_spaces(line: style.Line, columns
 
 
 def letters(line: style.Line) -> list[tuple[str, str]]:
-    """Each character with its role, but the spaces."""
     return [(character, role) for text, role in line for character in text if character != " "]
 
 
@@ -87,8 +86,5 @@ def test_a_command_is_never_broken() -> None:
 def test_a_table_is_aligned() -> None:
     head: style.Line = [("name", ""), (" pid", ""), ("state", "")]
     rows = style.table([head, [("gate", ""), (" 7", ""), ("up", "")], [("supervisor", ""), (" 1234", ""), ("up", "")]])
-    assert [style.plain(row) for row in rows] == [
-        "name         pid  state",
-        "gate           7  up",
-        "supervisor  1234  up",
-    ]
+    table = ["name         pid  state", "gate           7  up", "supervisor  1234  up"]
+    assert [style.plain(row) for row in rows] == table

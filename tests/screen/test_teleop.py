@@ -66,14 +66,8 @@ def stopped(trial: Trial, since_ns: int) -> None:
     assert not trial.turning()
 
 
-DIRECTIONS = {
-    b"w": (1, 1, -1, -1),
-    b"s": (-1, -1, 1, 1),
-    b"a": (-1, -1, -1, -1),
-    b"\x1b[C": (1, 1, 1, 1),
-    b"j": (-1, 1, -1, 1),
-    b"L": (1, -1, 1, -1),
-}
+DIRECTIONS = {b"w": (1, 1, -1, -1), b"s": (-1, -1, 1, 1), b"a": (-1, -1, -1, -1), b"\x1b[C": (1, 1, 1, 1)}
+DIRECTIONS |= {b"j": (-1, 1, -1, 1), b"L": (1, -1, 1, -1)}
 
 
 def test_hold_to_run_and_leave(pilot: Typist, trial: Trial) -> None:
@@ -153,19 +147,10 @@ def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
     pilot.wait("10 %: 0.02 m/s, 0.10 rad/s")
 
 
-def test_sigterm_stops_and_disables(pilot: Typist, trial: Trial) -> None:
+@pytest.mark.parametrize(("key", "end"), [(b"\x03", signal.SIGINT), (b"\x1a", signal.SIGTSTP), (b"", signal.SIGTERM)])
+def test_ctrl_c_ctrl_z_and_sigterm_end_it(pilot: Typist, trial: Trial, key: bytes, end: signal.Signals) -> None:
     typed_ns = drive(pilot, trial)
-    pilot.process.send_signal(signal.SIGTERM)
-    assert pilot.end() == 128 + signal.SIGTERM
-    assert pilot.restored()
-    stopped(trial, typed_ns)
-    assert not trial.robot.state.enabled
-
-
-@pytest.mark.parametrize(("key", "end"), [(b"\x03", signal.SIGINT), (b"\x1a", signal.SIGTSTP)])
-def test_ctrl_c_and_ctrl_z_end_it(pilot: Typist, trial: Trial, key: bytes, end: signal.Signals) -> None:
-    typed_ns = drive(pilot, trial)
-    pilot.type(key)
+    pilot.type(key) if key else pilot.process.send_signal(end)
     assert pilot.end() == 128 + end
     assert pilot.restored()
     stopped(trial, typed_ns)
@@ -199,7 +184,6 @@ def test_a_hang_stops_by_the_command_timeout_and_what_was_typed_meanwhile_is_old
     pilot.process.send_signal(signal.SIGCONT)
 
     def answers() -> bool:
-        """Keys that are typed together with old ones are old too."""
         pilot.type(b"+")
         return "50 %" not in pilot.look(0.2)
 

@@ -20,7 +20,10 @@ LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
 UNPROVEN = Device("/dev/ttyACM0", "open", "unproven")
 UNASKED = Device("/dev/ttyACM0", "open", "unasked")
+NEVER = "unproven: the board has never answered"
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+SWITCH = "turn the robot's POWER SWITCH off and on"
+PLUG = "plug the board in (/dev/ttyACM0)"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 
 TABLE: tuple[tuple[Any, str, list[str]], ...] = (
@@ -38,23 +41,11 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     (
         latched(causes.DEVICE_LOST(), device=LOST, waiting_for="the port"),
         verdict.MAY_TURN,
-        ["plug the board in (/dev/ttyACM0)", "`failstop reset`", "`failstop enable`"],
+        [PLUG, "`failstop reset`", "`failstop enable`"],
     ),
-    (
-        state(device=LOST, waiting_for="the port"),
-        verdict.MAY_TURN,
-        ["plug the board in (/dev/ttyACM0)", "`failstop enable`"],
-    ),
-    (
-        latched(causes.DEAF(), device=DEAF),
-        verdict.MAY_TURN,
-        ["turn the robot's POWER SWITCH off and on", "`failstop reset`", "`failstop enable`"],
-    ),
-    (
-        latched(causes.UNSTILL()),
-        verdict.MAY_TURN,
-        ["turn the robot's POWER SWITCH off and on", "`failstop reset`", "`failstop enable`"],
-    ),
+    (state(device=LOST, waiting_for="the port"), verdict.MAY_TURN, [PLUG, "`failstop enable`"]),
+    (latched(causes.DEAF(), device=DEAF), verdict.MAY_TURN, [SWITCH, "`failstop reset`", "`failstop enable`"]),
+    (latched(causes.UNSTILL()), verdict.MAY_TURN, [SWITCH, "`failstop reset`", "`failstop enable`"]),
     (state(device=UNPROVEN), verdict.STOPPED, ["`failstop enable`"]),
     (
         latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
@@ -116,13 +107,9 @@ def test_a_refusal_names_what_stands_in_its_way_alone(found: Any, goal: Purpose,
     ("found", "told", "large"),
     [
         (state(), "STOPPED", "STOPPED"),
-        (state(device=UNPROVEN), "STOPPED, unproven: the board has never answered", "STOPPED, UNPROVEN"),
-        (driving(device=UNPROVEN), "DRIVING, unproven: the board has never answered", "MOVING, UNPROVEN"),
-        (
-            driving(device=UNPROVEN, **STANDING),
-            "STANDING, unproven: the board has never answered",
-            "CAN MOVE, UNPROVEN",
-        ),
+        (state(device=UNPROVEN), f"STOPPED, {NEVER}", "STOPPED, UNPROVEN"),
+        (driving(device=UNPROVEN), f"DRIVING, {NEVER}", "MOVING, UNPROVEN"),
+        (driving(device=UNPROVEN, **STANDING), f"STANDING, {NEVER}", "CAN MOVE, UNPROVEN"),
         (latched(causes.UNSTILL(), device=UNPROVEN), "MAY TURN", "WHEELS MAY TURN"),
         (state(device=LOST), "MAY TURN", "WHEELS MAY TURN"),
         (state(device=UNASKED), "STOPPED", "STOPPED"),
@@ -141,7 +128,6 @@ def test_commands_name_the_robot_where_there_are_several() -> None:
 
 
 def _gate_reasons() -> dict[str, str]:
-    """Every block reason, as the gate itself gives it."""
     settings = Settings()
     core = GateCore(settings, kinematics.from_settings(settings), 0)
     found = {"disabled": core.blocked(1)}

@@ -15,6 +15,7 @@ from failstop.policy import causes
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+DEAF = Device("/dev/ttyACM0", "open", "deaf")
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 
 
@@ -72,6 +73,11 @@ def test_disabled_since_the_event_that_made_it_so() -> None:
     assert found.what.endswith("30 s ago: motion disabled by nav (pid 42)")
     assert found.do == ("`failstop enable`",)
     assert why(state()).since is None
+    assert set(json.loads(json.dumps(dataclasses.asdict(found)))) == {"what", "proof", "do", "also", "since"}
+    assert why(state(name="left", unmet="the arm is not folded")).do == (
+        "see to the interlock (the arm is not folded)",
+        "`failstop enable --name left`",
+    )
 
 
 def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:
@@ -80,16 +86,18 @@ def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("blocked", "part"), [("cmd timeout", "nobody commands"), ("no scan", "it delivered last 2.5 s ago")]
+    ("blocked", "age_s", "part"),
+    [
+        ("cmd timeout", 2.5, "nobody commands"),
+        ("no scan", 2.5, "it delivered last 2.5 s ago"),
+        ("no scan", None, "it has not delivered once in this run"),
+    ],
 )
-def test_blocks_that_end_by_themselves(blocked: str, part: str) -> None:
-    found = why(driving(blocked=blocked, scan_age_s=2.5, **STANDING))
+def test_blocks_that_end_by_themselves(blocked: str, age_s: float | None, part: str) -> None:
+    found = why(driving(blocked=blocked, scan_age_s=age_s, **STANDING))
     assert part in found.what
     assert found.proof == "the board is told zero; the board answers"
-
-
-def test_a_sensor_that_never_delivered() -> None:
-    assert why(driving(blocked="no scan", **STANDING)).what.endswith("it has not delivered once in this run")
+    assert HOLDS.keys() == set(Block)
 
 
 def test_nothing_holds_them() -> None:
@@ -100,12 +108,7 @@ def test_nothing_holds_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "found",
-    [
-        latched(causes.DEVICE_LOST(), device=LOST),
-        state(device=Device("/dev/ttyACM0", "open", "deaf")),
-        latched(causes.UNSTILL()),
-    ],
+    "found", [latched(causes.DEVICE_LOST(), device=LOST), state(device=DEAF), latched(causes.UNSTILL())]
 )
 def test_wheels_that_may_turn_are_not_said_to_stand(found: State) -> None:
     answer = why(found)
@@ -141,21 +144,3 @@ def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:
     assert found.what.startswith("a stop is latched since ")
     assert "this board acknowledges nothing, wheels still after about 0.3 s" in found.proof
     assert found.also == ()
-
-
-def test_an_interlock_that_does_not_hold_comes_before_the_enable() -> None:
-    found = why(state(unmet="the arm is not folded"))
-    assert found.do == ("see to the interlock (the arm is not folded)", "`failstop enable`")
-
-
-def test_commands_name_the_robot_where_there_are_several() -> None:
-    assert why(state(name="left")).do == ("`failstop enable --name left`",)
-
-
-def test_for_programs() -> None:
-    found = json.loads(json.dumps(dataclasses.asdict(why(latched()))))
-    assert set(found) == {"what", "proof", "do", "also", "since"}
-
-
-def test_every_block_has_its_words() -> None:
-    assert HOLDS.keys() == set(Block)

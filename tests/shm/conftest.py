@@ -52,7 +52,6 @@ def bases(on: SimpleNamespace) -> list[str]:
 
 @pytest.fixture
 def fds() -> Iterator[list[int]]:
-    """Descriptors put here are closed after the test."""
     opened: list[int] = []
     yield opened
     for fd in opened:

@@ -29,7 +29,6 @@ def waiting(send: Send, wait: Wait) -> None:
 
 @contextlib.contextmanager
 def alive() -> Iterator[tuple[Child, Lifeline]]:
-    """A process that waits, and its lifeline."""
     with Child(waiting) as child:
         assert child.receive() == "here"
         life = Lifeline(child.pid)
@@ -70,12 +69,10 @@ def watching(instance: str, pid: int, block: int, watcher: int) -> Child:
 
 
 def rung(fd: int, timeout_s: float = 20.0) -> bool:
-    """Whether a descriptor becomes readable."""
     return bool(select.select([fd], [], [], timeout_s)[0])
 
 
 def threads() -> set[int]:
-    """Those of this process."""
     return {int(thread) for thread in os.listdir("/proc/self/task")}
 
 

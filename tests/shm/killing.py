@@ -17,7 +17,6 @@ import signal
 import sys
 import time
 
-from failstop.messages import segments
 from failstop.shm import cell
 from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from failstop.shm.words import Word
@@ -32,7 +31,6 @@ DELAY_NS = 300_000
 
 
 def check_without_crc(raw: bytes, crc_seed: int) -> Entry | None:
-    """cell.check as it is, but for the CRC."""
     if len(raw) < cell.CELL_HEADER_BYTES:
         return None
     length = int.from_bytes(raw[4:8], "little")
@@ -63,32 +61,12 @@ class Separate:
 class Case:
     """One record under fire: where it lies, and its reader and writer."""
 
-    def __init__(self, kind: str, where: str, size: int, control: bool) -> None:
-        self.kind = kind
-        self.size = size
-        self.control = control
-        self.instance = ""
-        if where == "anonymous":
-            self.capacity, self.cells, self.at, self.seed = size, 4, 64, 4711
-            memory = mmap.mmap(-1, 64 + cell_bytes(size) * self.cells)
-            self.reads: View = memory
-            self.writes: View = memory
-        else:
-            self._segment(*where.split(".", 1))
-        self.cells = 2 if kind == "latest" else self.cells
-        if control:
-            self.writes = Separate(self.writes)
-
-    def _segment(self, of: str, record: str) -> None:
-        """A record of the real layout, in a segment of its own instance."""
-        self.instance = f"k{os.getpid()}"
-        segments.create(self.instance, of, 12345).close()
-        writes = segments.attach(self.instance, of, 12345, write=True)
-        reads = segments.attach(self.instance, of, 12345)
-        self.writes, self.reads = writes.view, reads.view
-        declared = writes.spec.records[record]
-        self.capacity, self.cells, self.at = declared.capacity, declared.cells, writes.spec.offsets[record]
-        self.seed = cell.seed(f"{of}.{record}", 12345)
+    def __init__(self, kind: str, size: int, control: bool) -> None:
+        self.kind, self.size = kind, size
+        self.capacity, self.at, self.seed = size, 64, 4711
+        self.cells = 2 if kind == "latest" else 4
+        self.reads: View = mmap.mmap(-1, 64 + cell_bytes(size) * self.cells)
+        self.writes: View = Separate(self.reads) if control else self.reads
 
     def writer(self) -> LatestWriter | RingWriter:
         if self.kind == "latest":
@@ -101,7 +79,6 @@ class Case:
         return RingReader(self.reads, self.at, self.capacity, self.cells, self.seed, from_oldest=from_oldest)
 
     def left_torn(self) -> int:
-        """How many cells the last death left that are not whole."""
         size = cell_bytes(self.capacity)
         torn = 0
         for i in range(self.cells):
@@ -159,7 +136,6 @@ class Watch:
             self.faults.append(text)
 
     def look(self) -> None:
-        """One read."""
         self.reads += 1
         if isinstance(self.reader, LatestReader):
             entry = self.reader.read()
@@ -240,35 +216,21 @@ def one_kill(case: Case, watch: Watch, dice: random.Random, words: tuple[Word, W
     return left, during
 
 
-def run(kind: str, where: str, size: int, kills: int, random_seed: int, control: bool) -> dict[str, object]:
+def run(kind: str, size: int, kills: int, random_seed: int, control: bool) -> dict[str, object]:
     """Kill so many writers one after the other; returns the account."""
     if control:
         cell.check = check_without_crc
-    case = Case(kind, where, size, control)
-    try:
-        words_memory = mmap.mmap(-1, 4096)
-        words = Word(words_memory, 0), Word(words_memory, 64)
-        watch = Watch(case)
-        dice = random.Random(random_seed)
-        newest = left_torn = during = 0
-        for _ in range(kills):
-            newest, reads = one_kill(case, watch, dice, words, newest)
-            during += reads
-            left_torn += bool(case.left_torn())
-    finally:
-        if case.instance:
-            segments.unlink_all(case.instance)
-    return {
-        "kills": kills,
-        "written": newest,
-        "reads_while_writing": during,
-        "accepted": watch.accepted,
-        "torn_accepted": watch.torn,
-        "kills_that_left_a_torn_cell": left_torn,
-        "faults": watch.faults,
-    }
+    case = Case(kind, size, control)
+    memory, watch, dice = mmap.mmap(-1, 4096), Watch(case), random.Random(random_seed)
+    newest = left_torn = during = 0
+    for _ in range(kills):
+        newest, reads = one_kill(case, watch, dice, (Word(memory, 0), Word(memory, 64)), newest)
+        during += reads
+        left_torn += bool(case.left_torn())
+    seen = {"kills": kills, "written": newest, "reads_while_writing": during, "accepted": watch.accepted}
+    return seen | {"torn_accepted": watch.torn, "kills_that_left_a_torn_cell": left_torn, "faults": watch.faults}
 
 
 if __name__ == "__main__":
-    _kind, _where, _size, _kills, _seed, _control = sys.argv[1:]
-    print(json.dumps(run(_kind, _where, int(_size), int(_kills), int(_seed), _control == "control")))
+    _kind, _size, _kills, _seed, _control = sys.argv[1:]
+    print(json.dumps(run(_kind, int(_size), int(_kills), int(_seed), _control == "control")))

@@ -10,13 +10,15 @@ from failstop.shm import cell
 
 
 class Memory:
-    """A View over private bytes; `before_copy` and `before_store` run ahead of each access."""
+    """A View over private bytes; `before_copy` runs ahead of each copy. The next store stops after `left` bytes, as if
+    the writer had been killed there."""
 
     def __init__(self, size: int) -> None:
         self.data = bytearray(size)
         self.copies: list[slice] = []
         self.stores: list[tuple[int, bytes]] = []
         self.before_copy: Callable[[], object] = lambda: None
+        self.left: int | None = None
 
     def __getitem__(self, where: slice) -> bytes:
         self.before_copy()
@@ -26,27 +28,17 @@ class Memory:
     def __setitem__(self, where: slice, data: bytes) -> None:
         assert where.stop - where.start == len(data), "a slice assignment that would move what follows"
         assert type(data) is bytes, "not built privately"
-        self.stores.append((where.start, data))
-        self.data[where] = data
+        if self.left is None:
+            self.stores.append((where.start, data))
+            self.data[where] = data
+            return
+        done, self.left = data[: self.left], None
+        self.data[where.start : where.start + len(done)] = done
+        raise Death
 
 
 class Death(Exception):
     """Thrown by a store that is cut off."""
-
-
-class Cut(Memory):
-    """Memory whose next store stops after `left` bytes, as if the writer had been killed there."""
-
-    left: int | None = None
-
-    def __setitem__(self, where: slice, data: bytes) -> None:
-        if self.left is None:
-            super().__setitem__(where, data)
-            return
-        done = data[: self.left]
-        self.left = None
-        self.data[where.start : where.start + len(done)] = done
-        raise Death
 
 
 def payload_of(seq: int, size: int) -> bytes:
@@ -63,7 +55,6 @@ def time_of(seq: int) -> int:
 
 
 def genuine(entry: tuple[int, int, bytes], size: int | None = None) -> bool:
-    """True when an entry is one that was written, whole."""
     seq, t_ns, payload = entry
     if size is not None and len(payload) != size:
         return False

@@ -9,7 +9,7 @@ import pytest
 from failstop.shm import cell
 from failstop.shm.cell import RingReader, RingWriter, cell_bytes
 
-from .memory import Cut, Death, Memory, genuine, payload_of, time_of
+from .memory import Death, Memory, genuine, payload_of, time_of
 
 if TYPE_CHECKING:
     from failstop.shm.cell import View
@@ -21,8 +21,8 @@ CELLS = 8
 SIZE = cell_bytes(CAPACITY)
 
 
-def ring_memory(cells: int = CELLS, capacity: int = CAPACITY) -> Cut:
-    return Cut(AT + cells * cell_bytes(capacity))
+def ring_memory(cells: int = CELLS, capacity: int = CAPACITY) -> Memory:
+    return Memory(AT + cells * cell_bytes(capacity))
 
 
 def writer_of(view: View, cells: int = CELLS, capacity: int = CAPACITY) -> RingWriter:
@@ -33,8 +33,7 @@ def reader_of(view: View, cells: int = CELLS, capacity: int = CAPACITY, *, from_
     return RingReader(view, AT, capacity, cells, SEED, from_oldest=from_oldest)
 
 
-def ring(cells: int = CELLS) -> tuple[Cut, RingWriter, RingReader]:
-    """Its memory, a writer and a reader."""
+def ring(cells: int = CELLS) -> tuple[Memory, RingWriter, RingReader]:
     memory = ring_memory(cells)
     return memory, writer_of(memory, cells), reader_of(memory, cells)
 
@@ -59,7 +58,6 @@ def place(seq: int) -> int:
 
 
 def damage(memory: Memory, seq: int, *, zero: bool = False) -> None:
-    """Spoil the cell of this entry."""
     at = place(seq)
     if zero:
         memory.data[at : at + SIZE] = bytes(SIZE)
@@ -67,7 +65,7 @@ def damage(memory: Memory, seq: int, *, zero: bool = False) -> None:
         memory.data[at + 30] ^= 0x40
 
 
-def die_writing(memory: Cut, writer: RingWriter, cut: int = 30) -> RingWriter:
+def die_writing(memory: Memory, writer: RingWriter, cut: int = 30) -> RingWriter:
     """The writer dies after `cut` bytes of its next entry; returns its successor."""
     memory.left = cut
     with pytest.raises(Death):

@@ -37,7 +37,6 @@ def create_all(instance: str, run: int = RUN) -> None:
 
 
 def refusal(attempt: Callable[[], object]) -> tuple[str, str]:
-    """The kind and message with which an attempt is refused."""
     with pytest.raises(AttachError) as refused:
         attempt()
     assert "\n" not in str(refused.value)

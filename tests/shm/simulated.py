@@ -41,7 +41,6 @@ def machine() -> SimpleNamespace:
 
 @contextlib.contextmanager
 def user(on: Any, uid: int, gid: int = -1) -> Iterator[None]:
-    """The test runs as another one."""
     before = on.own.uid, on.own.gid
     on.own.uid, on.own.gid = uid, uid if gid < 0 else gid
     try:
@@ -82,14 +81,12 @@ def living(on: Any, work: Callable[[], object]) -> Process:
 
 
 def kill(on: Any, process: Process) -> None:
-    """SIGKILL and reap."""
     on.machine.die(process, -9)
     on.machine.run(lambda: process.code is not None, S)
     process.reaped = True
 
 
 def put(on: Any, path: str, data: bytes | str = b"", mode: int = 0o644) -> None:
-    """Write a file."""
     fd = on.os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode)
     on.os.write(fd, data.encode() if isinstance(data, str) else data)
     on.os.close(fd)
@@ -108,12 +105,10 @@ def mode(on: Any, path: str) -> int:
 
 
 def open_fds(on: Any) -> int:
-    """The number of descriptors that the test has open."""
     return len(on.own.files)
 
 
 def give(on: Any, path: str) -> None:
-    """Give a directory, and the one above, to the test's user."""
     with user(on, 0):
         for each in (path, os.path.dirname(path)):
             on.os.chown(each, USER, USER)

@@ -16,7 +16,7 @@ import pytest
 
 from failstop.shm import bell
 from failstop.shm.bell import EventBell
-from tests.support.children import NOBODY, Child
+from tests.support.children import NOBODY
 
 from .simulated import content, kill, living, put, user
 
@@ -58,22 +58,6 @@ def test_a_full_counter_rings_and_does_not_block(event: EventBell) -> None:
     assert not rings(event.fd)
 
 
-def test_an_event_bell_wakes_an_epoll_in_another_process(event: EventBell) -> None:
-    def work(send: Send, wait: Wait) -> bool:
-        poll = select.epoll()
-        poll.register(event.fd, select.EPOLLIN)
-        send("waiting")
-        woken = bool(poll.poll(20))
-        event.clear()
-        return woken
-
-    with Child(work) as child:
-        assert child.receive() == "waiting"
-        event.ring()
-        assert child.result() is True
-    assert not rings(event.fd)
-
-
 def test_of_several_bells_those_that_have_rung_are_cleared(fds: list[int]) -> None:
     bells = [EventBell.create() for _ in range(3)]
     fds += [each.fd for each in bells]
@@ -89,35 +73,6 @@ def test_bells_block_nobody_and_do_not_cross_an_exec(event: EventBell, tmp_path:
     for fd in (event.fd, reading, writing):
         assert not os.get_inheritable(fd)
         assert not os.get_blocking(fd)
-
-
-def test_messages_of_many_writers_do_not_mix(tmp_path: Path, fds: list[int]) -> None:
-    bell.make_pipe(f"{tmp_path}/stop", 0o666)
-    fds.append(reading := bell.open_pipe(f"{tmp_path}/stop"))
-    count, size = 60, 400
-
-    def writer(letter: bytes) -> Callable[[Send, Wait], int]:
-        def work(send: Send, wait: Wait) -> int:
-            fd = bell.open_pipe_to_write(f"{tmp_path}/stop")
-            wait()
-            return sum(bell.send(fd, letter * size + b"\n") for _ in range(count))
-
-        return work
-
-    children = [Child(writer(letter)) for letter in (b"a", b"b", b"c")]
-    try:
-        for child in children:
-            child.go()
-        sent = sum(child.result() for child in children)
-    finally:
-        for child in children:
-            child.close()
-    data = b""
-    while part := bell.take(reading):
-        data += part
-    lines = data.split(b"\n")[:-1]
-    assert len(lines) == sent > 100
-    assert all(len(line) == size and len(set(line)) == 1 for line in lines)
 
 
 def test_the_mode_is_exact_whatever_the_umask_and_until_then_it_is_nobody_else_s(on: SimpleNamespace) -> None:
@@ -164,9 +119,8 @@ def test_what_a_dead_run_left_is_replaced(on: SimpleNamespace, old: str) -> None
 
 @pytest.fixture
 def ends(on: SimpleNamespace) -> tuple[int, int]:
-    """The service's and a client's end of the stop pipe."""
-    on.bell.make_pipe(STOP_PIPE, 0o666)
-    return on.bell.open_pipe(STOP_PIPE), on.bell.open_pipe_to_write(STOP_PIPE)
+    on.bell.make_pipe(STOP, 0o666)
+    return on.bell.open_pipe(STOP), on.bell.open_pipe_to_write(STOP)
 
 
 def test_messages_arrive_whole_and_in_order(on: SimpleNamespace, ends: tuple[int, int]) -> None:
@@ -212,9 +166,7 @@ def test_no_reader_is_enxio_and_one_that_goes_a_broken_pipe(on: SimpleNamespace,
 
 
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.ENXIO, errno.EIO])
-def test_what_else_a_pipe_is_refused_with_is_told_as_it_is(
-    on: SimpleNamespace, ends: tuple[int, int], number: int
-) -> None:
+def test_what_a_pipe_is_refused_with_is_told_as_it_is(on: SimpleNamespace, ends: tuple[int, int], number: int) -> None:
     def refuse(*_: object) -> None:
         raise OSError(number, "refused")
 
@@ -224,9 +176,7 @@ def test_what_else_a_pipe_is_refused_with_is_told_as_it_is(
     assert told.value.errno == number
 
 
-def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
-    on: SimpleNamespace, ends: tuple[int, int]
-) -> None:
+def test_the_reader_sees_no_end_of_file_as_clients_come_and_go(on: SimpleNamespace, ends: tuple[int, int]) -> None:
     reading, writing = ends
     on.os.close(writing)
     poll = on.system["select"].epoll()
@@ -242,14 +192,6 @@ def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(
         assert poll.poll(0) == ([(reading, select.EPOLLIN)] if number % 2 else [])
         assert on.bell.take(reading) == (b"x" if number % 2 else b"")
     assert poll.poll(0) == []
-
-
-def test_a_pipe_that_is_kept_open_outlives_a_restarted_reader(on: SimpleNamespace, ends: tuple[int, int]) -> None:
-    """The supervisor keeps the stop pipe open across a restart of the process that reads it: no stop is lost."""
-    first, writing = on.bell.open_pipe(STOP_PIPE), ends[1]
-    on.os.close(first)
-    assert on.bell.send(writing, b"stop while nobody reads\n")
-    assert on.bell.take(on.bell.open_pipe(STOP_PIPE)) == b"stop while nobody reads\n"
 
 
 def access(on: Any, path: str) -> list[str]:

@@ -21,20 +21,10 @@ def image(seq: int, t_ns: int, payload: bytes, seed: int = SEED) -> bytes:
 
 
 def mixes(old: bytes, new: bytes, word: int) -> list[bytes]:
-    """All 2**n mixes of the n words of two images of one size, each once, in Gray order."""
+    """All 2**n mixes of the n words of two images of one size."""
     assert len(old) == len(new)
-    assert len(old) % word == 0
-    count = len(old) // word
-    now = bytearray(old)
-    taken = [False] * count
-    found = [bytes(now)]
-    for step in range(1, 1 << count):
-        i = (step & -step).bit_length() - 1
-        taken[i] = not taken[i]
-        now[i * word : (i + 1) * word] = (new if taken[i] else old)[i * word : (i + 1) * word]
-        found.append(bytes(now))
-    assert bytes(now) == old[: (count - 1) * word] + new[(count - 1) * word :]
-    return found
+    words = ((old[at : at + word], new[at : at + word]) for at in range(0, len(old), word))
+    return [b"".join(mix) for mix in itertools.product(*words)]
 
 
 def padded(data: bytes, size: int, rest: bytes = b"") -> bytes:
@@ -80,11 +70,7 @@ PAIRS_OF_PAYLOADS: dict[str, tuple[Callable[[int], bytes], Callable[[int], bytes
         lambda n: struct.pack(f"<{n // 8}d", *[0.2] * (n // 8)),
     ),
 }
-STEPS = {
-    "next seq, next ms": (7, 10**15, 8, 10**15 + 10**6),
-    "next seq, same time": (7, 9, 8, 9),
-    "carry": (255, 5, 256, 6),
-}
+STEPS = {"next ms": (7, 10**15, 8, 10**15 + 10**6), "same time": (7, 9, 8, 9), "carry": (255, 5, 256, 6)}
 
 
 @pytest.mark.parametrize("pair", PAIRS_OF_PAYLOADS)
@@ -103,7 +89,6 @@ def test_every_mix_of_the_words_of_two_images(word: int, sizes: tuple[int, ...],
 
 @pytest.mark.parametrize(("shorter", "longer"), [(0, 24), (8, 24), (16, 20), (17, 24), (23, 24), (1, 2), (24, 24)])
 def test_every_mix_of_payloads_of_different_length(shorter: int, longer: int) -> None:
-    """A shorter image leaves the tail of the one before it, and of those before that, in the cell."""
     oldest = image(3, 1, b"\xee" * 24)
     for first, second in ((shorter, longer), (longer, shorter)):
         old = padded(image(5, 2, counter(7, first)), 48, oldest)
@@ -125,34 +110,11 @@ def test_every_window_of_new_bytes_and_of_old_ones(pair: str) -> None:
             assert entry is None or allowed[entry] == mix
 
 
-def test_every_mix_of_three_generations() -> None:
-    """A death in mid-write, then a death in the mid-write of the successor: words of three images."""
-    images = [image(5 + 2 * i, 100 + i, counter(5 + 2 * i, 40)) for i in range(3)]
-    allowed = {cell.check(whole, SEED): whole for whole in images}
-    accepted = 0
-    for choice in itertools.product(range(3), repeat=8):
-        mix = b"".join(images[c][i * 8 : i * 8 + 8] for i, c in enumerate(choice))
-        entry = cell.check(mix, SEED)
-        if entry is not None:
-            accepted += 1
-            assert allowed[entry] == mix
-    assert accepted == 3
-
-
 def test_every_single_bit_error_is_refused() -> None:
     whole = image(77, 88, counter(12345, 40))
     for bit in range(len(whole) * 8):
         flipped = bytearray(whole)
         flipped[bit // 8] ^= 1 << bit % 8
-        assert cell.check(bytes(flipped), SEED) is None
-
-
-def test_all_pairs_of_bit_errors_are_refused() -> None:
-    whole = image(77, 88, b"stop")
-    for one, two in itertools.combinations(range(len(whole) * 8), 2):
-        flipped = bytearray(whole)
-        flipped[one // 8] ^= 1 << one % 8
-        flipped[two // 8] ^= 1 << two % 8
         assert cell.check(bytes(flipped), SEED) is None
 
 
@@ -174,18 +136,6 @@ def test_a_cut_copy_is_not_whole(payload: bytes, cut: int) -> None:
     assert cell.check(raw[:cut], SEED) == ((9, 9, payload) if len(raw) <= cut else None)
 
 
-@given(raw=st.binary(max_size=200))
-def test_any_bytes_are_no_crash(raw: bytes) -> None:
-    assert cell.check(raw, SEED) is None
-
-
-@pytest.mark.parametrize("filler", [b"\0", b"\xff", b"\xaa", b"\x55", b"\x01"])
-def test_filled_memory_is_not_a_record(filler: bytes) -> None:
-    for size in (24, 64, 328, 2112):
-        for seed in (0, SEED, 0xFFFFFFFF):
-            assert cell.check(filler * size, seed) is None
-
-
 def test_sequence_0_is_never_a_record() -> None:
     assert cell.check(image(0, 1, b"payload"), SEED) is None
 
@@ -203,12 +153,11 @@ def test_a_payload_over_the_capacity_is_refused_by_name() -> None:
         cell.build(1, 1, b"123456789", SEED, 8)
 
 
-def test_every_record_of_the_layout_has_its_own_seed() -> None:
+def test_every_record_of_every_run_has_its_own_seed() -> None:
     """A cell copied to the place of another record, or left from another run, never passes there."""
     names = ["header"] + [f"{spec.name}.{record}" for spec in SEGMENTS for record in spec.records]
-    for incarnation in (0, 1, 2, 0x0123456789ABCDEF, 2**64 - 1):
-        seeds = {cell.seed(name, incarnation) for name in names}
-        assert len(seeds) == len(names)
+    runs = (0, 1, 2, 0x0123456789ABCDEF, 2**64 - 1)
+    assert len({cell.seed(name, run) for name in names for run in runs}) == len(names) * len(runs)
 
 
 def test_the_seed_of_the_headers_is_the_same_in_every_version() -> None:
@@ -220,9 +169,3 @@ def test_the_seed_of_the_headers_is_the_same_in_every_version() -> None:
 def test_a_cell_passes_with_no_other_seed(payload: bytes, one: int, two: int) -> None:
     raw = cell.build(1, 1, payload, one, 100)
     assert (cell.check(raw, two) is not None) == (one == two)
-
-
-@given(one=st.integers(0, 2**64 - 1), two=st.integers(0, 2**64 - 1))
-def test_runs_have_different_seeds(one: int, two: int) -> None:
-    """Unequal as long as the CRC of the incarnation itself differs, which it does but for 1 pair in 2**32."""
-    assert (cell.seed("gate.state", one) == cell.seed("gate.state", two)) == (one == two)

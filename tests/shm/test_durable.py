@@ -20,11 +20,7 @@ from failstop.lab.machine.files import Fifo, Null
 from .simulated import content, open_fds, put
 
 NOBODY = 65534
-FLAGS = {
-    "read": os.O_RDONLY,
-    "append": os.O_RDWR | os.O_APPEND | os.O_CREAT,
-    "write": os.O_WRONLY | os.O_CREAT,
-}
+FLAGS = {"read": os.O_RDONLY, "append": os.O_RDWR | os.O_APPEND | os.O_CREAT, "write": os.O_WRONLY | os.O_CREAT}
 pytestmark = pytest.mark.timeout(20)
 
 
@@ -70,9 +66,10 @@ def test_a_device_is_not_even_opened(on: SimpleNamespace) -> None:
 
 
 def test_what_is_planted_after_the_look_is_seen_all_the_same(on: SimpleNamespace) -> None:
-    def plant(thread: object, call: str, about: object) -> None:
+    def plant(thread: object, call: str, about: tuple[Any, ...]) -> None:
         if call == "open":
             on.machine.root.names["tmp"].put("file", Fifo(0o666))
+            assert about[1] & os.O_NOCTTY, "a terminal must not become the one whose hang-up ends the service"
 
     put(on, "/tmp/file")
     before, on.machine.at_seam = open_fds(on), plant
@@ -129,13 +126,6 @@ def test_a_draft_takes_the_place_of_an_old_one_for_all_to_read_whatever_the_umas
         os.umask(mask)
     assert draft.read_bytes() == b"whole"
     assert stat.S_IMODE(draft.stat().st_mode) == 0o644
-
-
-def test_a_draft_goes_through_no_link(victim: Path) -> None:
-    draft = victim.with_name("draft")
-    draft.symlink_to(victim)
-    durable.write_draft(str(draft), b"whole")
-    assert (draft.is_symlink(), draft.read_bytes(), victim.read_text()) == (False, b"whole", "precious\n")
 
 
 def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:

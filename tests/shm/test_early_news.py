@@ -15,10 +15,10 @@ import pytest
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.shm.segment import Segment
-from tests.support.children import Child, needs_root, scheduled
+from tests.support.children import needs_root, scheduled
 from tests.support.waiting import until
 
-from .dying import Send, Wait, alive, asleep, ends, holding, lifelines, rung, threads, watching
+from .dying import alive, asleep, ends, holding, rung, threads, watching
 from .simulated import living, refusing
 
 
@@ -46,7 +46,6 @@ def test_every_watcher_gets_the_early_news(name: str, lines: Segment, block: int
 
 @pytest.mark.parametrize("index", range(PER_BLOCK))
 def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, news: EarlyNews, index: int) -> None:
-    """In the process that holds the lifeline, as the port owner does, however often it is armed."""
     with holding(name, 2) as holder, ends() as before:
         life = Lifeline(holder.pid)
         for _ in range(3):
@@ -73,28 +72,11 @@ def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, l
         life.close()
 
 
-def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_starter(
-    name: str, news: EarlyNews
-) -> None:
-    """A process that has real-time rights hands none of them on to a thread that it starts."""
-    with holding(name, 2) as holder:
-        life, before = Lifeline(holder.pid), threads()
-        with scheduled(os.SCHED_BATCH):
-            news.watch_block(life, 2, 0)
-        (thread,) = threads() - before
-        until(lambda: os.sched_getscheduler(thread) == os.SCHED_OTHER, "its own scheduling")
-        os.kill(holder.pid, signal.SIGKILL)
-        assert rung(news.bell.fd)
-        life.close()
-
-
 def attached(on: SimpleNamespace) -> Any:
-    """The lines of every block."""
     return on.segments.attach("run", "lifelines", 9, write=True)
 
 
 def lines_of(on: SimpleNamespace) -> Any:
-    """New ones."""
     on.segments.create("run", "lifelines", 9)
     return attached(on)
 
@@ -103,7 +85,7 @@ def lines_of(on: SimpleNamespace) -> Any:
 @pytest.mark.parametrize(
     ("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (1, 6, 7), (0, 6, 0), (5, 0, 5), (1, 0, 1)]
 )
-def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rights(
+def test_a_thread_that_stops_runs_above_the_dying(
     on: SimpleNamespace, own: int, dying: int, found: int, refused: bool, of_a_service: bool
 ) -> None:
     """It may not be let; then it runs as its process does. Nobody has to run above one that has no priority."""
@@ -127,7 +109,6 @@ def test_a_thread_that_stops_runs_above_the_dying_where_its_process_has_such_rig
 
 
 def refuse_above(on: SimpleNamespace, own: int) -> None:
-    """No thread may have a higher priority than this."""
 
     def refuse(thread: object, call: str, about: tuple[int, ...]) -> None:
         if call == "sched_setscheduler" and about[2] > own:
@@ -173,31 +154,14 @@ def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, lines: Seg
             assert last.result() == (True, True, True)
 
 
-def test_blocks_do_not_touch_each_other(name: str, lines: Segment) -> None:
-    with holding(name, 0), holding(name, 2), holding(name, 1) as holder:
-        holder.kill()
-        for _ in range(2):
-            assert lines.futex("held", PER_BLOCK).wait_for_death() is True, "the mark stays for who comes late"
-        with watching(name, os.getpid(), 0, 0) as watcher:
-            other = Lifeline(watcher.pid)
-            assert not rung(other.fd, 0.05)
-            other.close()
-
-
-def select_poll(fd: int) -> list[tuple[int, int]]:
-    poll = select.poll()
-    poll.register(fd, select.POLLIN)
-    return poll.poll(2_000)
-
-
 def test_the_pidfd_alone_is_enough(news: EarlyNews) -> None:
     """The early news never comes where the futex was not held: the late word is there all the same."""
     with alive() as (child, life):
         with ends():
             news.watch_block(life, 7, 0)
             os.kill(child.pid, signal.SIGKILL)
-            ready = dict(select_poll(life.fd))
-        assert life.died(ready)
+            assert rung(life.fd)
+        assert life.died({life.fd: select.POLLIN})
         assert not life.marked
         assert life.dead()
 
@@ -206,9 +170,7 @@ def test_the_pidfd_alone_is_enough(news: EarlyNews) -> None:
     ("call", "error"),
     [("thread", RuntimeError("can't start new thread")), ("mmap", OSError(errno.ENOMEM, "no memory"))],
 )
-def test_a_machine_that_is_out_of_something_still_has_the_late_news(
-    on: SimpleNamespace, call: str, error: Exception
-) -> None:
+def test_a_machine_that_lacks_something_has_the_late_news(on: SimpleNamespace, call: str, error: Exception) -> None:
     news = on.lifeline.EarlyNews(lines_of(on))
     process = living(on, lambda: None)
     life = on.lifeline.Lifeline(process.pid)
@@ -231,18 +193,8 @@ def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, news: EarlyNews) -
     assert not life.marked
 
 
-def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(
-    name: str, lines: Segment, news: EarlyNews
-) -> None:
-    """By one line alone; the pidfd is that of this process, which lives."""
-
-    def work(send: Send, wait: Wait) -> None:
-        kept = lifelines(name).futex("held", write=True).hold()
-        send("held" if kept else "the kernel can't")
-        wait()
-
-    with Child(work) as holder:
-        assert holder.receive() == "held"
+def test_a_watch_that_names_no_line_is_of_the_first(name: str, lines: Segment, news: EarlyNews) -> None:
+    with holding(name, 0) as holder:
         life = Lifeline(os.getpid())
         news.watch(life, lines)
         holder.kill()

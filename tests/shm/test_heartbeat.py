@@ -1,6 +1,8 @@
-"""Heartbeats: what a process says of itself, and what its successor takes back."""
+"""Heartbeats: what a process says of itself, and what its successor takes back; a barrier, which orders stores."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 from failstop.messages import segments
 from failstop.shm import heartbeat, segment
@@ -42,7 +44,6 @@ def test_beats(name: str) -> None:
 
 
 def test_a_successor_starts_anew(name: str) -> None:
-    """Nothing that its dead predecessor had seen and done counts as its own."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
     beats.state(BEAT_RUNNING, 1_000)
@@ -80,3 +81,34 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
     assert names.index("beat_pid") > names.index("beat_state")
     assert names[-1] == "beat_ns"
     assert set(names) == {record for record in own.spec.records if record.startswith("beat_")}
+
+
+def test_a_barrier_releases_before_it_acquires(on: SimpleNamespace) -> None:
+    """The other way around orders nothing: model/aarch64/barrier-control-reversed.litmus."""
+    done = []
+
+    class Lock:
+        def acquire(self) -> None:
+            done.append("acquire")
+
+        def release(self) -> None:
+            done.append("release")
+
+    on.system["_thread"].allocate_lock = Lock
+    barrier = on.load("failstop.shm.words").Barrier()
+    assert done == ["acquire"], "held from the start"
+    barrier()
+    barrier()
+    assert done[1:] == ["release", "acquire"] * 2
+
+    class View:
+        def __getitem__(self, where: slice) -> bytes:
+            return bytes(where.stop - where.start)
+
+        def __setitem__(self, where: slice, data: bytes) -> None:
+            done.append("store")
+
+    writer = on.load("failstop.shm.cell").RingWriter(View(), 0, 8, 2, 1)
+    done.clear()
+    writer.put(b"x")
+    assert done == ["release", "acquire", "store"], "before what its entry's reader sees"

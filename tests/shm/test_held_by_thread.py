@@ -24,7 +24,6 @@ from .dying import ends, threads
 
 
 def test_a_thread_of_its_own_holds_and_lets_go(lines: Segment) -> None:
-    """Held by a thread that ends before the process does; and given back by another one than took it."""
     word = lines.futex("held", 20)
     with ends() as before:
         one = HeldByThread(lines.futex("held", 20, write=True))
@@ -95,7 +94,6 @@ def test_an_exception_of_a_signal_s_handler_leaves_no_thread(lines: Segment) -> 
 
 
 def test_the_thread_of_what_nobody_refers_to_ends(lines: Segment) -> None:
-    """As where the exception comes when it is made, and nobody has it yet."""
     with ends() as before:
         one = HeldByThread(lines.futex("held", 41, write=True))
         assert len(threads() - before) == 1

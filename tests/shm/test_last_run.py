@@ -33,9 +33,7 @@ def test_the_run_that_is_published_is_the_one_that_is_read(on: SimpleNamespace, 
     assert on.os.listdir(path) == []
 
 
-def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
-    on: SimpleNamespace, bases: list[str]
-) -> None:
+def test_a_run_that_can_not_be_published_leaves_the_one_before(on: SimpleNamespace, bases: list[str]) -> None:
     path = on.instances.make_runtime_dir("robot")
     on.instance.publish_run(path, 7)
     before = open_fds(on)
@@ -66,7 +64,6 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(on: SimpleNamespace, ba
 
 
 def remembered(on: Any, name: str) -> tuple[str, str, tuple[int, ...], str]:
-    """How the last run of this name was started."""
     found = on.instance.last(name)
     return found.device, found.command, found.servos, found.board
 

@@ -64,10 +64,8 @@ def test_every_segment_has_a_writer_and_every_record_a_reader(spec: SegmentSpec)
 def test_no_record_is_declared_twice() -> None:
     """A second one of the same name would silently replace the first and leave a hole."""
     for spec in SEGMENTS:
-        assert (
-            sum(record.size() for record in spec.records.values())
-            == max(end for _, end, _ in places(spec)) - HEADER_BYTES
-        )
+        taken = sum(record.size() for record in spec.records.values())
+        assert taken == max(end for _, end, _ in places(spec)) - HEADER_BYTES
     assert len(SEGMENT_BY_NAME) == len(SEGMENTS)
 
 
@@ -146,16 +144,6 @@ def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str)
     changed = variant(pattern, replacement).LAYOUT_HASH
     assert changed >> 32 != LAYOUT_HASH >> 32
     assert changed & 0xFFFFFFFF != LAYOUT_HASH & 0xFFFFFFFF
-
-
-def test_all_variants_of_one_number_have_their_own_hash() -> None:
-    hashes = {variant(r'_latest\("link", 32', f'_latest("link", {size}').LAYOUT_HASH for size in range(129, 300)}
-    assert len(hashes) == 171
-    assert LAYOUT_HASH not in hashes
-    halves = [(number >> 32, number & 0xFFFFFFFF) for number in hashes]
-    assert all(high != low for high, low in halves), "two sums, and not one twice"
-    assert all(max(half) > 2**31 and any(number & 1 for number in half) for half in zip(*halves, strict=True))
-    assert max(hashes) < 2**64
 
 
 @pytest.mark.parametrize("pages", [1, 2, 5000])

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-import select
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -18,7 +16,7 @@ from failstop.shm.lifeline import Lifeline, pid_namespace
 from tests.support.children import NOBODY, Child, become, needs_root
 from tests.support.waiting import until
 
-from .dying import Send, Wait, alive, rung, waiting
+from .dying import Send, Wait, alive, waiting
 from .simulated import refusing
 
 
@@ -43,7 +41,6 @@ def test_the_dying_are_demoted_without_any_capability() -> None:
 
 
 def test_a_thread_that_ends_first_leaves_no_other_one_its_rights(on: SimpleNamespace) -> None:
-    """Between the look at the threads and the call."""
     dying = on.machine.process("dying", lambda process: on.machine.block())
     others = [on.machine.thread(dying, on.machine.block) for _ in range(2)]
     life = on.lifeline.Lifeline(dying.pid)
@@ -57,24 +54,6 @@ def test_a_thread_that_ends_first_leaves_no_other_one_its_rights(on: SimpleNames
     on.machine.die(dying, -9)
     on.machine.run(lambda: dying.code is not None, 10**9)
     life.demote()  # nothing of it is left
-
-
-def test_sigkill_is_seen_through_epoll() -> None:
-    slowest_s = 0.0
-    for _ in range(20):
-        with alive() as (child, life):
-            poll = select.epoll()
-            poll.register(life.fd, select.EPOLLIN)
-            assert poll.poll(0) == []
-            assert not life.dead()
-            before = time.monotonic()
-            os.kill(child.pid, signal.SIGKILL)
-            events = poll.poll(2)
-            slowest_s = max(slowest_s, time.monotonic() - before)
-            assert [fd for fd, _ in events] == [life.fd]
-            assert life.dead()
-            poll.close()
-    assert slowest_s < 2
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV, 0])
@@ -100,9 +79,7 @@ def test_every_kind_of_end_is_a_death_and_a_stop_is_none(end: int) -> None:
                 ask()
 
 
-def test_to_ask_for_a_death_waits_for_nothing_and_a_wait_lasts_as_long_as_told(
-    on: SimpleNamespace,
-) -> None:
+def test_to_ask_for_a_death_waits_for_nothing_and_a_wait_lasts_as_long_as_told(on: SimpleNamespace) -> None:
     machine = on.machine
     process = machine.process("waits", lambda process: machine.block())
     life, began_ns = on.lifeline.Lifeline(process.pid), machine.now_ns
@@ -147,43 +124,6 @@ def test_in_a_container_of_its_own_a_process_finds_another() -> None:
 
 def test_without_proc_it_is_not_known(on: SimpleNamespace) -> None:
     assert on.lifeline.pid_namespace() == 0
-
-
-def test_a_process_that_is_no_child_of_the_watcher() -> None:
-    with Child(waiting) as watched:
-        assert watched.receive() == "here"
-
-        def work(send: Send, wait: Wait) -> bool:
-            life = Lifeline(watched.pid)
-            send(life.dead())
-            return rung(life.fd) and life.dead()
-
-        with Child(work) as watcher:
-            assert watcher.receive() is False
-            watched.kill()
-            assert watcher.result() is True
-
-
-def test_a_forked_grandchild_does_not_hold_the_death_back() -> None:
-    """As an inherited pipe end would."""
-
-    def work(send: Send, wait: Wait) -> None:
-        pid = os.fork()
-        if pid:
-            send(pid)
-        wait()
-        os._exit(0)
-
-    with Child(work) as child:
-        grandchild = child.receive()
-        life, other = Lifeline(child.pid), Lifeline(grandchild)
-        os.kill(child.pid, signal.SIGKILL)
-        until(life.dead, "seen dead")
-        assert not other.dead()
-        os.kill(grandchild, signal.SIGKILL)
-        until(other.dead, "grandchild gone")
-        life.close()
-        other.close()
 
 
 def test_the_descriptor_is_not_inherited_and_close_is_idempotent() -> None:

@@ -109,7 +109,6 @@ def test_a_stop_pipe_that_is_none(folder: Any, trap: str) -> None:
 
 @pytest.mark.parametrize("trap", ["link", "FIFO", "another user's"])
 def test_claims_that_are_none(folder: Any, trap: str) -> None:
-    """A FIFO is not waited for, either."""
     if trap == "another user's":
         give(folder, OTHER, CLAIMS)
     else:
@@ -163,7 +162,6 @@ def test_a_stranger_s_service_is_none_and_find_says_why(folder: Any) -> None:
     ],
 )
 def test_whose_base_is_trusted(folder: Any, above: int, rights: int, owner: int, looks: int, *, trusted: bool) -> None:
-    """Root's and one's own, and whosever root alone can have made it."""
     on = folder
     give(on, owner, BASE)
     give(on, above, "/srv")
@@ -178,9 +176,7 @@ def test_whose_base_is_trusted(folder: Any, above: int, rights: int, owner: int,
 
 
 @pytest.mark.parametrize(("owner", "looks", "trusted"), [(OTHER, 0, True), (0, NOBODY, True), (1, 0, False)])
-def test_what_is_in_a_user_s_base_is_that_user_s_or_root_s(
-    folder: Any, owner: int, looks: int, *, trusted: bool
-) -> None:
+def test_a_user_s_base_has_that_user_s_or_root_s(folder: Any, owner: int, looks: int, *, trusted: bool) -> None:
     on = folder
     give(on, OTHER, BASE)
     give(on, owner, FOLDER)

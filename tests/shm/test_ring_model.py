@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
-import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,11 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
 
 from failstop.shm import cell
-from failstop.shm.cell import RingReader, RingWriter, cell_bytes
+from failstop.shm.cell import RingReader
 from tests.support.amounts import amount
-from tests.support.children import Child
 
-from .memory import Death, exit_after, genuine, payload_of, time_of
+from .memory import Death
 from .rings import AT, CAPACITY, SEED, SIZE, reader_of, ring_memory, writer_of
 
 if TYPE_CHECKING:
@@ -106,54 +102,3 @@ TestRingModel = RingModel.TestCase
 
 
 TestRingModel.settings = settings(max_examples=amount(60, 1000), stateful_step_count=40, deadline=None)
-
-
-ENTRIES = amount(600, 20_000)
-
-
-def flat_out(writer: RingWriter, size: int) -> Callable[[object, object], None]:
-    def work(send: object, wait: object) -> None:
-        check = exit_after(30)
-        while True:
-            seq = writer.seq + 1
-            writer.put(payload_of(seq, size), time_of(seq))
-            if seq % 1024 == 0:
-                check()
-
-    return work
-
-
-def read_all_the_while(reader: RingReader, size: int, enough: int, pause: int) -> tuple[int, int]:
-    """Read until enough entries were seen; returns how many, and how many were lost."""
-    seen = last = 0
-    limit = time.monotonic() + 20
-    first_lost = reader.lost
-    while seen < enough:
-        assert time.monotonic() < limit
-        lost = reader.lost
-        entry = reader.next()
-        if entry is None:
-            continue
-        assert genuine(entry, size)
-        assert entry[0] > last
-        if last:
-            assert entry[0] - last - 1 == reader.lost - lost
-        last = entry[0]
-        seen += 1
-        if pause and seen % pause == 0:
-            for _ in range(20_000):
-                pass
-    return seen, reader.lost - first_lost
-
-
-@pytest.mark.parametrize(("capacity", "cells", "pause"), [(40, 8, 0), (40, 8, 16), (320, 64, 100), (16384, 4, 3)])
-def test_a_writer_at_full_speed(capacity: int, cells: int, pause: int) -> None:
-    memory = mmap.mmap(-1, AT + cells * cell_bytes(capacity))
-    with Child(flat_out(writer_of(memory, cells, capacity), capacity)):
-        reader = reader_of(memory, cells, capacity)
-        seen, lost = read_all_the_while(reader, capacity, ENTRIES, pause)
-        if pause:
-            assert lost > 0, "the reader was to be lapped"
-        late = reader_of(memory, cells, capacity, from_oldest=True)
-        read_all_the_while(late, capacity, 50, 0)
-    assert seen == ENTRIES

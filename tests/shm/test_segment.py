@@ -15,9 +15,9 @@ import pytest
 from failstop.messages import segments
 from failstop.messages.layout import CLIENT_SLOTS, SEGMENT_BY_NAME
 from failstop.shm.segment import HEADER_BYTES, Segment
-from tests.support.children import NOBODY, Child
+from tests.support.children import NOBODY
 
-from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, create_all, path_of
+from .segments import NAMES, PRIVATE_NAMES, RUN, SERVICE, path_of
 from .simulated import content, open_fds, put, refusing, user
 
 
@@ -36,23 +36,8 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
     made.close()
 
 
-def test_a_new_segment_is_empty(name: str) -> None:
-    create_all(name)
-    for of in SERVICE:
-        seen = segments.attach(name, of)
-        for record in seen.spec.records.values():
-            if record.kind == "word":
-                assert seen.word(record.name).get() == 0
-            elif record.kind == "latest":
-                assert seen.latest_reader(record.name).read() is None
-            else:
-                assert seen.ring_reader(record.name, from_oldest=True).next() is None
-
-
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
-def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
-    on: SimpleNamespace, own: int, gid: int, group: int
-) -> None:
+def test_modes_and_groups_are_the_layout_s(on: SimpleNamespace, own: int, gid: int, group: int) -> None:
     for mask, of in itertools.product((0o000, 0o022, 0o077, 0o777), NAMES):
         on.own.umask = mask
         with user(on, 0, own):
@@ -62,31 +47,20 @@ def test_modes_are_the_layout_s_and_client_segments_of_the_group_that_is_told(
         assert (found.st_uid, found.st_gid) == (0, group if SEGMENT_BY_NAME[of].mode & 0o060 == 0o060 else own)
 
 
-def test_nobody_reads_the_service_and_writes_nothing(on: SimpleNamespace) -> None:
+def test_everybody_reads_the_service_and_the_group_has_the_clients_slots(on: SimpleNamespace) -> None:
     for of in NAMES:
-        on.segments.create("r", of, RUN)
-    with user(on, NOBODY):
-        for of in NAMES:
-            for write in (False, True):
-                if of in SERVICE and not write:
-                    on.segments.attach("r", of, RUN, owner=0)
+        on.segments.create("r", of, RUN, client_gid=NOBODY)
+    clients = [f"client.{index}" for index in range(CLIENT_SLOTS)]
+    for gid, slots in ((NOBODY, clients), (NOBODY - 1, [])):
+        with user(on, NOBODY, gid):
+            for of, write in itertools.product(NAMES, (False, True)):
+                if of in slots or (of in SERVICE and not write):
+                    on.segments.attach("r", of, RUN, write=write, owner=0)
                     continue
                 with pytest.raises(on.segments.AttachError, match="join the group `failstop`") as refused:
                     on.segments.attach("r", of, RUN, write=write, owner=0)
                 assert refused.value.kind == "permission"
     assert len(SERVICE) == 5
-
-
-def test_a_member_of_the_group_has_a_client_slot_and_no_more(on: SimpleNamespace) -> None:
-    for of in NAMES:
-        on.segments.create("r", of, RUN, client_gid=NOBODY)
-    with user(on, NOBODY):
-        own = on.segments.attach("r", "client.0", RUN, owner=0, write=True)
-        assert own.latest_writer("hello").write(b"hello", 1) == 1
-        with pytest.raises(on.segments.AttachError) as refused:
-            on.segments.attach("r", "gate", RUN, write=True, owner=0)
-        assert refused.value.kind == "permission"
-    assert on.segments.read_client_slot("r", 0, RUN).latest_reader("hello").read() == (1, 1, b"hello")
 
 
 @pytest.mark.parametrize("of", SERVICE)
@@ -128,9 +102,8 @@ def test_client_segments_are_not_mapped_and_written_by_the_client_alone(name: st
         slot[1].latest_writer("hello").write(b"x")
 
 
-CLIENT_RECORDS = [
-    name for name, record in SEGMENT_BY_NAME["client.0"].records.items() if record.kind == "latest" and name != "left"
-]
+OF_CLIENT = SEGMENT_BY_NAME["client.0"].records
+CLIENT_RECORDS = [name for name, record in OF_CLIENT.items() if record.kind == "latest" and name != "left"]
 
 
 def test_a_goodbye_outlives_the_next_holder_s_begin(slot: Slot) -> None:
@@ -202,15 +175,6 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
     made.close()
 
 
-def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
-    segments.create(name, "gate", RUN).close()
-    own = segments.attach(name, "gate", RUN, write=True)
-    own.ring_writer("frames").put(b"before", 1)
-    now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
-    assert now.next() is None
-    assert oldest.next() == (1, 1, b"before")
-
-
 def test_create_takes_nothing_that_is_there(on: SimpleNamespace) -> None:
     """A run's names are its own: what has one was made by somebody else."""
     for there in ("file", "link"):
@@ -266,14 +230,6 @@ def test_a_program_without_descriptors_is_no_damage(on: SimpleNamespace, number:
     assert told.value.kind == kind
 
 
-def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
-    segments.unlink(name, "gate")
-    segments.unlink_all(name)
-    create_all(name)
-    segments.unlink_all(name)
-    assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
-
-
 def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     """Another user's, or a directory that somebody has put there: nobody needs the name again."""
     on.segments.create("r", "gate", RUN)
@@ -281,21 +237,8 @@ def test_what_can_not_be_unlinked_stays(on: SimpleNamespace) -> None:
     with user(on, NOBODY):
         on.segments.unlink("r", "gate")
     on.segments.unlink("r", "stopper")
+    on.segments.unlink("r", "telemetry")
     assert len(on.os.listdir("/dev/shm")) == 2
-
-
-def test_instances_do_not_see_each_other(name: str) -> None:
-    """Not even one whose name begins with another's."""
-    longer = name + "-2"
-    try:
-        create_all(name, 1)
-        create_all(longer, 2)
-        segments.attach(name, "gate", 1, write=True).word("beat_ns").set(11)
-        assert segments.attach(longer, "gate", 2).word("beat_ns").get() == 0
-        segments.unlink_all(name)
-        segments.attach(longer, "gate", 2)
-    finally:
-        segments.unlink_all(longer)
 
 
 def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
@@ -310,62 +253,13 @@ def test_refused_attempts_leave_no_descriptor_open(on: SimpleNamespace) -> None:
     assert open_fds(on) == before
 
 
-def test_close_is_idempotent_and_frees_the_descriptor(on: SimpleNamespace) -> None:
-    both = on.segments.create("r", "client.0", RUN), on.segments.attach("r", "client.0", RUN, write=True)
-    assert open_fds(on) == 2
+def test_no_descriptor_crosses_an_exec_or_outlives_its_segment(on: SimpleNamespace) -> None:
+    held = [on.segments.create("r", of, RUN) for of in NAMES]
+    held += [on.segments.attach("r", of, RUN, write=True) for of in NAMES]
+    held += [on.segments.read_client_slot("r", 1, RUN)]
+    assert open_fds(on) == 2 * len(NAMES) - len(SERVICE) + 1, "a mapping needs none"
+    assert not on.own.inheritable
     for _ in range(2):
-        for each in both:
+        for each in held:
             each.close()
     assert open_fds(on) == 0
-
-
-def test_no_descriptor_crosses_an_exec(name: str) -> None:
-    create_all(name)
-
-    def work(send: object, wait: object) -> list[str]:
-        segments.unlink(name, "stopper")
-        made = segments.create(name, "stopper", RUN)
-        held = [segments.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
-        held += [segments.attach(name, "client.0", RUN, write=True), segments.read_client_slot(name, 1, RUN), made]
-        assert any(name in link for link in links())
-        reading, writing = os.pipe()
-        os.set_inheritable(writing, True)
-        if os.fork() == 0:
-            os.dup2(writing, 1)
-            os.execv("/bin/sh", ["sh", "-c", "ls -l /proc/$$/fd"])
-        os.close(writing)
-        found = b""
-        while part := os.read(reading, 65536):
-            found += part
-        os.wait()
-        assert held
-        return found.decode().splitlines()
-
-    with Child(work) as child:
-        lines = child.result()
-    assert len(lines) > 3
-    assert not [line for line in lines if name in line]
-
-
-def links() -> list[str]:
-    """The files of this process's descriptors."""
-    found = []
-    for fd in os.listdir("/proc/self/fd"):
-        try:
-            found.append(os.readlink(f"/proc/self/fd/{fd}"))
-        except FileNotFoundError:  # the listing's own
-            continue
-    return found
-
-
-def test_readers_outlive_the_segment_object(name: str) -> None:
-    """A mapping ends with its last reader, not with the object it came from."""
-    segments.create(name, "gate", RUN).close()
-    writer = segments.attach(name, "gate", RUN, write=True).latest_writer("state")
-    seen = segments.attach(name, "gate", RUN)
-    reader, word = seen.latest_reader("state"), seen.word("beat_ns")
-    seen.close()
-    del seen
-    writer.write(b"still here", 1)
-    assert reader.read() == (1, 1, b"still here")
-    assert word.get() == 0

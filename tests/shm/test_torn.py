@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +13,7 @@ import pytest
 from failstop.shm import cell
 from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from tests.support.amounts import amount
+from tests.support.pages import ROOT
 
 from .killing import Separate, check_without_crc
 from .memory import Memory, genuine, payload_of, time_of
@@ -21,59 +21,41 @@ from .memory import Memory, genuine, payload_of, time_of
 KILLS = amount(50, 1700)
 CONTROL_KILLS = 50
 ROUNDS = 5
-CASES = [
-    ("latest", "gate.reply.0", 64),
-    ("latest", "gate.state", 2048),
-    ("latest", "anonymous", 65536),
-    ("ring", "gate.frames", 64),
-    ("ring", "port_owner.received", 512),
-    ("ring", "anonymous", 65536),
-]
+CASES = [("latest", 64), ("latest", 2048), ("latest", 65536), ("ring", 64), ("ring", 512), ("ring", 65536)]
 
 
-def kill(kind: str, where: str, size: int, kills: int, mode: str) -> dict[str, Any]:
+def kill(kind: str, size: int, kills: int, mode: str) -> dict[str, Any]:
     """Run the killing in a small process of its own; returns its account."""
-    package = __package__ or ""
-    root = os.path.abspath(__file__)
-    for _ in range(package.count(".") + 2):
-        root = os.path.dirname(root)
-    done = subprocess.run(
-        [sys.executable, "-m", f"{package}.killing", kind, where, str(size), str(kills), "20", mode],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        timeout=110,
-        check=False,
-    )
+    words = ("tests.shm.killing", kind, size, kills, 20, mode)
+    command = [sys.executable, "-m", *map(str, words)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stderr
     account: dict[str, Any] = json.loads(done.stdout)
     assert account["kills"] == kills
-    print(f"{kind} {where} {size} {mode}: {account}")
+    print(f"{kind} {size} {mode}: {account}")
     return account
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "where", "size"), CASES)
-def test_killed_writers_leave_no_torn_record(kind: str, where: str, size: int) -> None:
+@pytest.mark.parametrize(("kind", "size"), CASES)
+def test_killed_writers_leave_no_torn_record(kind: str, size: int) -> None:
     """Also: never older than seen before, gaps are what was counted as lost, and each successor goes on by one."""
     left = 0
     for _ in range(ROUNDS):
-        account = kill(kind, where, size, KILLS, "real")
-        assert account["torn_accepted"] == 0
-        assert account["faults"] == []
+        account = kill(kind, size, KILLS, "real")
+        assert (account["torn_accepted"], account["faults"]) == (0, [])
         assert account["reads_while_writing"] > KILLS
-        assert account["accepted"] >= KILLS
-        assert account["written"] >= KILLS
+        assert min(account["accepted"], account["written"]) >= KILLS
         left += account["kills_that_left_a_torn_cell"]
         if left or size < 65536:
             return
     pytest.fail("no kill landed in the middle of a store")
 
 
-@pytest.mark.parametrize(("kind", "where", "size"), [CASES[1], CASES[3]])
-def test_control_the_same_without_the_crc_reads_torn_records(kind: str, where: str, size: int) -> None:
+@pytest.mark.parametrize(("kind", "size"), [CASES[1], CASES[3]])
+def test_control_the_same_without_the_crc_reads_torn_records(kind: str, size: int) -> None:
     """With header, payload and CRC as separate stores and no CRC compared, this harness must see torn records."""
-    account = kill(kind, where, size, CONTROL_KILLS, "control")
+    account = kill(kind, size, CONTROL_KILLS, "control")
     assert account["torn_accepted"] > 0
 
 
@@ -94,14 +76,13 @@ class Stepwise:
 
 
 SEED = cell.seed("test.torn", 1)
+Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("stores", ["one", "separate"])
 @pytest.mark.parametrize("kind", ["latest", "ring"])
 @pytest.mark.parametrize("crc", [True, False])
-def test_a_reader_after_every_byte_of_every_store(
-    kind: str, crc: bool, stores: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_after_every_byte_of_a_store(kind: str, crc: bool, stores: str, monkeypatch: Patch) -> None:
     """No luck is in it: with the CRC nothing torn is read, without it much is."""
     if not crc:
         monkeypatch.setattr(cell, "check", check_without_crc)

@@ -10,56 +10,13 @@ import signal
 import time
 from collections.abc import Callable
 
-import pytest
-
 from failstop.messages import segments
 from failstop.messages.layout import SEGMENT_BY_NAME
-from failstop.messages.segments import AttachError
-from failstop.shm.cell import FileView
 from failstop.shm.segment import Segment
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of
 from .segments import RUN, path_of
-from .written import CLIENT_NAMES, Written
-
-
-@pytest.mark.parametrize("of", CLIENT_NAMES)
-def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
-    dice = random.Random(of)
-    written = Written(name, of, dice)
-    try:
-        resident = written.readers()
-        sizes = [0, 1, 23, 24, 127, 128, 129, written.spec.size - 1]
-        sizes += [dice.randrange(written.spec.size) for _ in range(60)]
-        for size in sizes:
-            os.ftruncate(written.fd, size)
-            written.read_all(resident)
-            written.read_all(written.readers())
-            with pytest.raises(AttachError, match=r"damaged|whole header|wrong size"):
-                segments.attach(name, of, RUN, write=True)
-            if dice.random() < 0.5:  # grown again: zeros where its bytes were
-                os.ftruncate(written.fd, written.spec.size)
-                written.read_all(resident)
-            written.restore()
-        os.ftruncate(written.fd, written.spec.size * 4)
-        written.read_all(written.readers())
-        assert written.seen > 0
-    finally:
-        written.close()
-
-
-def test_a_copy_of_a_truncated_file_is_short() -> None:
-    fd = os.memfd_create("cut")
-    view = FileView(fd)
-    view[0:8] = b"12345678"
-    assert view[0:8] == b"12345678"
-    assert view[4:100] == b"5678"
-    assert view[2:4] == b"34"
-    os.ftruncate(fd, 3)
-    assert view[0:8] == b"123"
-    assert view[3:8] == b""
-    os.close(fd)
 
 
 def test_a_client_that_writes_to_its_truncated_segment_is_read_again(name: str) -> None:
@@ -161,32 +118,3 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
         assert child.receive() == "reading"
         truncate_all_the_while(name, "client.0", child)
         assert child.wait() == -signal.SIGBUS
-
-
-def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
-    """Its holder and the service have it open; only who comes later finds nothing."""
-    segments.create(name, "client.3", RUN).close()
-    own = segments.attach(name, "client.3", RUN, write=True)
-    seen = segments.read_client_slot(name, 3, RUN)
-    writer, reader = own.latest_writer("command"), seen.latest_reader("command")
-    writer.write(b"one", 1)
-    os.unlink(path_of(name, "client.3"))
-    assert reader.read() == (1, 1, b"one")
-    writer.write(b"two", 2)
-    assert reader.read() == (2, 2, b"two")
-    with pytest.raises(AttachError) as refused:
-        segments.attach(name, "client.3", RUN)
-    assert refused.value.kind == "absent"
-    assert segments.read_client_slot(name, 3, RUN).latest_reader("command").read() is None
-    own.close()
-    seen.close()
-
-
-def test_unlinked_service_segments_are_read_on(name: str) -> None:
-    segments.create(name, "gate", RUN).close()
-    own, seen = segments.attach(name, "gate", RUN, write=True), segments.attach(name, "gate", RUN)
-    segments.unlink_all(name)
-    own.ring_writer("frames").put(b"frame", 1)
-    assert seen.ring_reader("frames", from_oldest=True).next() == (1, 1, b"frame")
-    own.word("beat_ns").set(77)
-    assert seen.word("beat_ns").get() == 77

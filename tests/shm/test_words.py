@@ -33,7 +33,6 @@ def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) ->
 
 
 def test_a_word_is_never_seen_half_written(name: str) -> None:
-    """Two patterns that differ in every byte, set flat out by another process; after which the last is there."""
     segments.create(name, "supervisor", RUN).close()
     patterns = (0x5555555555555555, 0xAAAAAAAAAAAAAAAA)
     segments.attach(name, "supervisor", RUN, write=True).word("epoch").set(patterns[0])

@@ -8,5 +8,4 @@ LONG = os.environ.get("FAILSTOP_CAMPAIGN") == "long"
 
 
 def amount(little: int, much: int) -> int:
-    """One of them."""
     return much if LONG else little

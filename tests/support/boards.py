@@ -22,11 +22,8 @@ def own_folder(at: Path) -> str:
     """The smallest board of failstop's, as a user would have it: the same modules, in a folder that failstop does not
     know."""
     at.mkdir()
-    for name, source in (
-        ("codec", "board/arduino/codec"),
-        ("wire", "board/arduino/wire"),
-        ("receiver", "lab/boards/arduino"),
-    ):
+    sources = {"codec": "board/arduino/codec", "wire": "board/arduino/wire", "receiver": "lab/boards/arduino"}
+    for name, source in sources.items():
         text = (ROOT / "failstop" / f"{source}.py").read_text()
         text = text.replace("from failstop.board.arduino import", "from . import")
         text = text.replace("_MS = 1_000_000\n", f"_MS = 1_000_000\nVOCABULARY = {VOCABULARY}\n", name == "wire")

@@ -24,7 +24,6 @@ needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become 
 
 
 def become(uid: int) -> None:
-    """Drop root for good."""
     os.setgroups([])
     os.setresgid(uid, uid, uid)
     os.setresuid(uid, uid, uid)
@@ -100,7 +99,6 @@ class Child:
         os.write(self._in, b"g")
 
     def kill(self) -> None:
-        """SIGKILL and reap."""
         if self.status is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
@@ -119,7 +117,6 @@ class Child:
         return self.status
 
     def close(self) -> None:
-        """Kill what still runs and give the pipes back."""
         self.kill()
         os.close(self._in)
         os.close(self._out)
@@ -138,7 +135,6 @@ def call(work: Callable[[], object], uid: int = -1) -> Any:
 
 
 def reachable(path: Path) -> None:
-    """Let other users into a directory, and into all above it."""
     for folder in (path, *path.parents):
         if folder.stat().st_mode & 0o005 != 0o005:
             folder.chmod(0o755)
@@ -146,7 +142,6 @@ def reachable(path: Path) -> None:
 
 @contextlib.contextmanager
 def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
-    """Run with this scheduling."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, policy, os.sched_param(priority))
     try:

@@ -63,7 +63,6 @@ class Client:
         self.write("left", records.goodbye(self.session, b""))
 
     def write(self, record: str, payload: bytes, t_ns: int | None = None) -> None:
-        """Leave something in its slot, without a ring."""
         self.segment.latest_writer(record).write(payload, t_ns)
 
     def command(
@@ -79,7 +78,6 @@ class Client:
         return self.number
 
     def ring(self) -> None:
-        """The client bell, with the hint at its slot."""
         bell = self._stage.os.open(BELL, os.O_WRONLY | os.O_NONBLOCK)
         self._stage.os.write(bell, bytes((self._index,)))
         self._stage.os.close(bell)
@@ -98,11 +96,8 @@ class Scene(Stage):
         """`changed`: settings that are not the defaults."""
         super().__init__(layout.GATE, **(changed or {}))
         self.os.makedirs(os.path.dirname(NAMESPACE))
-        for fd in (
-            self.load("failstop.shm.claim").open_claims(CLAIMS, create=True),
-            self.os.open(NAMESPACE, os.O_RDWR | os.O_CREAT),
-        ):
-            self.os.close(fd)
+        self.os.close(self.load("failstop.shm.claim").open_claims(CLAIMS, create=True))
+        self.os.close(self.os.open(NAMESPACE, os.O_RDWR | os.O_CREAT))
         bell = self.load("failstop.shm.bell")
         bell.make_pipe(BELL, 0o600)
         self._fds["client_bell"] = bell.open_pipe(BELL)
@@ -133,12 +128,10 @@ class Scene(Stage):
             self.join(index, (SESSION, OTHER)[index], ("test", "other")[index])
 
     def join(self, index: int, session: int, name: str, pid: int = 0, namespace: int | None = None) -> Client:
-        """A client takes that slot."""
         self.clients.append(Client(self, index, session, name, pid, namespace))
         return self.clients[-1]
 
     def start_gate(self) -> None:
-        """Start the gate for the first time, or after its death."""
         self.gate = self.load("failstop.procs.gate.main").Gate(self)
 
     # The supervisor.
@@ -188,13 +181,11 @@ class Scene(Stage):
         return self.tick()
 
     def run(self, seconds: float) -> None:
-        """Let time pass, as the gate asks for it."""
         until_ns = self.clock() + round(seconds * 1e9)
         while self.clock() < until_ns:
             self.wake(until_ns)
 
     def wake(self, until_ns: int = NEVER) -> None:
-        """One wake-up of the gate, when it asks for it."""
         due_ns = max(min(self.clock() + 20 * MS, self.gate.loop.due_ns()), self.clock() + 10_000)
         if self._answers:
             due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
@@ -212,23 +203,19 @@ class Scene(Stage):
         return self._carry_out()
 
     def latched(self) -> str | None:
-        """The cause that the gate takes to be latched."""
         return str(self.gate.core.latch) if self.gate.core.latch else None
 
     def stopped(self) -> str:
-        """The reason of a stop that it has published."""
         entry = self._stops.next()
         return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
 
     def told(self) -> list[str]:
-        """The notes that people got since the last look."""
         found = []
         while entry := self._told.next():
             found.append(Note.unpack(entry[2]).text)
         return found
 
     def state(self) -> dict[str, Any]:
-        """The arm's part of the gate's state."""
         entry = self.own.latest_reader("state").read()
         assert entry
         found: dict[str, Any] = msgpack.unpackb(entry[2])["arm"]
@@ -249,7 +236,6 @@ class Scene(Stage):
         return number, reply.done, str(reply)
 
     def answered(self, client: int = 0) -> tuple[int, str]:
-        """(done, text) of the last request."""
         number, done, text = self.replied(client)
         return (done, text) if number == self.clients[client].number else (records.UNDER_WAY, "")
 
@@ -280,11 +266,9 @@ class Scene(Stage):
         return self.turn(10 * MS)
 
     def command(self, vx_mps: float) -> None:
-        """A person's command, without a ring."""
         self.clients[0].command(vx_mps, manual=True)
 
     def limit(self, percent: int) -> None:
-        """The client leaves a speed limit for its request."""
         self.clients[0].write("speed_limit", records.SPEED_LIMIT.pack(SESSION, percent))
 
     def saw(self, epoch: int) -> None:
@@ -296,16 +280,13 @@ class Scene(Stage):
         self.clients[1].write("interlocks", records.ASSERTED.pack(OTHER, ["lid"]))
 
     def goal(self, mode: int, values: dict[int, float], client: int = 0) -> None:
-        """A goal of a stream."""
         whose = self.clients[client]
         whose.write("arm_goal", records.ARM_GOAL.pack(whose.session, mode, values))
 
-    def execute(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
-        """A trajectory to one point, and the request for it."""
+    def travel(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
         self.go(1.0, list(values), [(over_s, list(values.values()))], client)
 
     def go(self, share: float, joints: list[int], rows: list[tuple[float, list[float]]], client: int = 0) -> None:
-        """A trajectory of any kind, and the request for it."""
         whose = self.clients[client]
         whose.write("arm_path", records.ARM_PATH.pack(whose.session, share, joints, rows))
         self.ask_for(records.ARM_MOVE, client)
@@ -313,18 +294,15 @@ class Scene(Stage):
     # The gamepad, by telemetry.
 
     def pad(self, joint: int, share: float) -> None:
-        """Push a stick of the gamepad in its joint mode."""
         self._pad.write(records.PAD_ARM.pack(joint, share))
 
     def pad_resets(self) -> None:
-        """Ask for the gamepad's reset."""
         request = records.PAD_REQUEST.pack(records.PAD_RESET, b"")
         self.views[layout.TELEMETRY].ring_writer("pad_requests").put(request)
 
     # Port owner and board.
 
     def at(self, servo: int) -> float:
-        """The true position of a servo."""
         return self.servos.by_id[servo].leg.at(self.clock())
 
     def _burst(self) -> None:

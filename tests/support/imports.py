@@ -11,19 +11,8 @@ import failstop
 
 FORBIDDEN = frozenset(
     (
-        "argparse",
-        "asyncio",
-        "dataclasses",
-        "inspect",
-        "json",
-        "logging",
-        "numpy",
-        "pathlib",
-        "psutil",
-        "re",
-        "serial",
-        "subprocess",
-        "typing",
+        *("argparse", "asyncio", "dataclasses", "inspect", "json", "logging", "numpy", "pathlib", "psutil", "re"),
+        *("serial", "subprocess", "typing"),
     )
 )
 _LIST = """

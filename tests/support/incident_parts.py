@@ -27,12 +27,10 @@ RATE_STILL, RATE_MOVING = 0.002, 0.006
 
 
 def at(ms: float) -> int:
-    """CLOCK_MONOTONIC of a moment."""
     return CAUSE_NS + round(ms * 1e6)
 
 
 def printed(lines: list[style.Line]) -> str:
-    """A report, without its colours."""
     return "\n".join(map(style.plain, lines))
 
 
@@ -54,13 +52,8 @@ class Recorder:
     def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
         self.why = cause
         self.kind = kind
-        self.stop: dict[str, Any] | None = {
-            "written_by": "port owner",
-            "noticed_by": "port_owner",
-            "written_us": 212.0,
-            "acknowledged_us": 3100.0,
-            "observed_ms": 320.0,
-        }
+        self.stop: dict[str, Any] | None = {"written_by": "port owner", "noticed_by": "port_owner", "written_us": 212.0}
+        self.stop |= {"acknowledged_us": 3100.0, "observed_ms": 320.0}
         self.rings: dict[tuple[str, str], KeptRing] = {}
         self.settings = Settings({"device.path": "/dev/pts/7"})
         self.core = GateCore(self.settings, from_settings(self.settings), 0)
@@ -107,22 +100,12 @@ class Recorder:
         self.ring(layout.PORT_OWNER, "stops").put(payload, at(ms))
 
     def head(self, name: str = "failstop", unix_ns: int = UNIX_NS) -> dict[str, Any]:
-        return {
-            "name": name,
-            "t": unix_ns / 1e9,
-            "saved": unix_ns / 1e9 + 2.2,
-            "reason": str(self.why),
-            "cause": self.why.as_map(),
-            "kind": self.kind,
-            "cause_ns": CAUSE_NS,
-            "epoch": 7,
-            "unix_minus_monotonic_ns": unix_ns - CAUSE_NS,
-            "stop": self.stop,
-            "layout": layout.LAYOUT_VERSION,
-            "run": "0123456789abcdef",
-            "host": "robot",
-            "versions": {"failstop": "0.1.0", "python": "3.11.7", "kernel": "6.1", "machine": "aarch64"},
-        }
+        head: dict[str, Any] = {"name": name, "t": unix_ns / 1e9, "saved": unix_ns / 1e9 + 2.2, "host": "robot"}
+        head |= {"reason": str(self.why), "cause": self.why.as_map(), "cause_ns": CAUSE_NS, "kind": self.kind}
+        head |= {"unix_minus_monotonic_ns": unix_ns - CAUSE_NS, "layout": layout.LAYOUT_VERSION}
+        head |= {"epoch": 7, "stop": self.stop}
+        versions = {"failstop": "0.1.0", "python": "3.11.7", "kernel": "6.1", "machine": "aarch64"}
+        return {**head, "run": "0123456789abcdef", "versions": versions}
 
     def body(self) -> dict[str, Any]:
         segments: dict[str, Any] = {}
@@ -163,12 +146,7 @@ def drive_and_die() -> Recorder:
     for ms in range(-3000, 2200, 100):
         made.beats(ms, gate=190.0 if ms == 200 else 90.0 if ms == 100 else 5.0)
     made.cause(0, GATE_DIED)
-    made.event(
-        0.5,
-        "stop",
-        "STOP latched: gate died; stop frame written by the port owner after 212 us",
-        "warning",
-        cause="died",
-    )
+    latched = "STOP latched: gate died; stop frame written by the port owner after 212 us"
+    made.event(0.5, "stop", latched, "warning", cause="died")
     made.event(1.0, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
     return made

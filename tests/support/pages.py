@@ -54,7 +54,6 @@ def _joined(text: str) -> list[str]:
 
 
 def blocks(page: Path) -> list[Block]:
-    """All fenced blocks of a page."""
     text = page.read_text()
     name = str(page.relative_to(ROOT))
     return [

@@ -51,7 +51,6 @@ class Scene(Stage):
         return self._without_pings(self.wire.read())
 
     def next_ns(self) -> int:
-        """The time of its next turn without any news."""
         return min(self.clock() + main.TICK_NS, self.owner.loop.due_ns())
 
     def _without_pings(self, wrote: bytes) -> bytes:
@@ -65,17 +64,9 @@ class Scene(Stage):
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
         self.frames.put(records.FRAME.pack(epoch, kind, frame), self.clock() - age_ns)
 
-    def forward(
-        self,
-        frame: bytes = MOTION,
-        *,
-        epoch: int = 1,
-        age_ns: int = 0,
-        kind: int = records.MOTION,
-        elapsed_ns: int = 0,
-    ) -> bytes:
-        """The bytes that it writes in a turn for a frame of the gate's."""
-        self.put(frame, epoch=epoch, age_ns=age_ns, kind=kind)
+    def forward(self, frame: bytes = MOTION, *, elapsed_ns: int = 0, **words: int) -> bytes:
+        """The bytes that it writes in a turn for a frame of the gate's, put with these words."""
+        self.put(frame, **words)
         return self.turn(elapsed_ns)
 
     def answer(self, elapsed_ns: int = 0, *, alive: bool = True) -> tuple[bytes, list[str]]:
@@ -83,7 +74,6 @@ class Scene(Stage):
         return self.turn(elapsed_ns, alive=alive), self.reasons()
 
     def drive(self) -> None:
-        """Get it to where a motion frame has just been written."""
         self.turn()
         assert self.forward() == MOTION
         assert self.owner.admission.wheels_move
@@ -115,7 +105,6 @@ class Scene(Stage):
         return self._newest_port()[2]
 
     def port(self) -> tuple[int, str]:
-        """Number and path of the port."""
         number, _, _, path = self._newest_port()
         return number, path
 

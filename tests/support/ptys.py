@@ -54,7 +54,6 @@ class Pty:
         self.link = os.ttyname(self.slave)
 
     def read(self) -> bytes:
-        """Everything that has reached the board's side."""
         data = b""
         with contextlib.suppress(BlockingIOError):
             while part := os.read(self.master, 65536):
@@ -81,7 +80,6 @@ class Pty:
 
 @contextlib.contextmanager
 def new_pty() -> Iterator[Pty]:
-    """A Pty for the length of a block."""
     made = Pty()
     try:
         yield made
@@ -98,7 +96,6 @@ class Board:
         self.executed: list[tuple[bytes, tuple[float, ...]]] = []
 
     def feed(self, data: bytes) -> None:
-        """Take in bytes."""
         for _, func, body in self.receiver.feed(data):
             if func == MOTOR:
                 self.executed.append((body, self.motors.execute(body)))

@@ -6,16 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from failstop.lab.browser.acts import ROWS, TENTH
-from failstop.lab.faults.fault import (
-    BY_ITSELF,
-    BY_NEW_RUN,
-    BY_RESET,
-    PROCESS_DIES,
-    PROCESS_HANGS,
-    SEVERAL,
-    Fault,
-    fits,
-)
+from failstop.lab.faults.fault import BY_ITSELF, BY_NEW_RUN, BY_RESET, PROCESS_DIES, PROCESS_HANGS, SEVERAL, Fault, fits
 from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.policy.causes import CAUSE_BY_NAME, Cause
 
@@ -34,7 +25,6 @@ class Page(Protocol):
 
 
 def until(page: Page, what: str, check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-    """Let time pass until the page shows that."""
     for _ in range(MOST):
         if check(shown := page.shown()):
             return shown
@@ -51,7 +41,6 @@ def stands(shown: dict[str, Any]) -> bool:
 
 
 def cause_of(shown: dict[str, Any]) -> Cause | None:
-    """The cause that is latched, as the service has it."""
     if (told := shown["cause"]) is None:
         return None
     return CAUSE_BY_NAME[told["name"]](*told["arguments"])

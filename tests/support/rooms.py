@@ -17,7 +17,6 @@ def package() -> list[Path]:
 
 
 def name_of(path: Path) -> str:
-    """The name by which a file of the package is imported."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     parts = parts if parts[0] == "failstop" else ("failstop", *parts)
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)

@@ -37,7 +37,6 @@ class Board:
         self._cursor = 0
 
     def events(self) -> list[Frame]:
-        """The frames executed since the last such call."""
         self._robot.board.catch_up()
         found = self._model.executed(self._cursor)
         self._cursor += len(found)
@@ -58,9 +57,8 @@ class Board:
         self._robot.board.catch_up()
         return self._model.wheels
 
-    def wait_wheels(self, *, turning: bool, timeout_s: float = PATIENCE_S) -> None:
-        """Wait until any wheel turns, or until all stand."""
-        self._wait_for("the wheels", lambda: any(self.wheels()) == turning, timeout_s)
+    def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
+        self._wait_for("the wheels", lambda: any(self.wheels()) == moving, timeout_s)
 
     def key(self, key_id: int, event: int) -> None:
         self._model.key(key_id, event, self._robot.machine.now_ns)
@@ -75,23 +73,19 @@ class Board:
         self._model.pad_silent()
 
     def joints(self) -> dict[int, float]:
-        """The position of each of the arm's servos now, in pulses."""
         now_ns = self._robot.machine.now_ns
         return {servo: found.leg.at(now_ns) for servo, found in self._model.servos.by_id.items()}
 
     def joint_track(self) -> list[Leg]:
-        """The moves that the arm's servos made."""
         return list(self._model.servos.track)
 
     def servo(self, servo: int, **values: bool | float) -> None:
-        """Change a servo, as SimBoard.servo."""
         self._model.servos.change(servo, self._robot.machine.now_ns, **values)
 
     def deaf(self, on: bool) -> None:
         self._model.deaf = on
 
     def refuse_stop(self, on: bool) -> None:
-        """A wheel that is told to stop turns on."""
         self._model.refuse_stop = on
 
     def imu(self, on: bool) -> None:
@@ -174,14 +168,12 @@ class Simulated:
 
     @property
     def said(self) -> str:
-        """The text that the service wrote to stderr."""
         return self.lab.said
 
     def pids(self) -> dict[str, int]:
         return {name: row.pid for name, row in self.robot.state.processes.items()}
 
     def living(self) -> list[str]:
-        """The processes of the service that live."""
         return [each.name for each in self.lab.machine.processes.values() if self._lives(each)]
 
     @staticmethod
@@ -194,19 +186,15 @@ class Simulated:
         return found
 
     def die(self, name: str) -> None:
-        """SIGKILL a process."""
         self.lab.machine.die(self._of(name), -9)
 
     def suspend(self, name: str) -> None:
-        """SIGSTOP."""
         self.lab.machine.kill(self._of(name), SIGSTOP)
 
     def resume(self, name: str) -> None:
-        """SIGCONT."""
         self.lab.machine.kill(self._of(name), SIGCONT)
 
     def hold(self, name: str, seconds: float, *, starved: bool = False) -> None:
-        """Run nothing of a process for so long."""
         self.lab.machine.hold(self._of(name), round(seconds * 1000) * MS, starved=starved)
 
     def kill(self, name: str, drive_s: float = 0.15) -> Stopped:
@@ -237,7 +225,6 @@ class Simulated:
         return self._robot
 
     def leave(self) -> None:
-        """Disconnect the driving client."""
         if self._robot:
             self._robot.close()
             self._robot = None
@@ -253,7 +240,6 @@ class Simulated:
         return " ".join(out.split())
 
     def json(self, *words: str, each: Callable[[], object] = lambda: None) -> Any:
-        """The object that a command prints with --json."""
         code, out, err = self.command(*words, "--json", each=each)
         assert (code, err) == (0, "")
         return json.loads(out)
@@ -263,7 +249,6 @@ class Simulated:
         return self.lab.program(name, body)
 
     def driver(self, client: str, velocity: tuple[float, float, float] = FORWARD, **options: object) -> Process:
-        """Start another program, which drives until it is killed."""
 
         def drive(failstop: Any) -> None:
             with failstop.Robot(client=client) as robot:
@@ -289,10 +274,7 @@ class Simulated:
         return True
 
     def drive(
-        self,
-        seconds: float,
-        velocity: tuple[float, float, float] = FORWARD,
-        each: Callable[[], object] = lambda: None,
+        self, seconds: float, velocity: tuple[float, float, float] = FORWARD, each: Callable[[], object] = lambda: None
     ) -> None:
         """Command a velocity every 20 ms, calling `each` every time; a service that is gone is commanded in vain."""
         until_ns = self.now_ns() + round(seconds * 1e9)

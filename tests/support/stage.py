@@ -64,7 +64,6 @@ class Wire:
         self._folder.put(f"ttyACM{number}", self.port)
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the port."""
         self._came += data
         self.on_bytes(data)
 
@@ -76,7 +75,6 @@ class Wire:
         return found
 
     def fill(self) -> None:
-        """The port takes nothing more until it drains."""
         self.port.drains = False
         self.port.held += bytes(self.port.ROOM - len(self.port.held))
 
@@ -92,7 +90,6 @@ class Wire:
             self.port.unplug()
 
     def replug(self) -> Wire:
-        """Put another port in the place of this one."""
         self.unplug()
         return Wire(self.machine, self.number + 1)
 
@@ -139,16 +136,13 @@ class Dummy:
         self.pid = self._process.pid
 
     def kill(self) -> None:
-        """SIGKILL, and its late news has come."""
         self._machine.die(self._process, -9)
         self._machine.run(lambda: self._process.code is not None, 1_000 * MS)
 
     def starve(self) -> None:
-        """The machine does not run it."""
         self._machine.hold(self._process, 1 << 61, starved=True)
 
     def lives(self) -> bool:
-        """Nobody has killed it."""
         return not self._process.dead
 
 
@@ -185,16 +179,13 @@ class PortMachine:
         self.wire = Wire(self.machine)
 
     def open(self, wire: Wire) -> int:
-        """A descriptor of that board's port."""
         found: int = self.os.open(wire.link, os.O_RDWR | os.O_NONBLOCK)
         return found
 
     def open_fds(self) -> int:
-        """The number of descriptors that are open."""
         return len(self.me.files)
 
     def after(self, ns: int, action: Callable[[], object]) -> None:
-        """Have something happen when so much time has passed."""
         self.machine.at(self.clock() + ns, lambda: (action(), None)[1])
 
     def at_next(self, call: str, action: Callable[[], object]) -> None:
@@ -224,9 +215,8 @@ class Stage(PortMachine):
         self._bell, self._segment = self.load("failstop.shm.bell"), self.load("failstop.messages.segments")
         for spec in layout.SEGMENTS:
             self._segment.create(self.name, spec.name, INCARNATION).close()
-        self.settings = self.load("failstop.policy.settings").Settings(
-            {"device.path": self.wire.link, **self.changed, **changed}
-        )
+        changed = {"device.path": self.wire.link, **self.changed, **changed}
+        self.settings = self.load("failstop.policy.settings").Settings(changed)
         self.board = self.load("failstop.board.kinds").board_of(*self.settings.board())
         self.supervisor = Dummy(self.machine, layout.SUPERVISOR)
         self.parent = self.supervisor.pid
@@ -252,7 +242,6 @@ class Stage(PortMachine):
     # What Context offers.
 
     def client_slots(self) -> list[Any]:
-        """Every client's slot, to read."""
         return [self._segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
 
     def fd(self, key: str) -> int:
@@ -267,7 +256,6 @@ class Stage(PortMachine):
     # The rest of the service.
 
     def owned(self, name: str) -> Any:
-        """A segment as its own process has it."""
         return self._segment.attach(self.name, name, INCARNATION, write=True)
 
     def news_of(self, dummy: Dummy) -> dict[int, int]:
@@ -283,7 +271,6 @@ class Stage(PortMachine):
             self.views[process].word("beat_ns").set(self.clock() - age_ns)
 
     def start(self, process: str, state: int = heartbeat.BEAT_RUNNING) -> Dummy:
-        """A new process which the supervisor names."""
         dummy = Dummy(self.machine, process)
         self.views[process].word("beat_pid").set(dummy.pid)
         self.views[process].word("beat_state").set(state)
@@ -292,14 +279,12 @@ class Stage(PortMachine):
         return dummy
 
     def runs(self, process: str) -> None:
-        """Have it say that it runs."""
         self.views[process].word("beat_state").set(heartbeat.BEAT_RUNNING)
 
     def ask_to_stop(self, message: bytes) -> None:
         self.os.write(self._fds["stop"], message)
 
     def send_port(self, wire: Wire, number: int) -> None:
-        """The supervisor has opened a port and hands it over."""
         fd = self.open(wire)
         self.control.send(fd, number, wire.link)
         self.os.close(fd)
@@ -311,11 +296,9 @@ class Stage(PortMachine):
         return self.wire
 
     def write_text(self, path: str, text: str) -> None:
-        """A file of the machine, in a folder that is there."""
         with File(self.os, path, "w", None) as file:
             file.write(text)
 
     def read_text(self, path: str) -> str:
-        """The text of a file of the machine."""
         with File(self.os, path, "r", None) as file:
             return str(file.read())

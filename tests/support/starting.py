@@ -49,7 +49,6 @@ class Source:
 
 
 def starts(path: Path) -> bool:
-    """True where the tests of this file may start a process."""
     left = [path]
     seen = set(left)
     while left:
@@ -88,7 +87,6 @@ def _stamp(path: Path) -> Stamp:
 
 @functools.cache
 def _kept() -> dict[str, tuple[Stamp, Source]]:
-    """The facts of each file that are known, by its path."""
     with contextlib.suppress(Exception):  # whatever is in that file: it is made again
         found: dict[str, tuple[Stamp, Source]] = pickle.loads(KEPT.read_bytes())
         return found
@@ -111,7 +109,6 @@ def keep() -> None:
 
 @functools.cache
 def read(path: Path) -> Source:
-    """The facts of this file."""
     stamp, (known, source) = _stamp(path), _kept().get(str(path), (None, None))
     if source is None or known != stamp:
         source = _parsed(path)

@@ -15,7 +15,6 @@ KEY_STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4
 
 
 def process(**changed: Any) -> Process:
-    """A process that runs well."""
     healthy = Process(4711, "running", 0.005, 0, None, 0.02, realtime=True, memory_locked=True)
     return dataclasses.replace(healthy, **changed)
 
@@ -27,56 +26,33 @@ def stop(cause: Cause = KEY, **changed: Any) -> Stop:
 
 def state(**changed: Any) -> State:
     """A service as it is after its start: disabled, all well."""
-    base = State(
-        name="failstop",
-        enabled=False,
-        estop=None,
-        cause=None,
-        blocked="disabled",
-        body_vel=Velocity(0.0, 0.0, 0.0),
-        wheels_radps=Wheels((0.0,) * 4),
-        epoch=1,
-        waiting_for=None,
-        device=Device("/dev/ttyACM0", "open", "alive"),
-        processes={name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")},
-        starved=None,
-        clients=(),
-        sources=(),
-        scan_age_s=None,
-        last_stop=None,
-        imu=None,
-        gyro_bias=None,
-        odometry=None,
-        pad_mode=None,
-        battery_v=12.0,
-        plugged="unknown",
-        age_s=0.004,
-    )
-    return dataclasses.replace(base, **changed)
+    base: dict[str, Any] = {"name": "failstop", "enabled": False, "estop": None, "cause": None, "blocked": "disabled"}
+    base |= {"body_vel": Velocity(0.0, 0.0, 0.0), "wheels_radps": Wheels((0.0,) * 4), "epoch": 1, "waiting_for": None}
+    base |= {"device": Device("/dev/ttyACM0", "open", "alive"), "starved": None, "clients": (), "sources": ()}
+    base |= {"processes": {name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")}}
+    base |= dict.fromkeys(("scan_age_s", "last_stop", "imu", "gyro_bias", "odometry", "pad_mode"))
+    base |= {"battery_v": 12.0, "plugged": "unknown", "age_s": 0.004}
+    return State(**{**base, **changed})
 
 
 def latched(cause: Cause = KEY, **changed: Any) -> State:
-    """A state with a stop latched."""
     told = {"cause": cause, "estop": str(cause), "blocked": f"estop: {cause}", "last_stop": stop(cause)}
     return state(**{**told, **changed})
 
 
 def arm(*joints: str, **changed: Any) -> ArmState:
-    """An arm that stands, with these joints."""
     rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
     base = ArmState("", "", False, "", "", "", False, (), (), "", None, None, rows)
     return dataclasses.replace(base, **changed)
 
 
 def driving(**changed: Any) -> State:
-    """A state while a client drives forward."""
     source = Source("cmd_vel", 0, "nav (pid 42)", "drives")
-    base = {
+    base: dict[str, Any] = {
         "enabled": True,
         "blocked": None,
-        "body_vel": Velocity(0.2, 0.0, 0.0),
-        "wheels_radps": Wheels((5.0,) * 4),
         "sources": (source,),
         "clients": (Client(0, "nav", 42, True),),
     }
+    base |= {"body_vel": Velocity(0.2, 0.0, 0.0), "wheels_radps": Wheels((5.0,) * 4)}
     return state(**{**base, **changed})

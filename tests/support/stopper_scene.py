@@ -30,7 +30,6 @@ class Scene(Stage):
         return self.wire.read()
 
     def next_ns(self) -> int:
-        """The time of its next turn without any news."""
         return min(self.clock() + main.LONGEST_SLEEP_NS, self.stopper.loop.due_ns())
 
     def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:

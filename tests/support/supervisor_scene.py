@@ -77,7 +77,6 @@ class Scene(PortMachine):
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def wait(self, process: Process, argv: list[str]) -> int:
-        """A program that waits to be killed."""
         self.machine.block()
         return 0
 
@@ -86,11 +85,9 @@ class Scene(PortMachine):
         return self.load("failstop.supervisor.run").Run(self.settings, "stage", RUNTIME_DIR, journal)
 
     def plug(self) -> None:
-        """A board is there again, under the same path."""
         self.wire = Wire(self.machine)
 
     def write(self, path: str, text: str) -> None:
-        """Make a file."""
         self.os.makedirs(os.path.dirname(path))
         fd = self.os.open(path, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
         self.os.write(fd, text.encode())
@@ -115,7 +112,6 @@ class Scene(PortMachine):
         return self.wire.read() if self.wire.port.drains else b""
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
-        """A turn in which the port owner beats."""
         self.now_ns += elapsed_ns
         self.beat(layout.PORT_OWNER)
         return self.pass_time()
@@ -132,7 +128,6 @@ class Scene(PortMachine):
         return wrote
 
     def next_ns(self) -> int:
-        """The time of its next turn without any news."""
         due_ns: int = self.supervisor.loop.due_ns()
         return min(self.now_ns + main.TICK_NS, due_ns)
 
@@ -155,15 +150,12 @@ class Scene(PortMachine):
         self.now_ns += TAKEDOWN_NS
 
     def starve(self, name: str) -> None:
-        """The machine does not run it."""
         self.machine.hold(self.employ(name), 1 << 61, starved=True)
 
     def running(self, program: str) -> list[Process]:
-        """The living processes of a program."""
         return [process for process in self.born if process.name == program and not process.dead]
 
     def state(self, name: str) -> str:
-        """The state that the supervisor sees it in."""
         state: str = self.supervisor.processes[name].state
         return state
 
@@ -172,7 +164,6 @@ class Scene(PortMachine):
             self.own[name].word("beat_ns").set(self.now_ns)
 
     def keep_beating(self) -> None:
-        """Every process beats from now on, each millisecond."""
         self.beat(*layout.PROCESS_NAMES[1:])
         self.machine.at(self.now_ns + MS, self.keep_beating)
 
@@ -191,15 +182,12 @@ class Scene(PortMachine):
         self.port_owner.word("stopped_epoch").set(self.supervisor.epoch)
 
     def enabled(self, epoch: int = 1, **more: object) -> None:
-        """The gate has enabled motion."""
         self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch, **more}))
 
     def notice(self, reason: str = "key1", *, written_ns: int = 0, late_ns: int = 0) -> None:
-        """The port owner has stopped for a cause of its own."""
         self.raises(layout.PORT_OWNER, why(reason), written_ns=written_ns, late_ns=late_ns)
 
     def gate_stops(self, reason: str = "multiple cmd_vel publishers") -> None:
-        """The gate has latched."""
         self.raises(layout.GATE, why(reason))
 
     def raises(self, name: str, cause: causes.Cause, *, written_ns: int = 0, late_ns: int = 0) -> None:
@@ -214,12 +202,10 @@ class Scene(PortMachine):
             self.telemetry.word("pong").set(records.pack_pong(self.now_ns + MS, index))
 
     def judge(self, *, still: bool) -> None:
-        """The IMU's verdict of just now."""
         self.telemetry.word("still_ns").set(self.now_ns if still else 0)
         self.telemetry.word("judged_ns").set(self.now_ns)
 
     def ask_reset(self, asked_ns: int | None = None) -> None:
-        """The gate passes a reset on."""
         self.gate.word("reset_asked_ns").set(asked_ns or self.now_ns)
         self.gate.word("resets_asked").set(self.gate.word("resets_asked").get() + 1)
 
@@ -229,14 +215,12 @@ class Scene(PortMachine):
         return self.load("failstop.supervisor.stops").Stop(t_ns or self.now_ns, by, found)
 
     def stops(self, reason: str) -> None:
-        """The gate stops, and the port owner answers."""
         self.gate_stops(reason)
         self.turn()
         self.answers(written_ns=self.now_ns)
         self.turn(MS)
 
     def reset(self) -> None:
-        """Somebody resets, and it is done."""
         self.ask_reset()
         self.turn(MS)
         assert self.decided() is not None
@@ -244,7 +228,6 @@ class Scene(PortMachine):
     # Its words to others.
 
     def read(self, record: str) -> bytes:
-        """A record of the supervisor's."""
         entry = self.view.latest_reader(record).read()
         assert entry is not None
         found: bytes = entry[2]
@@ -256,7 +239,6 @@ class Scene(PortMachine):
         return entry[0] if entry else 0
 
     def table(self, record: str) -> dict[str, Any]:
-        """A record that is a map."""
         found: dict[str, Any] = msgpack.unpackb(self.read(record))
         return found
 
@@ -290,7 +272,6 @@ class Scene(PortMachine):
         return found
 
     def events(self) -> list[dict[str, Any]]:
-        """The events since the last call."""
         found = []
         while entry := self._told.next():
             found.append(msgpack.unpackb(entry[2]))
@@ -307,14 +288,12 @@ class Scene(PortMachine):
         return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
 
     def rung(self, process: str) -> bool:
-        """True when its bell was rung since the last call."""
         bell = self.run.bells[process]
         found: bool = self.supervisor.loop.readable(bell.fd)
         bell.clear()
         return found
 
     def fds(self) -> set[int]:
-        """The descriptors that the supervisor has."""
         return set(self.me.files)
 
     def refuse(self, call: str, error: Exception, when: Callable[..., bool] = lambda *about: True) -> None:

@@ -33,7 +33,6 @@ class Scene(Stage):
         self.start_telemetry()
 
     def start_telemetry(self) -> None:
-        """Start telemetry for the first time, or after its death."""
         self.telemetry = self.load("failstop.procs.telemetry.main").Telemetry(self)
 
     def turn(self, *frames: tuple[int, bytes], elapsed_ns: int = 0, gate: bool = True) -> None:
@@ -56,21 +55,17 @@ class Scene(Stage):
         self.turn((framing.IMU_FUNC, struct.pack("<6f", *raw)), elapsed_ns=elapsed_ns)
 
     def stand(self, seconds: float, z_dps: float = 0.25) -> None:
-        """Samples of a robot at rest."""
         for _ in range(round(seconds * 1000 / 9)):
             self.imu(0.0, 0.0, 1.0, 0.0, 0.0, z_dps)
 
     def pad(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, *, times: int = 1) -> None:
-        """Frames of the gamepad."""
         for _ in range(times):
             self.turn((framing.GAMEPAD, struct.pack("<HB4b", buttons, 0, lx, ly, rx, 0)), elapsed_ns=50 * MS)
 
     def key(self, key: int, event: int) -> None:
-        """An event of a key of the board."""
         self.turn((framing.KEY_FUNC, bytes((key, event))))
 
     def battery(self, *millivolts: int) -> None:
-        """Readings of the battery's voltage."""
         for mv in millivolts:
             self.turn((framing.SYS, struct.pack("<BH", 4, mv)), elapsed_ns=1_050 * MS)
 
@@ -87,12 +82,10 @@ class Scene(Stage):
         return (x, y, z), tracking, calibrated
 
     def commands(self) -> int:
-        """The number of pad commands that were written."""
         entry = self.own.latest_reader("pad_command").read()
         return entry[0] if entry else 0
 
     def told(self, ring: str) -> list[bytes]:
-        """New entries of a ring of telemetry's."""
         found = []
         while entry := self._readers[ring].next():
             found.append(entry[2])
@@ -103,7 +96,6 @@ class Scene(Stage):
         return [records.PAD_REQUEST.unpack(request) for request in self.told("pad_requests")]
 
     def notes(self) -> list[str]:
-        """The notes that people got since the last look."""
         return [Note.unpack(note).text for note in self.told("notes")]
 
     def rung(self, name: str) -> bool:

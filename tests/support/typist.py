@@ -68,7 +68,6 @@ class Typist:
             os.close(self._open.pop())
 
     def resize(self, columns: int, rows: int, *, tell: bool = True) -> None:
-        """Give the window another size."""
         fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         if tell:
             self.process.send_signal(signal.SIGWINCH)
@@ -96,7 +95,6 @@ class Typist:
         self.look()
 
     def screen(self) -> str:
-        """The text that stands on the screen."""
         return "\n".join(self._lines.get(row, "") for row in range(1, max(self._lines, default=0) + 1))
 
     def wait(self, text: str, timeout_s: float = WAIT_S) -> str:

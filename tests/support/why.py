@@ -21,11 +21,9 @@ def why(text: str) -> Cause:
 
 
 def said(cause: Cause | None) -> str:
-    """The text of such a cause again."""
     assert cause is not None
     return str(cause.named()["words"]) if cause.kind is causes.PIPED else str(cause)
 
 
 def told(reply: Reply) -> tuple[bool, str]:
-    """The outcome of a request, in plain values."""
     return bool(reply.done), str(reply)

@@ -75,7 +75,6 @@ def place(shared_place: Place) -> Iterator[Place]:
 
 @pytest.fixture(scope="package")
 def built(shared_place: Place) -> list[str]:
-    """The output of the build."""
     build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(shared_place.packages)]
     done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
@@ -84,7 +83,6 @@ def built(shared_place: Place) -> list[str]:
 
 @pytest.fixture(scope="package")
 def package(built: list[str]) -> str:
-    """The package's path inside."""
     return f"/packages/{Path(built[0]).name}"
 
 

@@ -48,7 +48,6 @@ def called(*words: object) -> Callable[[], None]:
 
 
 def write(path: str) -> Callable[[], None]:
-    """A new file at this place."""
 
     def make() -> None:
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT, 0o644))
@@ -58,12 +57,10 @@ def write(path: str) -> Callable[[], None]:
 
 
 def device(major: int, minor: int) -> Callable[[], None]:
-    """A device node of the container's."""
     return lambda: os.close(os.open(f"/dev/probe-{major}-{minor}", os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY))
 
 
 def executable_memory() -> None:
-    """Memory that may be written and executed."""
     mmap.mmap(-1, 4096, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC).close()
 
 
@@ -104,7 +101,6 @@ ATTEMPTS: dict[str, Callable[[], object]] = {
 
 
 def main() -> int:
-    """Print the outcomes, and who this process is."""
     os.close(os.open("/run/failstop/suid", os.O_WRONLY | os.O_CREAT, 0o644))
     found: dict[str, object] = {name: outcome(action) for name, action in ATTEMPTS.items()}
     os.unlink("/run/failstop/suid")

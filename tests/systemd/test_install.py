@@ -30,12 +30,10 @@ def completes(place: Place, script: str) -> bool:
 
 
 def said_of(package: str, what: str, *words: str) -> str:
-    """The answer of dpkg-deb."""
     return subprocess.run(["dpkg-deb", what, package, *words], check=True, capture_output=True, text=True).stdout
 
 
 def test_the_packages_as_a_machine_sees_them(built: list[str]) -> None:
-    """The laboratory is a package of its own."""
     package, laboratory = built[:2]
     path = os.path.relpath(package)
     assert built[-1] == f"next: sudo apt install {path if path.startswith('..') else f'./{path}'}"

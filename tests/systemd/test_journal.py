@@ -96,7 +96,6 @@ def test_entries_have_their_fields_and_come_from_the_service(incident: Scene) ->
 
 @pytest.mark.slow
 def test_nothing_is_told_twice(incident: Scene) -> None:
-    """An entry comes natively, and not by stderr as well."""
     assert entries(incident, "_TRANSPORT=stdout", f"_SYSTEMD_UNIT={UNIT}", "_COMM=fs:supervisor") == []
 
 
@@ -110,10 +109,6 @@ def test_the_catalog_is_accepted_and_explains_a_stop(incident: Scene) -> None:
     assert "Subject: stopper hung and was fenced" in explained
     assert "Next: was the machine overloaded or frozen?" in explained
     assert not re.search(r"@?FAILSTOP_(SILENT_MS|NAME)@?", explained), "every placeholder was filled"
-
-
-def test_there_are_ten_questions() -> None:
-    assert len(QUESTIONS) == 10
 
 
 ANSWERS = [

@@ -52,7 +52,6 @@ def whole_again(scene: Scene, before: dict[str, int]) -> None:
 
 
 def stop_since(scene: Scene, since_ns: int) -> None:
-    """Wait for a stop."""
     scene.board.wait_for(lambda event: event.is_stop and event.arrival_ns > since_ns, NEVER_S)
 
 
@@ -257,7 +256,6 @@ def test_the_port_is_not_to_be_had_beside_the_service(scene: Scene) -> None:
 
 
 def test_two_robots_share_nothing_but_the_user(scene: Scene) -> None:
-    """Files that the one removes at its end are not the other's."""
     link = os.path.join(os.path.dirname(scene.board.link), "two")
     other = "failstop@two.service"
     with SimBoard(link, mode=0o666) as board:
@@ -280,7 +278,6 @@ def test_two_robots_share_nothing_but_the_user(scene: Scene) -> None:
 
 
 def test_a_crash_loop_ends_stopped(shared_scene: Scene) -> None:
-    """So many starts soon after each other, five by the unit: then it stays down, until people have looked."""
     scene = shared_scene
     scene.end()
     scene.box.unit(DROP_IN, f"{RIGHTS}[Unit]\nStartLimitBurst=2\n")

@@ -18,21 +18,17 @@ BY_VERSION = (
     (239, "KillMode WatchdogSec User Group UMask WantedBy OOMScoreAdjust LimitRTPRIO LimitMEMLOCK LimitCORE"),
     (239, "CapabilityBoundingSet AmbientCapabilities PrivateTmp PrivateNetwork PrivateMounts DevicePolicy DeviceAllow"),
     (239, "NoNewPrivileges SystemCallFilter SystemCallErrorNumber SystemCallArchitectures RestrictAddressFamilies"),
-    (
-        239,
-        "RuntimeDirectory RuntimeDirectoryMode RuntimeDirectoryPreserve StateDirectory StateDirectoryMode KeyringMode",
-    ),
-    (
-        239,
-        "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups RestrictNamespaces",
-    ),
-    (239, "KeyringMode RestrictNamespaces OnFailure Conflicts After Wants"),
+    (239, "RuntimeDirectory RuntimeDirectoryMode RuntimeDirectoryPreserve StateDirectory StateDirectoryMode"),
+    (239, "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups"),
+    (239, "KeyringMode RestrictNamespaces"),
+    (239, "OnFailure Conflicts After Wants Environment EnvironmentFile LogsDirectory SupplementaryGroups DynamicUser"),
+    (239, "PrivateDevices LimitNOFILE CPUWeight MemoryMax TasksMax RestrictRealtime"),
     (239, "StartLimitIntervalSec StartLimitBurst MemoryDenyWriteExecute RemoveIPC LockPersonality IPAddressDeny"),
     (242, "RestrictSUIDSGID ProtectHostname"),
     (243, "OOMPolicy TimeoutAbortSec"),
     (244, "WatchdogSignal ProtectKernelLogs"),
     (245, "ProtectClock"),
-    (247, "ProtectProc ProcSubset"),
+    (247, "ProtectProc ProcSubset LoadCredential"),
     (248, "PrivateIPC"),
 )
 """The version of systemd that each setting came with, 239 or before it for the first."""
@@ -42,7 +38,6 @@ needs_analyze = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="
 
 
 def settings(name: str) -> list[tuple[str, str]]:
-    """(key, value) of each setting of a unit, in order."""
     lines = (SYSTEMD / name).read_text().splitlines()
     pairs = (line.partition("=") for line in lines if re.match(r"[A-Z]\w*=", line))
     return [(key, value) for key, _, value in pairs]

@@ -23,7 +23,7 @@ PART = (
     "tests/prove/test_settings.py",
     "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
     # What takes its time there has nothing to do with the machine.
-    "--deselect=tests/incidents/test_find.py::test_a_file_is_named_for_the_incident_or_as_it_was_asked_for",
+    "--deselect=tests/incidents/test_find.py::test_a_file_is_named_for_the_incident_or_as_asked",
 )
 
 

@@ -66,11 +66,8 @@ class ActionServer:
         self._goal_callback = goal_callback
         self._cancel_callback = cancel_callback
         self._handles: dict[tuple, ServerGoalHandle] = {}
-        for service, answer in (
-            ("send_goal", self._asked),
-            ("get_result", self._result),
-            ("cancel_goal", self._cancel),
-        ):
+        answers = {"send_goal": self._asked, "get_result": self._result, "cancel_goal": self._cancel}
+        for service, answer in answers.items():
             made = getattr(kind.Impl, service)
             node.create_service(made, f"{name}/_action/{service}", answer, callback_group=callback_group)
 

@@ -1,4 +1,4 @@
-"""The stand-in's executor: one callback a turn, in the order timers, subscriptions, services."""
+"""The stand-in's executor: one callback a turn, in the order subscriptions, services."""
 
 from __future__ import annotations
 
@@ -46,13 +46,11 @@ class SingleThreadedExecutor:
             with wire.news:
                 if found := self._found():
                     return found
-                due_s = min([until_s, *(timer.due_s for node in self._nodes for timer in node.timers)])
                 if time.monotonic() >= until_s:
                     return []
-                wire.news.wait(max(0.0, due_s - time.monotonic()))
+                wire.news.wait(max(0.0, until_s - time.monotonic()))
 
     def _found(self) -> list:
-        now_s = time.monotonic()
         if any(service and service.alone for service, _, _ in self._tasks):
             # The node's own group is mutually exclusive: nothing else runs before that callback's end, not even what
             # would wake this executor up.
@@ -63,14 +61,9 @@ class SingleThreadedExecutor:
         for node in self._nodes:
             found += [lambda c=coroutine: self._go_on(None, None, c) for coroutine in node.begun]
             node.begun.clear()
-            found += [lambda t=timer: self._fire(t) for timer in node.timers if timer.due_s <= now_s]
             found += [lambda s=sub: self._deliver(s) for sub in node.subscriptions if sub.waiting]
             found += [lambda s=service: self._serve(s) for service in node.services if service.waiting]
         return found
-
-    def _fire(self, timer: object) -> None:
-        timer.due_s = max(timer.due_s + timer.period_s, time.monotonic())
-        timer.callback()
 
     def _deliver(self, subscription: object) -> None:
         if subscription.waiting:

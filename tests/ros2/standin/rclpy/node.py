@@ -11,8 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from types import SimpleNamespace
 
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterValue, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters
 
 from rclpy import types
@@ -193,13 +192,6 @@ class Client:
         self._pending.pop(packet[0]).set_result(types.from_plain(f"{self._kind._name}_Response", packet[1]))
 
 
-class Timer:
-    def __init__(self, period_s: float, callback: object) -> None:
-        self.period_s = period_s
-        self.callback = callback
-        self.due_s = time.monotonic() + period_s
-
-
 class Logger:
     def __init__(self, name: str) -> None:
         self._name = name
@@ -229,7 +221,6 @@ class Node:
         self.services: list[Service] = []
         self.begun: list[object] = []
         """Coroutines that the executor is to go on with."""
-        self.timers: list[Timer] = []
         self._parameters: dict[str, Parameter] = {}
         self._free: set[str] = set()
         self._callbacks: list = []
@@ -237,25 +228,14 @@ class Node:
         self.create_service(SetParameters, "~/set_parameters", self._set)
 
     def end(self, topic: str, kind: str, qos: QoSProfile) -> dict:
-        """A publisher or subscription as the graph has it."""
-        names = {"node_name": self._name, "node_namespace": self._namespace}
+        names = {"node_name": self._name, "node_namespace": self._namespace, "s": time.time()}
         reliable = qos.reliability == ReliabilityPolicy.RELIABLE
         lasting = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        return {
-            "topic": topic,
-            "type": kind,
-            "reliable": reliable,
-            "lasting": lasting,
-            "depth": qos.depth,
-            **names,
-            "s": time.time(),
-        }
+        row = {"topic": topic, "type": kind, "reliable": reliable, "lasting": lasting, "depth": qos.depth}
+        return {**row, **names}
 
     def get_name(self) -> str:
         return self._name
-
-    def get_namespace(self) -> str:
-        return self._namespace
 
     def get_logger(self) -> Logger:
         return Logger(self._name)
@@ -298,10 +278,6 @@ class Node:
 
     def create_client(self, kind: type, name: str) -> Client:
         return Client(self, kind, self._resolved(name))
-
-    def create_timer(self, period_s: float, callback: object) -> Timer:
-        self.timers.append(Timer(period_s, callback))
-        return self.timers[-1]
 
     def destroy_node(self) -> None:
         pass
@@ -384,6 +360,3 @@ def _info(row: dict) -> object:
         topic_type=row["type"],
         qos_profile=QoSProfile(depth=row["depth"], reliability=reliability, durability=durability),
     )
-
-
-__all__ = ["Node", "ParameterMessage", "ParameterValue"]

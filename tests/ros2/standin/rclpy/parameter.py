@@ -5,14 +5,8 @@ from __future__ import annotations
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 
-FIELDS = {
-    1: "bool_value",
-    2: "integer_value",
-    3: "double_value",
-    4: "string_value",
-    8: "double_array_value",
-    9: "string_array_value",
-}
+FIELDS = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value"}
+FIELDS |= {8: "double_array_value", 9: "string_array_value"}
 
 
 def _type(value: object) -> int:
@@ -37,5 +31,4 @@ class Parameter:
 
 
 def value_of(message: ParameterValue) -> object:
-    """The inverse."""
     return getattr(message, FIELDS[message.type]) if message.type else None

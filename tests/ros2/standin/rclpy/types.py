@@ -123,7 +123,6 @@ def _fits(kind: str, value: object) -> bool:
 
 
 def to_plain(message: Message) -> dict[str, object]:
-    """A message as dictionaries, for the wire."""
     return {field: _plain(getattr(message, field)) for field in message._fields}
 
 
@@ -134,7 +133,6 @@ def _plain(value: object) -> object:
 
 
 def from_plain(kind: str, fields: dict[str, object]) -> Message:
-    """The inverse."""
     message = TYPES[kind]()
     for field, value in fields.items():
         object.__setattr__(message, field, _built(message._fields[field], value))
@@ -190,7 +188,6 @@ def _action(name: str, text: str) -> type:
 
 
 def install() -> None:
-    """Make every type, in modules to import them from."""
     for line in DEFINITIONS.strip().splitlines():
         name, _, text = line.partition(":")
         package, kind, last = name.split("/")

@@ -50,7 +50,6 @@ class Wire:
         self._thread.start()
 
     def tell(self) -> None:
-        """Write down what there is."""
         ends = {"pid": os.getpid(), "publishers": self.publishers, "subscriptions": self.subscriptions}
         path = os.path.join(self.folder, f"{self.name}.json")
         with open(f"{path}.new", "w") as file:
@@ -58,7 +57,6 @@ class Wire:
         os.replace(f"{path}.new", path)
 
     def touch(self) -> None:
-        """Say now and then that this process lives."""
         if time.monotonic() - self._touched_s > TOUCH_S:
             self._touched_s = time.monotonic()
             with contextlib.suppress(FileNotFoundError):
@@ -72,7 +70,6 @@ class Wire:
                 os.unlink(os.path.join(self.folder, f"{self.name}.{ending}"))
 
     def graph(self) -> dict[str, dict]:
-        """Every process's ends, by its name."""
         found = {}
         for entry in os.scandir(self.folder):
             name, ending = os.path.splitext(entry.name)
