@@ -34,11 +34,13 @@ def nothing_left() -> Iterator[None]:
     assert set(glob.glob("/dev/shm/*oneway-*")) <= memory
 
 
-def _slow(kind: type[Peer]) -> tuple[pytest.MarkDecorator, ...]:
-    return (pytest.mark.slow,) if issubclass(kind, Supervisord) else ()
+PEERS = [
+    pytest.param(kind, marks=[pytest.mark.slow] * issubclass(kind, Supervisord), id=kind.__name__)
+    for kind in peers.PEERS
+]
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=_slow(kind), id=kind.__name__) for kind in peers.PEERS])
+@pytest.mark.parametrize("kind", PEERS)
 def test_a_peer_stops_the_wheels_of_a_killed_driver(kind: type[Peer], nothing_left: None, board: SimBoard) -> None:
     try:
         peer = kind(board.link)
@@ -59,18 +61,11 @@ def test_a_peer_that_is_closed_while_driving_ends_its_driver(nothing_left: None,
     assert not psutil.pid_exists(pid)
 
 
-@pytest.mark.parametrize(
-    "stopped",
-    [
-        Stopped(0, None, None, None, 0, True),
-        Stopped(0, MS, MS, MS, 1, True),
-        Stopped(0, MS, MS, MS, 0, False),
-    ],
-    ids=["no stop", "motion after it", "wheels were at rest"],
-)
-def test_what_is_no_stop_is_no_sample(stopped: Stopped) -> None:
+@pytest.mark.parametrize(("stop_ms", "after", "moved"), [(None, 0, True), (1, 1, True), (1, 0, False)])
+def test_no_stop_motion_after_it_or_wheels_at_rest_are_no_sample(stop_ms: int | None, after: int, moved: bool) -> None:
+    ns = stop_ms and stop_ms * MS
     with pytest.raises(peers.PeerFailed):
-        peers.checked_ns("peer", stopped)
+        peers.checked_ns("peer", Stopped(0, ns, ns, ns, after, moved))
 
 
 @pytest.mark.parametrize(("theirs_ms", "met"), [((39, 100), False), ((41, 100), True)])
@@ -112,10 +107,7 @@ def test_cores_are_kept_awake_by_processes_that_give_way() -> None:
     with oneway.awake():
         spinners = set(psutil.Process().children()) - before
         assert len(spinners) == len(os.sched_getaffinity(0))
-        wait_for(
-            "the spinners to give way",
-            lambda: all(os.sched_getscheduler(spinner.pid) == os.SCHED_IDLE for spinner in spinners),
-        )
+        wait_for("them to give way", lambda: {os.sched_getscheduler(each.pid) for each in spinners} == {os.SCHED_IDLE})
     assert not any(spinner.is_running() for spinner in spinners)
 
 
