@@ -79,8 +79,8 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
 def test_a_lease_runs_out_exactly_then(silent_ns: int) -> None:
     beat_ns, lapsed = NOW - silent_ns, silent_ns >= LEASE_NS
     admission = Admission(BOARD, LEASE_NS, MAX_RPS)
-    for process, beats in (("gate", {"gate_ns": beat_ns}), ("supervisor", {"supervisor_ns": beat_ns})):
-        assert decided(**beats) == (causes.HANGS(process, silent_ns // MS) if lapsed else ADMIT)
+    for process, found in (("gate", decided(gate_ns=beat_ns)), ("supervisor", decided(supervisor_ns=beat_ns))):
+        assert found == (causes.HANGS(process, silent_ns // MS) if lapsed else ADMIT)
     assert bool(admission.lapsed(beat_ns, NOW, NOW)) is lapsed
     assert (admission.lapses_ns(beat_ns, NOW) <= NOW) is (admission.lapses_ns(NOW, beat_ns) <= NOW) is lapsed
     assert decided((FRAME, EPOCH, beat_ns)) == (DROP if lapsed else ADMIT), "a frame must be younger"
