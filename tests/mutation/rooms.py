@@ -31,7 +31,6 @@ ROOMS = {
             "tests/procs/test_admission.py",
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
-            "tests/procs/test_suspend.py",
             "tests/procs/test_wire*.py",
         ),
     ),
