@@ -139,7 +139,9 @@ def test_what_is_sent_is_read_and_an_imu_that_is_not_finite_is_nothing() -> None
     values = (0.5, -0.25, 1.0, 12.5, -3.0, 0.0)
     assert decoder.imu(data_of(upward.imu_frame(*values))) == values
     for place, bad in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
-        assert decoder.imu(data_of(upward.imu_frame(*values[:place], bad, *values[place + 1 :]))) is None
+        wrong = list(values)
+        wrong[place] = bad
+        assert decoder.imu(data_of(upward.imu_frame(*wrong))) is None
     pad = (0xC00F, 3, -128, 127, -1, 1)
     assert decoder.gamepad(data_of(upward.gamepad_frame(*pad))) == pad
     assert all(decoder.key(data_of(upward.key_frame(2, event))) == (2, event) for event in decoder.KEY_EVENTS)
