@@ -121,7 +121,7 @@ def test_it_does_not_become_the_controlling_terminal(pty: tuple[int, str]) -> No
     assert unprivileged(work) == str(errno.ENXIO)
 
 
-def test_dtr_is_set_first_and_only_rts_cleared_and_a_failure_leaks_nothing(
+def test_dtr_is_set_and_rts_cleared_and_a_failure_leaks_nothing(
     pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[int, int]] = []
@@ -308,7 +308,7 @@ def test_the_speed_is_set_to_another_and_back_although_it_is_set_already(
         assert any(speed != termios.B1000000 for speed in told[:-1])
 
 
-def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
+def test_beside_a_service_with_the_port_no_speed_is_changed(
     pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = open_port(pty[1], exclusive=True)

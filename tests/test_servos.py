@@ -102,7 +102,7 @@ def test_a_move_of_one_to_each_place_cut_anywhere(servo: int) -> None:
     data=st.data(),
 )
 @settings(max_examples=150, deadline=None)
-def test_any_move_cut_anywhere_and_the_stop_cut_too(
+def test_any_move_and_the_stop_cut_anywhere(
     moves: list[tuple[int, int]], duration_ms: int, data: st.DataObject
 ) -> None:
     frame = bus_servo_move(moves, duration_ms)

@@ -194,9 +194,7 @@ def test_a_hold_ends_the_stream_of_another_until_that_pauses_and_not_the_holder_
     assert scene.at(1) < stood - 10
 
 
-def test_a_stick_held_through_a_stop_and_a_reset_turns_no_joint_until_let_go_of(
-    scene: Scene,
-) -> None:
+def test_a_stick_held_through_a_stop_and_a_reset_turns_no_joint_until_let_go_of(scene: Scene) -> None:
     def hold(share: float) -> None:
         for _ in range(20):
             scene.pad(1, share)

@@ -108,7 +108,7 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
         (records.ARM_RELEASE, 0, "arm released: its torque is off"),
     ],
 )
-def test_hold_and_release_are_done_at_once_and_told_to_who_moves_it(
+def test_hold_and_release_are_done_at_once_and_told_to_the_mover(
     scene: Scene, verb: int, client: int, done: str
 ) -> None:
     scene.travel({1: 1.0})

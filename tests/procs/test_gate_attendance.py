@@ -100,9 +100,7 @@ def test_the_gate_wakes_when_the_lease_ends_and_when_the_last_operator_leaves() 
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(0, 3000), st.booleans()), max_size=60))
-def test_attendance_lasts_no_longer_than_the_lease_after_the_newest_proof(
-    steps: list[tuple[int, int, int, bool]],
-) -> None:
+def test_attendance_lasts_for_the_lease_after_the_newest_proof(steps: list[tuple[int, int, int, bool]]) -> None:
     """In any order and however late: it is attended exactly while some session that has not left
     has proven a moment no older than the lease."""
     attendance = Attendance(LEASE, on=True)

@@ -341,9 +341,7 @@ def test_a_damaged_cause_latches_too(scene: Scene) -> None:
 
 @pytest.mark.parametrize("successor", [False, True])
 @pytest.mark.parametrize(("after_ns", "granted"), [(-MS, False), (MS, True)])
-def test_a_request_of_before_the_stop_did_not_know_of_it(
-    scene: Scene, successor: bool, after_ns: int, granted: bool
-) -> None:
+def test_a_request_of_before_the_stop_is_refused(scene: Scene, successor: bool, after_ns: int, granted: bool) -> None:
     scene.stop("gate died")
     stopped_ns = scene.clock()
     if successor:

@@ -32,7 +32,7 @@ def pipe() -> Iterator[tuple[int, int]]:
             os.close(fd)
 
 
-def test_a_duplicate_arrives_with_its_number_and_path_and_works(
+def test_a_duplicate_arrives_with_number_and_path_and_works(
     ends: tuple[Control, Control], pipe: tuple[int, int]
 ) -> None:
     ways = [(7, "/dev/böard", "/dev/böard"), (2**64 - 1, "ä" * PATH_BYTES, "ä" * (PATH_BYTES // 2))]

@@ -185,9 +185,7 @@ def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene:
 
 
 @pytest.mark.parametrize(("call", "held_ms", "wrote"), [("select", 60, BURST), ("ioctl", 100, b"")])
-def test_held_up_behind_its_look_at_the_time_it_writes_nothing_old(
-    scene: Scene, call: str, held_ms: int, wrote: bytes
-) -> None:
+def test_held_up_behind_its_look_it_writes_nothing_old(scene: Scene, call: str, held_ms: int, wrote: bytes) -> None:
     """The machine may starve it for seconds there, and nobody kills it for that. While the pipe rests it looks into it
     before each frame; else it is held up between waking and writing."""
 

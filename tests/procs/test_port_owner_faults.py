@@ -209,9 +209,7 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
 
 
 @pytest.mark.parametrize(("frame", "new"), [(True, True), (False, True), (True, False)])
-def test_a_device_that_has_just_gone_or_has_a_successor_is_lost_before_that_is_seen(
-    scene: Scene, frame: bool, new: bool
-) -> None:
+def test_a_device_that_has_just_gone_or_has_a_successor_is_lost_first(scene: Scene, frame: bool, new: bool) -> None:
     """Else what was let pass for the old port would go to the new one, behind the stop."""
     scene.drive()
     if new:

@@ -67,9 +67,7 @@ def plug(machine: PortMachine) -> None:
     machine.wire = Wire(machine.machine, 1)
 
 
-def test_the_tool_writes_the_burst_and_takes_the_port_from_nobody(
-    machine: PortMachine, stop: Stop, said: list[str]
-) -> None:
+def test_the_tool_writes_the_burst_and_takes_nobody_s_port(machine: PortMachine, stop: Stop, said: list[str]) -> None:
     fd = machine.open(machine.wire)
     fcntl = machine.system["fcntl"]
     fcntl.flock(fd, fcntl.LOCK_EX)
@@ -79,9 +77,7 @@ def test_the_tool_writes_the_burst_and_takes_the_port_from_nobody(
     machine.os.close(fd)
 
 
-def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
-    machine: PortMachine, said: list[str], refused: Any
-) -> None:
+def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine, said: list[str], refused: Any) -> None:
     asked: list[Any] = []
     tool = machine.load("failstop.stopping")
 
@@ -97,9 +93,7 @@ def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
 
 
 @pytest.mark.parametrize("wait_s", [0.0, 5.0])
-def test_the_tool_gives_up_after_the_wait_with_the_last_reason(
-    machine: PortMachine, stop: Stop, refused: Any, wait_s: float
-) -> None:
+def test_the_tool_gives_up_after_the_wait(machine: PortMachine, stop: Stop, refused: Any, wait_s: float) -> None:
     assert stopping.RETRY_S <= 0.2, "it looks often enough"
     with pytest.raises(refused, match=f"no device {ABSENT}") as raised:
         stop(wait_s, ABSENT)
@@ -118,9 +112,7 @@ def test_the_tool_warns_once_after_a_second(machine: PortMachine, stop: Stop, sa
 
 
 @pytest.mark.parametrize("error", [(errno.EBUSY, "busy"), (errno.EACCES, "permission"), (errno.EMFILE, "io")])
-def test_any_other_obstacle_is_waited_for_too(
-    machine: PortMachine, error: tuple[int, str], stop: Stop, refused: Any
-) -> None:
+def test_other_obstacles_are_waited_for(machine: PortMachine, error: tuple[int, str], stop: Stop, refused: Any) -> None:
     def refuse(thread: object, call: str, about: object) -> None:
         if call == "open":
             raise OSError(error[0], os.strerror(error[0]))
@@ -135,9 +127,7 @@ def test_any_other_obstacle_is_waited_for_too(
 
 
 @pytest.mark.parametrize("holds", ["bytes of others", "its own"])
-def test_a_port_that_takes_no_bytes_says_power_switch(
-    machine: PortMachine, stop: Stop, refused: Any, holds: str
-) -> None:
+def test_a_port_that_takes_none_says_power_switch(machine: PortMachine, stop: Stop, refused: Any, holds: str) -> None:
     port = machine.wire.port
     if holds == "its own":  # which are no stop while the kernel has them
         port.under_way = 59
@@ -265,9 +255,7 @@ def test_a_worker_in_a_group_for_processors_is_killed_too(grouped: PortMachine) 
     assert not theirs.dead
 
 
-def test_the_dead_are_not_counted_and_who_was_just_started_is_killed(
-    grouped: PortMachine,
-) -> None:
+def test_the_dead_are_not_counted_and_who_was_just_started_is_killed(grouped: PortMachine) -> None:
     dead, gone = start(grouped), start(grouped)
     for process in (dead, gone):
         grouped.machine.die(process, 0)
@@ -288,9 +276,7 @@ def test_the_dead_are_not_counted_and_who_was_just_started_is_killed(
 
 
 @pytest.mark.parametrize("becomes", [None, THEIRS])
-def test_a_pid_that_is_another_s_by_the_time_it_is_opened_is_not_killed(
-    grouped: PortMachine, becomes: str | None
-) -> None:
+def test_a_pid_that_is_another_s_when_it_is_opened_is_not_killed(grouped: PortMachine, becomes: str | None) -> None:
     bystander = start(grouped)
     change = grouped.os.unlink if becomes is None else lambda _: put(grouped, bystander.pid, str(becomes))
     grouped.at_next("pidfd_open", lambda: change(cgroup(bystander.pid)))

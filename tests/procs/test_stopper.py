@@ -192,9 +192,7 @@ def test_a_port_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire
 
 
 @pytest.mark.parametrize("noticed_by", ["its hang-up", "a write", "none"])
-def test_a_port_that_has_gone_is_let_go_at_once_and_said_not_to_be_held(
-    scene: Scene, other: Wire, noticed_by: str
-) -> None:
+def test_a_port_that_has_gone_is_let_go_and_said_not_to_be_held(scene: Scene, other: Wire, noticed_by: str) -> None:
     fd, number = scene.fd("port"), scene.own.word("port_number")
     assert number.get() == 1
     if noticed_by == "none":  # the service has none

@@ -21,9 +21,7 @@ FILL = bytes(Port.ROOM)
 """Bytes that fill a port."""
 
 
-def test_frames_and_bursts_arrive_whole_and_nowhere_without_a_port(
-    machine: PortMachine, board: Wire, wire: Any
-) -> None:
+def test_frames_and_bursts_arrive_whole_where_there_is_a_port(machine: PortMachine, board: Wire, wire: Any) -> None:
     assert wire.frame(MOTION)
     wire.burst()
     assert wire.frame(OTHER)

@@ -51,7 +51,7 @@ def settled(state: int = UNDECIDED, **changed: object) -> Charger:
 
 @pytest.mark.parametrize(("changed", "least_mv"), [({}, 190), ({"battery.step_mv": 500}, 500)])
 @pytest.mark.parametrize(("sign", "state"), [(1, PLUGGED_IN), (-1, UNPLUGGED)])
-def test_a_step_of_190_mv_or_the_setting_s_is_the_charger(
+def test_a_step_of_190_mv_or_a_setting_s_is_the_charger(
     changed: dict[str, Any], least_mv: int, sign: int, state: int
 ) -> None:
     """Motor load makes +-170 mV."""
@@ -160,8 +160,6 @@ def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
         "every 10 s",
     ],
 )
-def test_a_line_is_due_a_period_after_the_last(
-    changed: dict[str, object], times_ns: tuple[int, ...], lines: list[bool]
-) -> None:
+def test_a_line_is_due_a_period_on(changed: dict[str, object], times_ns: tuple[int, ...], lines: list[bool]) -> None:
     tested = log(**changed)
     assert [tested.take(11_800, False, t_ns, NOON) is not None for t_ns in times_ns] == lines

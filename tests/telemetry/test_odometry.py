@@ -100,9 +100,7 @@ def test_a_successor_goes_on_from_the_pose_and_the_twist_s_deviation_is_the_sett
 
 
 @given(st.lists(st.tuples(st.integers(0, 300), VELOCITY), max_size=40))
-def test_it_never_goes_further_than_speed_times_bounded_time(
-    steps: list[tuple[int, tuple[float, float, float]]],
-) -> None:
+def test_it_goes_no_further_than_speed_times_bounded_time(steps: list[tuple[int, tuple[float, float, float]]]) -> None:
     tested = Odometry(Settings())
     t_ms, way_m, speed_mps = 0, 0.0, 0.0
     tested.follow((0.0, 0.0, 0.0), 0)

@@ -265,9 +265,7 @@ def gate(published: Published) -> GateState:
     return GateState(published)  # type: ignore[arg-type]
 
 
-def test_a_state_of_the_gate_is_news_once_and_before_the_first_nothing_moves(
-    gate: GateState, published: Published
-) -> None:
+def test_a_state_of_the_gate_is_news_once_and_until_then_nothing_moves(gate: GateState, published: Published) -> None:
     assert not gate.read(10_000 * MS)
     assert (gate.enabled, gate.latched, gate.commanded) == (False, False, False)
     published.put(100 * MS)
@@ -288,9 +286,7 @@ def test_a_state_of_the_gate_is_news_once_and_before_the_first_nothing_moves(
 
 
 @pytest.mark.parametrize("velocity", [[0.1, 0.0, -0.5], [0, 0, 0]])
-def test_a_gate_silent_for_250_ms_moves_and_enables_nothing(
-    gate: GateState, published: Published, velocity: list[float]
-) -> None:
+def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Published, velocity: list[float]) -> None:
     published.put(100 * MS, body_vel=velocity)
     gate.read(100 * MS)
     assert gate.enabled

@@ -182,7 +182,7 @@ def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
 @pytest.mark.parametrize(
     ("make", "said"), [(os.mkdir, "charger state can't be read: "), (os.mkfifo, "a FIFO, not a regular file")]
 )
-def test_a_file_that_is_not_there_is_empty_and_one_that_is_none_a_note(
+def test_a_file_that_is_not_there_is_empty_and_no_file_a_note(
     tmp_path: Path, make: Callable[[Path], None], said: str
 ) -> None:
     files = StateFiles(str(tmp_path))
